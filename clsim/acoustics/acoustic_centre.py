@@ -46,7 +46,7 @@ def fit_delay(
         return np.conj(here[:, :-1]) * here[:, 1:], np.conj(one) * other
 
     def stillness(t: Floats) -> float:
-        """Return how little neighbours' phases differ: 1 if not at all."""
+        """Return the coherence of neighbours' phases: 1 if they are equal."""
         both = [(p.real.sum(), np.abs(p).sum()) for p in products(t) if p.size]
         return float(np.mean([level / max(total, 1e-300) for level, total in both]))
 

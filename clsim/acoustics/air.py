@@ -137,7 +137,7 @@ def absorption_iso9613(
 
 
 def lead_iso9613(frequency: ArrayLike, temperature_celsius: float, relative_humidity: float, pressure: float) -> Floats:
-    """Return by how much the phase of pure tones leads that of sound at zero frequency, for each metre of air, rad/m.
+    """Return the phase lead of pure tones over sound at zero frequency in each metre of air, rad/m.
 
     A relaxation that absorbs ``S f x / (1 + x²)``, with ``x = f / f_r`` and the strength S of [ISO]_ equation 3, lets
     sound lead by ``S f x² / (1 + x²)``: both are parts of ``j S f x / (1 + j x)``, by which one internal degree of

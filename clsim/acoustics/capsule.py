@@ -1,4 +1,4 @@
-"""What comes back from a rigid capsule, a cylinder with round ends: its specular point, and its field about it."""
+"""Scattering by a rigid capsule, a cylinder with round ends: its specular point, and its field about it."""
 
 from __future__ import annotations
 
@@ -27,9 +27,7 @@ ASPECTS = 11  # numbers that a field takes
 def capsule_glint(
     radius: float, length: float, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float
 ) -> Glint:
-    """Return where a rigid capsule reflects, by geometrical optics.
-
-    Shapes: source, receiver (3, n) m; weight (n,).
+    """Return the specular point of a rigid capsule, by geometrical optics; source, receiver (3, n) m; weight (n,).
 
     near: that of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
 
@@ -94,9 +92,7 @@ def capsule_aspects(
 
 
 def capsule_field(wave: Floats, aspects: Floats) -> Complexes:
-    """Return the field of a rigid capsule over its strength.
-
-    Shapes: wave (F,) 1/m; aspects (..., 11); result (... F).
+    """Return the field of a rigid capsule over its strength; wave (F,) 1/m; aspects (..., 11); result (... F).
 
     ``m + sum exp(-j k t) (A E(a sqrt k) - B E(b sqrt k))`` over both ends of the side, with the Fresnel integral ``E(x)
     = exp(j x^2) erfc(exp(j pi / 4) x)`` (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 1964, eq.
@@ -115,7 +111,7 @@ def capsule_field(wave: Floats, aspects: Floats) -> Complexes:
 
 
 def _obliquity(cosine: Floats) -> Floats:
-    """Return how much of the surface's pressure counts, by the cosine of the angle of incidence."""
+    """Return the obliquity factor of the surface pressure, by the cosine of the angle of incidence."""
     bounded = np.maximum(cosine, 0.0)
     return bounded * lit_share(bounded)
 
@@ -129,7 +125,7 @@ def _unit(v: Floats) -> Floats:
 
 
 def _split(half: float, place: Floats) -> tuple[Floats, Floats]:
-    """Return where on the axis (n,) a place (3, n) belongs to, m, and in which direction (3, n) it is from there."""
+    """Return the axial coordinate (n,), m, of the sphere of a place (3, n), and the direction (3, n) from there."""
     at = np.clip(place[2], -half, half)
     return at, _unit(np.stack([place[0], place[1], place[2] - at]))
 

@@ -1,4 +1,4 @@
-"""What impulse responses tell of rooms: decay, clarity, and reverberation by Sabine and Eyring."""
+"""Room measures from impulse responses: decay, clarity, and reverberation by Sabine and Eyring."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ _OWN_FALL = 0.75  # of how far a decay falls in a fifth of a response: what fall
 
 
 def decay_curve(samples: Floats) -> Floats:
-    """Return the level of the energy that is still to come (n,), dB re all of it.
-
-    Shapes: samples (n,).
+    """Return the level of the energy that is still to come (n,), dB re all of it; samples (n,).
 
     The backward integral of the squared response (ISO 3382-1:2009, section 5.3.3; M. R. Schroeder, "New method of
     measuring reverberation time", J. Acoust. Soc. Am. 37, 1965, eq. 2).
@@ -28,9 +26,7 @@ def decay_curve(samples: Floats) -> Floats:
 
 
 def reverberation_time(curve: Floats, sampling_rate: float, first_db: float, last_db: float) -> float:
-    """Return the time in which a decay falls by 60 dB, from a part of it.
-
-    Shapes: curve (n,) dB.
+    """Return the time in which a decay falls by 60 dB, from a part of it; curve (n,) dB.
 
     first_db, last_db: where the part begins and ends, below 0: -5 and -25 dB for T20, -5 and -35 dB for T30.
 
@@ -47,9 +43,7 @@ def reverberation_time(curve: Floats, sampling_rate: float, first_db: float, las
 
 
 def has_decay_range(samples: Floats, sampling_rate: float, last_db: float, found: float) -> bool:
-    """Tell a decay from noise: whether a reverberation time can be that of a response.
-
-    Shapes: samples (n,).
+    """Test whether a response decays by a reverberation time, rather than ends in noise; samples (n,).
 
     result: false where a decay of that time does not fall to `last_db` within the response, or where the response ends
     in steady noise that makes up a quarter of the energy that is still to come at `last_db`.
@@ -76,9 +70,7 @@ def has_decay_range(samples: Floats, sampling_rate: float, last_db: float, found
 
 
 def clarity(samples: Floats, split: int) -> float:
-    """Return the level of early energy over late energy, dB.
-
-    Shapes: samples (n,).
+    """Return the level of early energy over late energy, dB; samples (n,).
 
     ISO 3382-1:2009, annex A.2.3.
     """
@@ -89,9 +81,7 @@ def clarity(samples: Floats, split: int) -> float:
 
 
 def definition(samples: Floats, split: int) -> float:
-    """Return the share of early energy in all energy.
-
-    Shapes: samples (n,).
+    """Return the share of early energy in all energy; samples (n,).
 
     ISO 3382-1:2009, annex A.2.3.
     """
@@ -100,9 +90,7 @@ def definition(samples: Floats, split: int) -> float:
 
 
 def sabine_time(volume: float, absorption_area: Floats, air: Floats, speed_of_sound: float) -> Floats:
-    """Return the reverberation time of a diffuse field by Sabine, s.
-
-    Shapes: absorption_area (F,) m²; air (F,).
+    """Return the reverberation time of a diffuse field by Sabine, s; absorption_area (F,) m²; air (F,).
 
     ``24 ln(10) V / (c (A + 4 m V))`` (H. Kuttruff, "Room Acoustics", 6th edition, 2016, eq. 5.25).
     """
@@ -112,9 +100,7 @@ def sabine_time(volume: float, absorption_area: Floats, air: Floats, speed_of_so
 
 
 def eyring_time(volume: float, surface: float, absorption_area: Floats, air: Floats, speed_of_sound: float) -> Floats:
-    """Return the reverberation time of a diffuse field by Eyring, s.
-
-    Shapes: absorption_area (F,) m²; air (F,).
+    """Return the reverberation time of a diffuse field by Eyring, s; absorption_area (F,) m²; air (F,).
 
     Sabine's with ``-S ln(1 - A / S)`` in place of A (H. Kuttruff, "Room Acoustics", 6th edition, 2016, eq. 5.24).
     """

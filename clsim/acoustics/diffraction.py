@@ -36,17 +36,12 @@ _ROOT_J = np.exp(0.25j * np.pi)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeWay:
-    """The shortest ways over edges, each array (...).
-
-    Attributes
-    ----------
-    breadth : ndarray (...)
-        ``2 (s s' / L) sin² β``, m, with the distances s' and s of both ends from the apex and the angle β to the
-        edge.
-    """
+    """The shortest ways over edges, each array (...)."""
 
     length: Floats  # (...) of the whole way, m
     apex: Floats  # (...) z at which it meets the edge, m
+    # (...) ``2 (s s' / L) sin² β``, m, with the distances s' and s of both ends from the apex and the angle β to the
+    # edge.
     breadth: Floats
 
 
@@ -75,9 +70,7 @@ def off_line(n: ArrayLike, x: Floats, y: Floats, low: ArrayLike) -> tuple[Floats
 
 
 def partner_reflections(n: ArrayLike) -> NDArray[np.int64]:
-    """Count the reflections by the two faces of each term's partner.
-
-    Shapes: result (... 4).
+    """Count the reflections by the two faces of each term's partner; result (... 4).
 
     result: an even number for the first two terms, which begin at the 0-face and at the n-face, and an odd one for the
     last two, which do so as well; they are the two neighbours of 1/n.
@@ -92,9 +85,7 @@ def partner_reflections(n: ArrayLike) -> NDArray[np.int64]:
 
 
 def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:
-    """Return how far inside the region in which it is seen each partner is.
-
-    Shapes: result (... 4).
+    """Return the angle by which each partner is inside its lit region; result (... 4).
 
     result: angles to the four boundaries, positive where the partner is seen, in radians.
 
@@ -191,7 +182,7 @@ def _transition(root: Floats) -> Complexes:
 
 
 def end_detour(way: EdgeWay, source: tuple[Floats, Floats], receiver: tuple[Floats, Floats], end: ArrayLike) -> Floats:
-    """Return by how much the way over a point of the edge is longer than the shortest one, (...) m.
+    """Return the detour over a point of the edge beyond the shortest path, (...) m.
 
     Our own derivation: each leg's ``far - near`` is ``(far² - near²) / (far + near)``. The parts linear in the offset
     of the point from the apex cancel over both legs, by Fermat's principle, and are left out before they round.

@@ -19,7 +19,7 @@ _LEAST = 2e-5  # the same where both edges are on their boundaries: the function
 
 
 def double_tie(way: EdgeWay, first: Floats, last: Floats) -> Floats:
-    """Return how much the transitions at two edges depend on each other (...), 0 of edges far apart, 1 of one edge.
+    """Return the coupling of the transitions at two edges (...): 0 for edges far apart, 1 for one edge.
 
     Our own derivation: ``w² = s1 s2 / ((s1 + s) (s + s2))`` with the part s between the edges is the square of the
     mixed second derivative of the way's length by both angles over the product of the others; what is left, 1 - w², is
@@ -60,7 +60,7 @@ def double_transition(first: Floats, last: Floats, tie: Floats, wave: Floats) ->
 
 
 def _partner(root: Floats, other: Floats, tie: Floats, wave: Floats) -> Complexes:
-    """Return what is over one of the edges alone, where the other's boundary is passed."""
+    """Return the transition over one of the edges alone, where the other's boundary is passed."""
     turned = np.exp(1j * wave * ((1.0 - tie**2) * root**2)[..., None])
     scale, moved = np.sqrt(wave), tie * root
     return np.asarray(

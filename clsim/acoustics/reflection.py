@@ -1,4 +1,4 @@
-"""What a wall sends back: factors of sound pressure, with the time convention ``exp(+jωt)``."""
+"""Reflection factors of sound pressure at walls, with the time convention ``exp(+jωt)``."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def boundary_layer_admittance(frequency: ArrayLike, cosine: ArrayLike, speed_of_
 
 
 def coherent_share(rms: float, frequency: ArrayLike, cosine: ArrayLike, speed_of_sound: float) -> Floats:
-    """Return what roughness leaves of the specular reflection: a factor of sound pressure.
+    """Return the factor of sound pressure by which roughness weakens the specular reflection.
 
     ``exp(-2 (k σ cos θ)²)``: J. A. Ogilvy, "Theory of Wave Scattering from Random Rough Surfaces", 1991, chapter 4, for
     heights with a normal distribution, slopes below 1 and roughness without shadows (Kirchhoff's approximation:
@@ -95,7 +95,7 @@ def coherent_share(rms: float, frequency: ArrayLike, cosine: ArrayLike, speed_of
 def porous_medium(
     frequency: ArrayLike, flow_resistivity: float
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return what a fibrous absorber is as a fluid.
+    """Return the equivalent fluid of a fibrous absorber.
 
     impedance, index: complex characteristic impedance over that of air, and wavenumber over that of air.
 

@@ -28,7 +28,7 @@ _SMALL = 1e-100  # in divisors: what is divided by it is squared, too
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Glint:
-    """Where a body reflects, n times."""
+    """Specular points of a body for n pairs of ends."""
 
     place: Floats  # (3, n) the specular point, m; where the body hides the ends from each other, a point between them
     normal: Floats  # (3, n) what finds a glint nearby by one step: the unit vector u of `ellipsoid_glint`
@@ -37,18 +37,18 @@ class Glint:
     stays: bool = False  # whether from here on what is hidden stays so
 
     def staying(self, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which ends are hidden from each other at the next step, of those (n,) that it finds to be."""
+        """Return the ends that stay hidden from each other at the next step, of those (n,) found hidden now."""
         return hidden | self.hidden if self.stays else hidden
 
     def guessed(self, normal: Floats) -> Glint:
-        """Return what is known by vectors (3, m) near to u of other ends."""
+        """Return the specular points of other ends, guessed by vectors (3, m) near to u."""
         return Glint(normal, _unit(normal), np.zeros(normal.shape[1], dtype=np.bool_), math.inf)
 
 
 def ellipsoid_glint(
     semi_axes: Floats, source: Floats, receiver: Floats, near: Glint | None = None, weight: Floats | float = 1.0
 ) -> Glint:
-    """Return where a rigid ellipsoid reflects, by geometrical optics.
+    """Return the specular point of a rigid ellipsoid, by geometrical optics.
 
     Shapes: semi_axes (3,) m; source, receiver (3, n) m; weight (n,).
 
@@ -98,7 +98,7 @@ def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glin
 
 
 def lit_share(cosine: Floats) -> Floats:
-    """Return how much of a mirror bodies are, by the cosine (n,) of the angle of incidence.
+    """Return the share of specular reflection by bodies, by the cosine (n,) of the angle of incidence.
 
     ``1 - exp(-(cos(theta) / 0.25)^3)``, our own choice; see `ellipsoid_strength`.
     """

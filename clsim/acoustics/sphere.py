@@ -26,7 +26,7 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SphereModes:
-    """What modes 0 to N - 1 of a rigid sphere are made of at F values of ka.
+    """Coefficients of modes 0 to N - 1 of a rigid sphere at F values of ka.
 
     With ``g_n = h_n(kd) / |h_n(ka)| * (d / a) exp(jkd)`` of an end at the distance d, from ``g_-1 = 1`` and ``g_0 =
     j``, ``g_n+1 = step_n (a / d) g_n - back_n g_n-1``. All numbers are bounded, whatever n and ka are.

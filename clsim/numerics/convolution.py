@@ -12,9 +12,7 @@ if TYPE_CHECKING:
 
 
 def convolved(signal: NDArray[Any], filters: NDArray[Any]) -> NDArray[Any]:
-    """Return a signal through filters.
-
-    Shapes: signal (n,); filters (..., L); result (... n + L - 1).
+    """Return a signal through filters; signal (n,); filters (..., L); result (... n + L - 1).
 
     result: from the first sample on that a filter makes of the signal, to the last one.
 

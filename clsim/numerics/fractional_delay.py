@@ -24,9 +24,7 @@ _LARGEST_DEGREE = 40
 
 
 def lagrange_taps(order: int, delay: Floats) -> Floats:
-    """Return the taps of the Lagrange interpolator of an order, for delays in samples.
-
-    Shapes: delay (n,) samples.
+    """Return the taps of the Lagrange interpolator of an order, for delays in samples; delay (n,) samples.
 
     References
     ----------
@@ -128,7 +126,7 @@ def _branch_shapes(half: int, cutoff: float) -> tuple[Floats, NDArray[np.bool_],
 
 @lru_cache(maxsize=1024)  # of some 4 KB each
 def _branch_target(k: int, half: int, cutoff: float, mu_max: float) -> Floats:
-    """Return what branch k has to be at the frequencies of `_branch_shapes`, (n,)."""
+    """Return the target of branch k at the frequencies of `_branch_shapes`, (n,)."""
     from scipy.special import jv
 
     w, inside, _, _ = _branch_shapes(half, cutoff)

@@ -18,9 +18,7 @@ _REACH = 7.0  # over the width of a skirt, s: beyond, what is left of an arrival
 
 
 def delayed_sums(delays: Floats, gains: Floats, size: int) -> Complexes:
-    """Return the spectra of sums of delayed impulses.
-
-    Shapes: delays (P,) samples; gains (P, K).
+    """Return the spectra of sums of delayed impulses; delays (P,) samples; gains (P, K).
 
     result: ``sum_p gains[p, k] exp(-2j pi f delays[p] / N)`` for f from 0, within 1e-10 of the gains.
 
@@ -65,7 +63,7 @@ def band_taper(frequencies: Floats, low: float, high: float, below: float, above
 
 
 def ringing(below: float, above: float) -> float:
-    """Return how long an arrival rings to either side, cut to a band with these skirts.
+    """Return the time for which an arrival rings to either side, cut to a band with these skirts.
 
     Within 5 / 7 of that its skirts have fallen below -100 dB of its peak.
     """

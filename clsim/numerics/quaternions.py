@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
-    """Turn vectors by unit quaternions.
-
-    Shapes: quaternion (..., 4); vectors (..., 3); result (... 3).
+    """Turn vectors by unit quaternions; quaternion (..., 4); vectors (..., 3); result (... 3).
 
     ``v + 2 w (u × v) + 2 u × (u × v)`` for the quaternion ``(u, w)``: J. Diebel, "Representing Attitude", Stanford
     University, 2006, section 6.
@@ -67,10 +65,7 @@ def quaternion_from_direction(direction: ArrayLike) -> Floats:
 
 
 def normalised(quaternion: ArrayLike) -> Floats:
-    """Return quaternions scaled to unit norm.
-
-    Shapes: quaternion (..., 4); result (... 4).
-    """
+    """Return quaternions scaled to unit norm; quaternion (..., 4); result (... 4)."""
     q = np.asarray(quaternion, dtype=np.float64)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all((norm > 0.0) & np.isfinite(norm)):
@@ -80,9 +75,7 @@ def normalised(quaternion: ArrayLike) -> Floats:
 
 
 def same_hemisphere(quaternions: ArrayLike) -> Floats:
-    """Return the same rotations with signs chosen so that neighbours lie close to each other.
-
-    Shapes: quaternions (n, 4).
+    """Return the same rotations with signs chosen so that neighbours lie close to each other; quaternions (n, 4).
 
     result: the first as given, each other one or its negative: no two neighbours have a negative dot product.
     """

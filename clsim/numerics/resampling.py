@@ -44,14 +44,11 @@ class Resampler:
         return cls(ratio.numerator, ratio.denominator)
 
     def count(self, samples: int) -> int:
-        """Return how many samples that many become."""
+        """Return the number of resampled samples."""
         return -(-samples * self.up // self.down)
 
     def read(self, samples: NDArray[Any], first: int, last: int) -> Floats:
-        """Return resampled samples `first` to `last`, from those that the filter reaches.
-
-        Shapes: samples (n,).
-        """
+        """Return resampled samples `first` to `last`, from those that the filter reaches; samples (n,)."""
         from scipy.signal import upfirdn
 
         taps = _taps(self.up, self.down)

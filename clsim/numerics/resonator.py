@@ -52,9 +52,7 @@ def resonance_taps(centre: float, width: float, sampling_rate: float) -> Floats:
 
 
 def minimum_phase(magnitude: Floats) -> Floats:
-    """Return the minimum-phase impulse response with given magnitudes.
-
-    Shapes: magnitude (n / 2 + 1,).
+    """Return the minimum-phase impulse response with given magnitudes; magnitude (n / 2 + 1,).
 
     magnitude: above 0, from 0 Hz to half the sampling rate, evenly spaced; n a power of two.
 

@@ -28,19 +28,13 @@ class Upsampler:
     ``y[n] = Re sum_m h[n - m every] e[m] exp(2 pi j carrier n / rate)``: with the envelope turned to the carrier's
     phase at its own samples, the rest of the turn is that of ``n - m every`` and part of the taps. So every sample of
     the sound is one product of real numbers with a window of the envelope, and all of them a product of matrices.
-
-    Attributes
-    ----------
-    reach : int
-        Samples of the envelope that are looked at: sample 0 of the sound takes those from ``1 - reach`` to
-        ``reach``.
-    taps : ndarray (2 reach, 2, every) float32
-        By sample of the envelope, its real and imaginary part, and sample of the sound.
     """
 
     every: int  # samples of the sound in one of the envelope
     turn: Fraction  # part of a turn of the carrier in one sample of the envelope beyond whole ones
+    # Samples of the envelope that are looked at: sample 0 of the sound takes those from ``1 - reach`` to ``reach``.
     reach: int
+    # (2 reach, 2, every) by sample of the envelope, its real and imaginary part, and sample of the sound.
     taps: NDArray[np.float32]
 
     @classmethod
@@ -58,10 +52,7 @@ class Upsampler:
         return cls(every, turn, reach, np.stack([taps.real, -taps.imag], axis=1).astype(np.float32))
 
     def __call__(self, envelope: Complexes, first: int) -> NDArray[np.float32]:
-        """Return samples of the sound from ``first every`` on, (n every,) float32.
-
-        Shapes: envelope (n + 2 reach - 1,).
-        """
+        """Return samples of the sound from ``first every`` on, (n every,) float32; envelope (n + 2 reach - 1,)."""
         count = len(envelope) - 2 * self.reach + 1
         out = np.zeros((count, self.every), dtype=np.float32)
         begin = first + 1 - self.reach

@@ -7,16 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """An argument of a kernel.
-
-    Attributes
-    ----------
-    shape : str
-        Of a buffer, outermost first, in constants and in the names of other arguments or of words; empty for a
-        number.
-    """
+    """An argument of a kernel."""
 
     type: str  # in OpenCL C: of the number, or of the elements of the buffer
+    # Of a buffer, outermost first, in constants and in the names of other arguments or of words; empty for a number.
     shape: str = ""
     access: str = ""  # how a buffer is used; empty for a number
 

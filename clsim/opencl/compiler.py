@@ -1,4 +1,4 @@
-"""Programs built on a device: one context for all of a process, and each text built once."""
+"""Compiler of OpenCL programs: one context in a process, each text built once, and texts adapted to PoCL."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class Compiler:
 
 
 def _literal(value: Constant) -> str:
-    """Return a constant as OpenCL C has it: numbers of Python are int and double, those of float32 are float."""
+    """Return the OpenCL C literal of a constant: Python numbers are int and double, float32 is float."""
     if isinstance(value, np.float32):
         return f"{value!s}f"
     return repr(value) if isinstance(value, float) else str(value)

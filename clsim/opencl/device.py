@@ -1,4 +1,4 @@
-"""OpenCL devices: which there are, and which is taken."""
+"""OpenCL devices: list, choice, and the processor for which PoCL compiles."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
 
 
 def no_device() -> str:
-    """Return why there is no device, and what to do."""
+    """Return the reason for the missing device, and a remedy."""
     trouble = prepare()
     return f"OpenCL cannot be used: {trouble}" if trouble else f"no OpenCL device: {INSTALL}"
 
@@ -147,7 +147,7 @@ _names: dict[str, Any] = {}  # texts that devices point to, for as long as there
 
 @cache
 def name_processor(device: Any) -> None:
-    """Have PoCL compile for what this processor can do, where it does not know which it is; once in a process.
+    """Make PoCL compile for the features of this processor where it does not know its name; once in a process.
 
     device: of PoCL. Nothing is done where its processor has a name, on other systems than Linux with x86-64, and where
     a process may not read its own memory.
@@ -183,7 +183,7 @@ def set_processor(device: Any, name: str) -> None:
 
 
 def _named(device: Any) -> tuple[int, str | None]:
-    """Return where PoCL's description of a device points to the name of its processor, and that name."""
+    """Return the address of the pointer to the processor's name in PoCL's description of a device, and that name."""
     if sys.platform != "linux" or os.uname().machine != "x86_64":
         return 0, None
     with _memory() as memory:

@@ -1,4 +1,4 @@
-"""Where drivers keep built kernels: in a folder that takes them, and around entries that a process died of."""
+"""Caches of built kernels: a writable folder for drivers, and detection of entries that ended a process."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _pyopencl_folder() -> Path:
 
 
 def _pyopencl_cache_opens() -> bool:
-    """Return whether PyOpenCL's table of calls, a database, can be opened; its module does so when imported."""
+    """Test whether PyOpenCL's database of calls can be opened; its module opens it at import."""
     try:
         import pyopencl.invoker  # noqa: F401
     except ImportError:
@@ -83,7 +83,7 @@ def _pyopencl_cache_opens() -> bool:
 
 
 def _trouble(folder: Path) -> str:
-    """Return why nothing can be kept in a folder, or an empty text."""
+    """Return the reason against a folder as a cache, or an empty text."""
     if not folder.is_absolute():
         return "it is relative to the working folder"
     try:
@@ -102,7 +102,7 @@ def _trouble(folder: Path) -> str:
 
 
 def _open_to_others(folder: Path) -> str:
-    """Return why other users could put kernels into a folder, or an empty text."""
+    """Return the reason for which other users could write into a folder, or an empty text."""
     if not hasattr(os, "geteuid"):
         return ""
     mine = (0, os.geteuid())
@@ -122,7 +122,7 @@ def _open_to_others(folder: Path) -> str:
 
 
 def _is_own_group(group: int) -> bool:
-    """Return whether a group is the superuser's, or the one that is made for each user and called like them."""
+    """Test whether a group is the superuser's or the user's own group of the same name."""
     import grp
     import pwd
 
@@ -237,7 +237,7 @@ def _swept(folder: Path) -> int:
 
 
 def _is_whole(path: Path) -> bool:
-    """Return whether a shared object (ELF, 64 bit) has all of its table of sections, which stands at its end."""
+    """Test whether a shared object (ELF, 64 bit) has its whole section table, which stands at its end."""
     with path.open("rb") as file:
         head = file.read(64)
     if sys.platform != "linux" or head[4:6] == b"\1\1":  # 32 bit

@@ -313,7 +313,7 @@ def kernel_folder() -> Path:
 
 @cache
 def declarations() -> str:
-    """Return what the kernels use of OpenCL C itself, to stand before a program whose compiler is told to read none."""
+    """Return declarations of the OpenCL C functions that kernels use, for compilers that skip its header."""
     return (kernel_folder() / DECLARATIONS).read_text("utf-8")
 
 

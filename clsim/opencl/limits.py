@@ -1,4 +1,4 @@
-"""What every kernel keeps to: work-groups, launches and buffers that a device takes."""
+"""Limits of devices for all kernels: work-groups, launches and buffers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Complex baseband: what is asked for, and what follows from it before anything is filtered."""
+"""Complex baseband: the request, its checks, and the block lengths that follow from it."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Baseband(NamedTuple):
 
 
 def as_baseband(value: object, rate: float) -> Baseband:
-    """Return what is asked for with its sampling rate, for signals of a sampling rate."""
+    """Return the checked request with its sampling rate, for signals of the sampling rate `rate`, Hz."""
     if not isinstance(value, tuple | list) or len(value) not in (2, 3):
         raise InputError("baseband", f"must be a carrier and a bandwidth, Hz, but is {value!r:.80}")
     carrier = as_number("baseband.carrier", value[0], above=0.0, below=0.5 * rate, unit="Hz")
@@ -93,7 +93,7 @@ def _decimation(rate: float, least: float) -> int:
 def half_band(
     index: int, signal: Signal, spectrum: tuple[Floats, Floats], baseband: Baseband, max_rate: float
 ) -> tuple[float, float]:
-    """Return by how far an emitted frequency may lie off the carrier, Hz, and the signal's share beyond, dB.
+    """Return the largest offset of an emitted frequency from the carrier, Hz, and the signal's share beyond it, dB.
 
     Shapes: spectrum (F,) Hz.
 

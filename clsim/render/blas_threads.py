@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def blas_threads() -> int:
-    """Return how many threads multiply matrices: with another number results may round otherwise."""
+    """Return the number of threads that multiply matrices; it can change the rounding of results."""
     return max((int(pool["num_threads"]) for pool in _libraries().info() if pool["user_api"] == "blas"), default=1)
 
 

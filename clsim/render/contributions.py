@@ -1,4 +1,4 @@
-"""What adds to the sound pressure at the receivers: the interface that all kinds of it have."""
+"""Base classes of contributions to the sound pressure at the receivers: the interface that renderings use."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Contribution(Protocol):
         ...
 
     def describe(self) -> list[str]:
-        """Return what will be computed, a line each."""
+        """Describe the planned computation, one line for each part."""
         ...
 
     def digest(self) -> str:
@@ -35,7 +35,7 @@ class Contribution(Protocol):
         ...
 
     def begin(self) -> Adding:
-        """Return what adds it, from the first sample on or from where another one was."""
+        """Return an object that adds it from the first sample on, or from a restored state on."""
         ...
 
 
@@ -47,36 +47,36 @@ class Adding(Protocol):
         ...
 
     def until(self, last: int) -> None:
-        """Take note that for now nothing will be asked for from sample `last` on: it need not be prepared."""
+        """Hint: samples from `last` on will not be requested yet; do not prefetch them."""
         ...
 
     def shared(self, first: int, last: int) -> list[str]:
-        """Return names of what samples `first` to `last` and others are made of alike: many processes make it once."""
+        """Return the names of arrays that samples `first` to `last` share with others; one process computes each."""
         ...
 
     def made(self, name: str) -> NDArray[Any]:
-        """Return what is shared by a name, of any shape; the same whoever makes it, and when."""
+        """Compute the shared array of a name, of any shape; it does not depend on the process or the time."""
         ...
 
     def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
-        """Take note that `find` returns what is shared by a name, so that it need not be made."""
+        """Use `find` to get shared arrays by name instead of computing them."""
         ...
 
     def state(self) -> State:
-        """Return all that it remembers of the pieces so far and needs to go on bit for bit."""
+        """Return the state after the chunks so far, from which rendering continues bit for bit."""
         ...
 
     def restore(self, state: State) -> None:
-        """Go on where another one of the same plan was; `state` is what that remembered."""
+        """Continue from the `state` of another object of the same plan."""
         ...
 
     def warn(self) -> None:
-        """Warn, behind the last piece, of what came out worse than asked."""
+        """Warn after the last chunk of results that miss the requested accuracy."""
         ...
 
 
 class Unshared:
-    """What most contributions have in common: no piece is made of what others are made of."""
+    """Base class of contributions whose chunks share no arrays."""
 
     def shared(self, first: int, last: int) -> list[str]:
         """Return no names."""
@@ -91,7 +91,7 @@ class Unshared:
 
 
 class Stateless(Unshared):
-    """What most of them have in common, too: a piece does not depend on those before."""
+    """Base class of contributions whose chunks do not depend on earlier chunks."""
 
     def until(self, last: int) -> None:
         """Prepare nothing anyway."""
@@ -104,4 +104,4 @@ class Stateless(Unshared):
         """Go on anywhere."""
 
     def warn(self) -> None:
-        """Tell nothing."""
+        """Give no warnings."""

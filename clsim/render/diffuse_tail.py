@@ -1,4 +1,4 @@
-"""The contribution of diffuse tails: streams from fixed directions, heard as plane waves where receivers are."""
+"""The contribution of diffuse tails: plane waves from fixed directions, and the source signals that excite them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class DiffuseTail:
         return "diffuse tail"
 
     def describe(self) -> list[str]:
-        """Return what each source's tail is."""
+        """Describe each source's tail."""
         return [
             f"source {i}: diffuse tail of {tail.describe()}; without it {tail.left_db:.1f} dB of the energy is missing"
             for i, tail in enumerate(self.plan.allocation.tails)
@@ -63,7 +63,7 @@ class DiffuseTail:
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
     def begin(self) -> _Tail:
-        """Return what adds it."""
+        """Return an object that adds it."""
         return _Tail(self.plan)
 
 
@@ -75,7 +75,7 @@ class _Tail(Stateless):
         self._heard: list[_ZoneHeard] | None = None
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        """Add the tail from sample `start` on to the pressure (receivers, n), Pa."""
         if self._heard is None:
             self._heard = [
                 _ZoneHeard(self._plan, signals, zone)
@@ -89,7 +89,7 @@ class _Tail(Stateless):
 
 
 class _ZoneHeard:
-    """What is heard of one source in one zone of receivers."""
+    """Tail of one source in one zone of receivers."""
 
     def __init__(self, plan: Plan, signals: SourceSignals, zone: int) -> None:
         of_scene = plan.tracks.of_scene
@@ -120,7 +120,7 @@ class _ZoneHeard:
                 )
 
     def _add_moving(self, pressure: NDArray[Any], receivers: list[int], start: int) -> None:
-        """Add what receivers hear of all streams from sample `start` on to the pressure (receivers, n)."""
+        """Add all streams at moving receivers from sample `start` on to the pressure (receivers, n)."""
         stop = start + pressure.shape[1]
         grid = np.arange(start // NODE, -(-stop // NODE) + 1) * NODE
         found = {r: motion_of for r in receivers if (motion_of := self._motion(r, grid)) is not None}
@@ -228,14 +228,14 @@ class SourceSignals:
 
     @property
     def waves(self) -> Waves:
-        """What sums streams, by the engine of the plan: made where something moves."""
+        """Sum of streams by the plan's engine, made when something moves."""
         if self._waves is None:
             of_host = self._options.engine == "reference"
             self._waves = HostWaves(self.between) if of_host else DeviceWaves(self.between, self._options.device)
         return self._waves
 
     def sounds(self, zone: int, first: int, last: int) -> bool:
-        """Return whether a zone sends anything from sample `first` to `last`."""
+        """Test whether a zone emits between samples `first` and `last`."""
         margin = self._margin if self.moves else 0
         if not np.any(self._emitted(first - margin, last + margin)):
             return False
@@ -243,7 +243,7 @@ class SourceSignals:
         return bool(np.any(self.tail.zones.weights(self._end, nodes / self._rate)[zone]))
 
     def read(self, zone: int, departures: NDArray[np.int64], first: int, last: int) -> NDArray[Any]:
-        """Return samples `first` to `last` of what a zone sends in directions (Q, n), Pa at 1 m."""
+        """Return samples `first` to `last` of a zone's emission in directions (Q, n), Pa at 1 m."""
         if not self.moves:
             return self._emitted(first, last)[None]
         # Blocks and zones of receivers share a part; values do not depend on what is asked.
@@ -255,7 +255,7 @@ class SourceSignals:
         return np.asarray(sent[departures])
 
     def _sent(self, zone: int, first: int, last: int) -> NDArray[Any]:
-        """Return what is sent in all directions (Q, n), ahead of a front from the zone's middle."""
+        """Return the signals in all directions (Q, n), relative to a wave front from the zone's middle."""
         grid = np.arange(first // NODE, -(-last // NODE) + 1) * NODE
         low = first - self._margin
         emitted = self._emitted(low, last + self._margin).astype(np.float32)

@@ -31,17 +31,12 @@ _ROWS = 2048  # samples of envelopes made at a time: what is mixed down then sta
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixer:
-    """Mixes sound down, low-passes it, applies filters, and keeps every so many-th sample.
-
-    Attributes
-    ----------
-    taps : ndarray (2 half_length, K, 2, every)
-        By sample of the envelope, filter, real and imaginary part, and sample of the sound.
-    """
+    """Mixes sound down, low-passes it, applies filters, and keeps every so many-th sample."""
 
     every: int  # samples of the sound in one of the envelope
     turn: Fraction  # part of a turn of the carrier in one sample of the envelope beyond whole ones
     half_length: int  # samples of the envelope that are looked at to either side
+    # (2 half_length, K, 2, every) by sample of the envelope, filter, real and imaginary part, and sample of the sound.
     taps: Floats
 
     def __call__(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
@@ -97,7 +92,7 @@ class EnvelopeFilters(SourceFilters):
         return self.mixer(self.signal.read, first, last)
 
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
-        """Return where samples `first` to `last` of those streams sound, from `first` on, (n,), and these (K, n)."""
+        """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n)."""
         streams = self.streams(first, last)
         places = np.flatnonzero(np.any(streams != 0.0, axis=0))
         return places, streams[:, places]
@@ -128,7 +123,7 @@ class EnvelopeFilters(SourceFilters):
         return np.asarray(np.exp(-2j * math.pi * self.cycles * delay_samples))
 
     def describe_filters(self) -> str:
-        """Return how delays are carried."""
+        """Describe the delay filters in a sentence."""
         removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
         return (
             f"filters of {len(self.bank.taps)} branches hold {self.half:.0f} Hz on either side of "

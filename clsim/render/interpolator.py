@@ -20,13 +20,7 @@ _LARGEST_ORDER = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bank:
-    """Branch filters whose sum weighted by powers of ``mu`` is a delay of ``shift + mu`` samples.
-
-    Attributes
-    ----------
-    error_db : float
-        Largest deviation from a pure delay over all delays and the signal's band, times its importance, dB.
-    """
+    """Branch filters whose sum weighted by powers of ``mu`` is a delay of ``shift + mu`` samples."""
 
     taps: Floats  # (branches, length) coefficient of ``mu**q`` of each tap
     centre: int  # index of the tap without delay
@@ -34,6 +28,7 @@ class Bank:
     edge: float  # end of the signal's band, rad per sample
     mu_max: float  # largest ``|mu|`` that occurs
     subblock: int  # neighbouring samples that share a whole delay
+    # Largest deviation from a pure delay over all delays and the signal's band, times its importance, dB.
     error_db: float
 
     @property
@@ -43,16 +38,10 @@ class Bank:
 
 
 class Interpolator(ABC):
-    """A fractional-delay filter: subclasses give `_bank`, polynomials of ``mu``, and `_taps`, their own formula.
-
-    Attributes
-    ----------
-    error_db : float
-        Bound on the error that is asked of all that is rendered with it, dB.
-    """
+    """A fractional-delay filter: subclasses give `_bank`, polynomials of ``mu``, and `_taps`, their own formula."""
 
     __slots__ = ()
-    error_db: float = -90.0
+    error_db: float = -90.0  # Bound on the error that is asked of all that is rendered with it, dB
 
     def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
         """Return the bank for a signal's band and how fast its delays change.

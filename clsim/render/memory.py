@@ -1,4 +1,4 @@
-"""How much memory a machine has, and errors that name the field that asks for more."""
+"""The machine's memory, and errors that name the field that needs more."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """How a scene's paths are rendered, checked as a whole.
+    """Options of a rendering, checked as a whole.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class OfPaths(Protocol[P, T_co]):
     """A function of paths and render options, each of which is a keyword."""
 
     def __call__(self, paths: PathSet, *args: P.args, **kwargs: P.kwargs) -> T_co:
-        """Return what is made of the paths with these options."""
+        """Call the function with each option as a keyword."""
         ...
 
 

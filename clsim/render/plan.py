@@ -1,4 +1,4 @@
-"""What will be computed, settled before anything is: both engines carry out the same plan."""
+"""The plan of a rendering, decided before anything is computed; both engines execute the same plan."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Plan:
         return max(self.blocks[-1], FINE) if self.baseband is None else self.blocks[-1]
 
     def is_fine(self, block: int) -> bool:
-        """Return whether blocks of a length are rendered in small subblocks by all terms of their cubics.
+        """Test whether blocks of a length are rendered in small subblocks with all terms of their cubics.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class Plan:
         return self.baseband is None and block < FINE
 
     def subblock(self, source: int, block: int) -> int:
-        """Return how many neighbouring samples of a block share the whole part of a delay.
+        """Return the number of neighbouring samples of a block that share the whole part of a delay.
 
         Parameters
         ----------
@@ -210,7 +210,7 @@ class Plan:
         return 4 + 4 * self.delay_terms + 16 * len(self.source_filters[source].basis)
 
     def _node_bytes(self, segments: int) -> float:
-        """Return what polynomials of a chunk of segments take, in blocks of the two longest lengths.
+        """Return the memory of the polynomials of a chunk of segments, in blocks of the two longest lengths, bytes.
 
         Shorter ones are for motion that is near and fast; each of these lengths takes `NODE_BUDGET` at most.
         """
@@ -251,7 +251,7 @@ class Plan:
         return tuple(r.unit for r in self.receivers) or ("Pa",) * self.receiver_count
 
     def describe(self) -> list[str]:
-        """Return what will be computed, a line each: the whole, each contribution, the receivers.
+        """Describe the plan, one line for each fact: the whole, each contribution, the receivers.
 
         Returns
         -------
@@ -281,7 +281,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NarrowPart:
-    """What some sources emit about one carrier, rendered as complex envelope and upsampled at each receiver."""
+    """Signals of some sources about one carrier, rendered as complex envelope and upsampled at each receiver."""
 
     plan: Plan  # of the envelopes
     sources: tuple[int, ...]  # which sources
@@ -290,25 +290,18 @@ class NarrowPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Allocation:
-    """The pairs and bands that each rendering method claims; whatever no other method claims is rendered per sample.
+    """The pairs and bands that each rendering method claims; whatever no other method claims is rendered per sample."""
 
-    Attributes
-    ----------
-    convolved : frozenset of int
-        Indices of the pairs at rest, which are convolved with their impulse responses.
-    narrow : tuple of NarrowPart
-        Bands that are rendered as complex envelopes, for all other pairs of their sources.
-    notes : tuple of str
-        Why a method is not used although it would be cheaper or was requested, a sentence each.
-    """
-
+    # Indices of the pairs at rest, which are convolved with their impulse responses.
     convolved: frozenset[int] = frozenset()
+    # Bands that are rendered as complex envelopes, for all other pairs of their sources.
     narrow: tuple[NarrowPart, ...] = ()
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
+    # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
 
     def convolves(self, tracks: Tracks, source: int) -> bool:
-        """Return whether all paths of a source are convolved, and there are some."""
+        """Test whether a source has paths and all of them are convolved."""
         mine = {i for i, pair in enumerate(tracks.pairs) if pair.source == source}
         return bool(mine) and mine <= self.convolved
 

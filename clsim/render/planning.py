@@ -1,4 +1,4 @@
-"""From options to a plan, in whole values: options, tracks, static pairs, source filters, blocks and chunks, plan."""
+"""From options to a plan: tracks, the rendering method of each pair, source filters, blocks and chunks."""
 
 from __future__ import annotations
 

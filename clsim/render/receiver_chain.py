@@ -23,7 +23,7 @@ _Kind = Literal["highpass", "lowpass"]
 
 
 class ReceiverChain:
-    """What receivers of a plan do to the pressure; pieces must come in order."""
+    """Transducers and electronics of a plan's receivers; chunks must come in order."""
 
     def __init__(self, plan: Plan, receivers: range | None = None) -> None:
         self._plan, self._here = plan, receivers or range(plan.receiver_count)
@@ -37,7 +37,7 @@ class ReceiverChain:
         return tuple(self._ends[i].clipped if i in self._ends else 0 for i in self._here)
 
     def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[Any]:
-        """Return what these receivers record of the pressure (receivers, n) in Pa at them from sample `start` on."""
+        """Return the recorded samples of the pressure (receivers, n) in Pa from sample `start` on."""
         with np.errstate(over="ignore"):  # what float32 does not hold is refused
             out = np.array(pressure, dtype=self._plan.sample_type)
             for i, end in self._ends.items():
@@ -47,16 +47,16 @@ class ReceiverChain:
         return out
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Return all that the receivers remember of the pieces so far; noise and clocks remember nothing."""
+        """Return the state of the receivers after the chunks so far; noise and clocks have none."""
         return {f"receivers.{i}.{name}": value for i, end in self._ends.items() for name, value in end.state().items()}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on where others of the same plan were; `state` is what those remembered, and may hold more."""
+        """Continue from the `state` of another object of the same plan; other entries are ignored."""
         for i, end in self._ends.items():
             end.restore({name: state[f"receivers.{i}.{name}"] for name in end.state()})
 
     def describe(self) -> list[str]:
-        """Return what the converters clipped, a line each."""
+        """Describe the samples that the converters clipped, one line for each receiver."""
         samples = self._plan.samples
         return [
             f"receiver {end.name!r}: {end.clipped} of {samples} samples clipped at full scale"
@@ -112,7 +112,7 @@ class ReceiverEnd:
         self._cuts = [_Cut(frequency, kind, end.order, sampling_rate) for frequency, kind in _cuts(end)]
 
     def __call__(self, start: int, samples: Floats) -> Floats:
-        """Return what is recorded of pressure (n,) in Pa from sample `start` on, a whole number of segments."""
+        """Return the recorded samples of pressure (n,) in Pa from sample `start` on, a whole number of segments."""
         samples = self._ambient.added(start, samples)
         if self._transducer is not None:
             samples = self._transducer(samples)
@@ -123,7 +123,7 @@ class ReceiverEnd:
         return self._converted(samples) if self.electronics.step else samples
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Return what is remembered of the samples so far."""
+        """Return the state after the samples so far."""
         state: dict[str, NDArray[Any]] = {f"cut{i}": cut.state for i, cut in enumerate(self._cuts)}
         if self._transducer is not None:
             state["ringing"] = self._transducer.ringing

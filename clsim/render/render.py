@@ -169,7 +169,7 @@ def render_chunks(
 
 
 def record(plan: Plan) -> Recording:
-    """Return what the receivers of a plan record, held in memory as a whole."""
+    """Return the recording of a plan, in memory as a whole."""
     size = plan.receiver_count * plan.samples * np.dtype(plan.sample_type).itemsize
     with within_memory("duration", "a whole recording (see `render_chunks`)", size):
         samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)

@@ -1,4 +1,4 @@
-"""A plan while it is carried out: what adds to the pressure, and what the receivers make of it."""
+"""Execution of a plan: the sum of contributions to the pressure, then the receivers' electronics."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class PressureSum:
-    """What a plan's contributions add up to, chunk by chunk."""
+    """Sum of a plan's contributions, chunk by chunk."""
 
     def __init__(self, plan: Plan) -> None:
         if plan.options.engine == "opencl":
@@ -38,21 +38,21 @@ class PressureSum:
         return pressure
 
     def until(self, last: int) -> None:
-        """Take note that for now no chunk from sample `last` on will be asked for."""
+        """Hint: chunks from sample `last` on will not be requested yet."""
         for adding in self._adding:
             adding.until(last)
 
     def shared(self, first: int, last: int) -> list[str]:
-        """Return names of what samples `first` to `last` and others are made of alike."""
+        """Return the names of arrays that samples `first` to `last` share with others."""
         return [f"{i}.{name}" for i, adding in enumerate(self._adding) for name in adding.shared(first, last)]
 
     def made(self, name: str) -> NDArray[Any]:
-        """Return what is shared by a name, of any shape."""
+        """Compute the shared array of a name, of any shape."""
         number, _, rest = name.partition(".")
         return self._adding[int(number)].made(rest)
 
     def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
-        """Have what is shared come from `find`, by names, instead of making it."""
+        """Get shared arrays from `find`, by name, instead of computing them."""
 
         def found(number: int, name: str) -> NDArray[Any]:
             return find(f"{number}.{name}")
@@ -61,14 +61,14 @@ class PressureSum:
             adding.look_up(partial(found, i))
 
     def state(self) -> State:
-        """Return all that is remembered of the chunks so far; nothing where each is for itself."""
+        """Return the state after the chunks so far; empty if chunks are independent."""
         parts: State = {}
         for i, adding in enumerate(self._adding):
             parts |= {f"contribution{i}.{name}": value for name, value in adding.state().items()}
         return parts
 
     def restore(self, state: State) -> None:
-        """Go on where another one of the same plan was; `state` (of any shape) is what that one's `state` returned."""
+        """Continue from the `state` of another object of the same plan; its arrays have any shape."""
         for i, adding in enumerate(self._adding):
             mine = f"contribution{i}."
             adding.restore({name.removeprefix(mine): state[name] for name in state if name.startswith(mine)})
@@ -139,5 +139,5 @@ class Rendering:
         self._receivers.restore(state)
 
     def describe(self) -> list[str]:
-        """Return what became of it, a line each."""
+        """Describe the result, one line for each fact."""
         return self._receivers.describe()

@@ -1,4 +1,4 @@
-"""What is emitted, and the filters for it: delays, and what air, walls and directivities do over a signal's band."""
+"""Filters of a source's signal: fractional delays, and the responses of air, walls and directivities over its band."""
 
 from __future__ import annotations
 
@@ -48,25 +48,18 @@ _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may w
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Emission:
-    """What a source emits and how it is heard: all that its filters are designed from.
-
-    Attributes
-    ----------
-    options : RenderOptions
-        Say the sampling rate, the interpolator, and how responses are held: by the reference engine within -100 dB.
-    spectrum : callable
-        Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first
-        asked.
-    """
+    """Inputs of the filter design of one source: its signal, the paths and the options."""
 
     source: int  # its index
     signal: Signal  # what it emits, at the sampling rate
     start: float  # time at which that begins, s
     sound: ShortTimeSpectra  # of what is rendered of it
     tracks: Tracks  # paths of all sources
+    # Say the sampling rate, the interpolator, and how responses are held: by the reference engine within -100 dB.
     options: RenderOptions
     until: float  # end of the run, s
     static: bool  # all its paths are convolved, so that nothing needs functions of frequency
+    # Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first asked.
     spectrum: Callable[[], tuple[Floats, Floats]]
     drawn: Callable[[], Draw]  # returns paths at which responses are looked at; likewise
 
@@ -105,28 +98,20 @@ class Emission:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceFilters:
-    """One source's signal and the filters for it.
-
-    Attributes
-    ----------
-    filters : ndarray (K, L)
-        The functions of the basis behind the band limit, as filters of odd length about their middle tap.
-    band_limit : ndarray (M,)
-        Low-pass without delay that removes what lies above the band, of odd length; a single 1 where nothing does.
-    removed_db : float
-        Share of the signal's energy that is removed, above the band and where the band limit falls, dB; -inf for
-        none.
-    """
+    """One source's signal and the filters for it."""
 
     signal: Signal  # at the sampling rate of the recording
     start: float  # time at which it begins, s
     banks: tuple[Bank, ...]  # branch filters, for each function of the basis; fewer for those that add little
     basis: Basis  # functions of frequency that carry the responses of its paths
+    # (K, L) the functions of the basis behind the band limit, as filters of odd length about their middle tap.
     filters: Floats
+    # (M,) low-pass without delay that removes what lies above the band, of odd length; a single 1 where nothing does.
     band_limit: Floats
     band: float  # highest frequency that the bank holds, Hz
     swiftness: float  # frequency by which an error of a delay is heard, Hz
     oversampling: int  # samples of the branch signals in one of the recording, 1 or 2
+    # Share of the signal's energy that is removed, above the band and where the band limit falls, dB; -inf for none.
     removed_db: float
 
     @property
@@ -141,7 +126,7 @@ class SourceFilters:
 
     @property
     def delay_samples(self) -> float:
-        """What is added to delays, samples of the branch signals."""
+        """Offset added to delays, samples of the branch signals."""
         return self.start * self.rate - self.bank.shift
 
     @property
@@ -150,7 +135,7 @@ class SourceFilters:
         return int(self.filters.shape[1] // 2)
 
     def emitted_between(self, rate: float) -> tuple[float, float]:
-        """Return when anything sounds at a rate, Hz, s: functions' filters are longer than what is emitted."""
+        """Return start and end, s, of the signal through the filters, which extend it, at a sampling rate in Hz."""
         spread = self.filter_half / rate
         return self.start - spread, self.start + self.signal.duration + spread
 
@@ -161,12 +146,12 @@ class SourceFilters:
 
     @property
     def unheld_db(self) -> float:
-        """What the functions of frequency do not hold of what is heard, dB, from which on engines tell it."""
+        """Residual of the functions of frequency relative to the received signal, dB, above which engines warn."""
         return self.basis.asked_db + 1.0
 
     @property
     def rows(self) -> NDArray[Any]:
-        """Where the branches of every function begin among all, and their number at the end, (K + 1,) int."""
+        """First branch of every function, and the number of all branches at the end, (K + 1,) int."""
         return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
 
     def digest(self) -> str:
@@ -184,18 +169,18 @@ class SourceFilters:
         return out
 
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
-        """Return where samples `first` to `last` of those streams sound, from `first` on, (n,), and these (K, n).
+        """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n).
 
         What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
         """
         return filtered(self._read, self.filters, first, last)
 
     def sounding(self, first: int, last: int) -> Floats:
-        """Return samples `first` to `last` of what is rendered path by path: the signal."""
+        """Return samples `first` to `last` of the signal that is rendered path by path."""
         return self.signal.read(first, last)
 
     def _read(self, first: int, last: int) -> Floats:
-        """Return samples at `rate` of what is rendered path by path, zero between its own."""
+        """Return samples at `rate` of the signal that is rendered path by path, with zeros between its own samples."""
         if self.oversampling == 1:
             return self.sounding(first, last)
         before, times = first // self.oversampling, self.oversampling
@@ -212,7 +197,7 @@ class SourceFilters:
         return 0.0, 0.5 * self.signal.sampling_rate
 
     def emitted(self, first: int, last: int) -> NDArray[Any]:
-        """Return samples `first` to `last` of what impulse responses are convolved with."""
+        """Return samples `first` to `last` of the signal that is convolved with impulse responses."""
         places, values = filtered(self.signal.read, self.band_limit[None], first, last)
         out = np.zeros(last - first)
         out[places] = values[0]
@@ -223,7 +208,7 @@ class SourceFilters:
         return response
 
     def describe_filters(self) -> str:
-        """Return how delays are carried."""
+        """Describe the delay filters in a sentence."""
         removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
         lead = self.half_length / self.signal.sampling_rate
         return (
@@ -234,7 +219,7 @@ class SourceFilters:
         )
 
     def describe(self) -> str:
-        """Return how air, walls and directivities are carried, and what it costs."""
+        """Describe the approximation of air, walls and directivities, and its cost."""
         basis = self.basis
         if not math.isfinite(basis.asked_db):
             return f"air, walls and directivities are those at {basis.nodes[0]:.6g} Hz"
@@ -348,7 +333,7 @@ def _band_limit(main: float, stop: float, rate: float) -> Floats:
 def filtered(
     read: Callable[[int, int], NDArray[Any]], filters: NDArray[Any], first: int, last: int
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return where a signal through filters sounds from `first` to `last`, from there on (n,), and what (K, n).
+    """Return the non-zero samples of a filtered signal from `first` to `last`: offsets (n,) and values (K, n).
 
     What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
     """
@@ -372,7 +357,7 @@ def filtered(
 
 
 def _sounds_throughout(samples: NDArray[Any], count: int) -> bool:
-    """Return whether no `count` samples from a multiple of that on, nor the last ones, are all zero."""
+    """Test that no aligned block of `count` samples, nor the last `count`, is all zero."""
     if len(samples) < 2 * count:
         return False
     whole = samples[: len(samples) // count * count].reshape(-1, count)

@@ -1,4 +1,4 @@
-"""Which sources have a diffuse tail, and what it is."""
+"""Choice of the sources that have a diffuse tail, and the design of their tails."""
 
 from __future__ import annotations
 

@@ -37,15 +37,10 @@ _DEPTH = 1e-4  # of the loudest window's energy, down to which they are
 
 @dataclass(frozen=True, eq=False)
 class TailEnergy:
-    """Energy of a tail from one zone to another.
+    """Energy of a tail from one zone to another."""
 
-    Attributes
-    ----------
-    energy : ndarray (T, M, B)
-        By bin of time, direction of arrival and band: of the received over that of what was emitted, Pa² s / (Pa²
-        s).
-    """
-
+    # (T, M, B) by bin of time, direction of arrival and band: of the received over that of what was emitted, Pa² s /
+    # (Pa² s).
     energy: NDArray[np.float32]
     departed: Floats  # (Q,) shares of it by direction of departure
     images: Floats  # (T, B) what images hold beside it, likewise
@@ -90,7 +85,7 @@ class SourceTail:
         return found.hexdigest()
 
     def describe(self) -> str:
-        """Return what it is, in a line."""
+        """Describe it in a line."""
         return (
             f"{self.duration:.3g} s in {len(self.centres)} bands from {self.centres[0]:.4g} to {self.centres[-1]:.4g} "
             f"Hz, {len(self.arrivals)} directions, {len(self.zones)} x {len(self.receiver_zones)} zones; "
@@ -100,7 +95,7 @@ class SourceTail:
 
 @dataclass(frozen=True, slots=True)
 class TailOptions:
-    """How a tail is found."""
+    """Options of the search for a tail."""
 
     max_order: int  # of the images beside it
     directions: int = 64  # from which it arrives
@@ -117,10 +112,7 @@ def find_tail(
     options: TailOptions,
     progress: Callable[[float], None] | None = None,
 ) -> SourceTail:
-    """Return the tail of a source by rays.
-
-    Shapes: band (low, high) Hz.
-    """
+    """Return the tail of a source by rays; band (low, high) Hz."""
     of_source, of_receivers = zones
     centres = band_centres(*band)
     c, walls = scene.air.speed_of_sound, room_rays(scene.room)
@@ -156,7 +148,7 @@ def searched_order(paths: PathSet) -> int:
 
 
 def _emitted(scene: Scene, source: int, turn: Floats, centres: Floats) -> Callable[[Floats], Floats]:
-    """Return what gives the energy (n, B) that a source sends in directions (n, 3), turned by a quaternion."""
+    """Return a function: the energy (n, B) that a source emits in directions (n, 3), turned by a quaternion."""
     from clsim.numerics.quaternions import rotate
 
     directivity, c = scene.sources[source].directivity, scene.air.speed_of_sound

@@ -27,18 +27,10 @@ _PHASES = 4096  # of a sample, between which the nearest is taken: -70 dB at 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """What is read of M streams by R listeners at N nodes, linear between these.
+    """Read positions and gains of M streams for R listeners at N nodes, linear between these."""
 
-    Attributes
-    ----------
-    ahead : ndarray (R, N, M)
-        Samples by which each stream is read ahead of the clock.
-    gains : ndarray (R, N, M)
-        Of each stream.
-    """
-
-    ahead: Floats
-    gains: Floats
+    ahead: Floats  # (R, N, M) samples by which each stream is read ahead of the clock
+    gains: Floats  # (R, N, M) of each stream
 
     @property
     def reach(self) -> tuple[int, int]:
@@ -47,12 +39,12 @@ class Motion:
 
 
 class Waves(Protocol):
-    """What sums streams for listeners that move among them."""
+    """Interface of sums of streams for moving listeners."""
 
     def heard(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
     ) -> NDArray[np.float32]:
-        """Return what listeners hear (R, n) from sample `start` to `stop` of streams (M, L) from sample `first` on.
+        """Return the pressure at listeners (R, n), samples `start` to `stop`, of streams (M, L) from sample `first` on.
 
         Motion is known at the nodes from that of `start` to the one that is not before `stop`.
         """
@@ -61,14 +53,10 @@ class Waves(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Between:
-    """Filters for places between samples.
+    """Filters for places between samples."""
 
-    Attributes
-    ----------
-    bank : ndarray (powers, taps)
-        Of each sample, from `half` before the nearest one on: the coefficients of powers of how far beyond that one.
-    """
-
+    # (powers, taps) of each sample, from `half` before the nearest one on: the coefficients of powers of how far beyond
+    # that one.
     bank: NDArray[np.float32]
 
     @classmethod
@@ -97,7 +85,7 @@ class HostWaves:
     def heard(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
     ) -> NDArray[np.float32]:
-        """Return what listeners hear (R, n), as `Waves` says."""
+        """Return the pressure at listeners (R, n), see `Waves`."""
         samples = np.arange(start, stop)
         grid = (start // NODE + np.arange(motion.ahead.shape[1])) * NODE
         out = np.zeros((len(motion.ahead), len(samples)), np.float32)

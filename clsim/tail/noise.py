@@ -54,9 +54,7 @@ def plane_waves(tail: SourceTail, pair: tuple[int, int], source: int, rate: floa
 def at_one_place(
     tail: SourceTail, pair: tuple[int, int], source: int, rate: float, weights: Floats, *, moves: bool
 ) -> Responses:
-    """Return the responses at a zone's middle, where nothing but one end that stands still hears it.
-
-    Shapes: weights (M, B).
+    """Return the responses at a zone's middle, where nothing but one end that stands still hears it; weights (M, B).
 
     moves: whether the source does: then there is a stream for each direction of departure.
 
@@ -72,10 +70,7 @@ def at_one_place(
 
 
 def combined(waves: Responses, delays: Floats, gains: Floats, centres: Floats, rate: float) -> Responses:
-    """Return what plane waves add up to at places that stand still.
-
-    Shapes: delays (R, M) s; gains (R, M, B); centres (B,) Hz.
-    """
+    """Return the sum of plane waves at static places; delays (R, M) s; gains (R, M, B); centres (B,) Hz."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     lead = math.ceil(float(np.abs(delays).max(initial=0.0)) * rate) + 32

@@ -1,4 +1,4 @@
-"""Rays of energy from a source, mirrored or scattered by walls."""
+"""Rays of energy from a source, reflected or scattered by walls, and their energy at listeners."""
 
 from __future__ import annotations
 
@@ -35,11 +35,6 @@ class Listener:
 
     arrivals, departures: directions among which energy is shared: those that it comes from, and in which it left the
     source.
-
-    Attributes
-    ----------
-    tail : ndarray (T, M, B)
-        Energy by time, direction of arrival and band of what no image holds, Pa² s / (Pa² s).
     """
 
     centre: Floats
@@ -49,6 +44,7 @@ class Listener:
     departures: Floats
     time_step: float
     shape: tuple[int, int]
+    # (T, M, B) energy by time, direction of arrival and band of what no image holds, Pa² s / (Pa² s).
     tail: Floats = field(init=False)
     images: Floats = field(init=False)  # (T, B) likewise of what images hold
     departed: Floats = field(init=False)  # (Q, B) of the tail, by direction of departure

@@ -1,4 +1,4 @@
-"""Where rays next meet a wall: by the planes of a convex room, by Embree in a mesh."""
+"""Next walls of rays, by the planes of a convex room or by Embree in a mesh, and the energy that walls reflect."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class WallEnergies:
         return cls(kind, returned, scattered, 2.0 * NEPERS * scene.air.absorption_at(centres))
 
     def groups(self) -> list[NDArray[np.int64]]:
-        """Return the bands that scatter alike, and may share rays: others take ways of their own."""
+        """Return groups of bands with equal scattering, whose rays take the same paths."""
         _, which = np.unique(self.scattered.reshape(-1, len(self.air)), axis=1, return_inverse=True)
         return [np.flatnonzero(which.ravel() == i) for i in range(which.max() + 1)]
 
     def at(self, walls: NDArray[np.int64], cosine: Floats, bands: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """Return what of rays (n,) comes back in bands (n, B), and the share (n,) scattered in the first of them."""
+        """Return the reflected share (n, B) of rays (n,) in bands, and the scattered share (n,) of the first one."""
         angle = np.minimum((_ANGLES * np.sqrt(np.abs(cosine))).astype(np.int64), _ANGLES - 1)
         row = self.kind[walls] * _ANGLES + angle
         returned, scattered = (table.reshape(-1, len(self.air)) for table in (self.returned, self.scattered))
@@ -67,7 +67,7 @@ _OFF_WALL = 1e-5  # of the size; Embree's float32 is no judge nearer than this
 
 
 class RoomRays(Protocol):
-    """What finds the walls that rays meet.
+    """Interface of the search for the walls that rays meet.
 
     Attributes
     ----------
@@ -78,12 +78,12 @@ class RoomRays(Protocol):
     off: float
 
     def next(self, origins: Floats, directions: Floats) -> Met:
-        """Return how far (n,) m rays from origins (n, 3) m go, and which wall they meet, -1 for none."""
+        """Return distances (n,) m of rays from origins (n, 3) m to the next wall, and its index, -1 for none."""
         ...
 
 
 def room_rays(room: Room) -> RoomRays:
-    """Return what finds the walls of a closed room."""
+    """Return the search of a closed room."""
     if room.volume is None:
         raise InputError(
             "tail", "must be 'off' in a room that is not closed, for energy leaves it: the mesh is not watertight "
@@ -101,7 +101,7 @@ class _PlaneRays:
         self._normals, self._offsets = room.faces.normals, room.faces.offsets
 
     def next(self, origins: Floats, directions: Floats) -> Met:
-        """Return how far (n,) m rays go, and which wall they meet, -1 for none."""
+        """Return distances (n,) m of rays to the next wall, and its index, -1 for none."""
         towards = directions @ self._normals.T
         height = np.maximum(origins @ self._normals.T - self._offsets, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -125,7 +125,7 @@ class _MeshRays:
         self.off = _OFF_WALL * room.walls.size
 
     def next(self, origins: Floats, directions: Floats) -> Met:
-        """Return how far (n,) m rays go, and which wall they meet, -1 for none."""
+        """Return distances (n,) m of rays to the next wall, and its index, -1 for none."""
         walls = self._walls
         triangle = np.asarray(self._embree.intersects_first(origins - self._middle, directions))
         wall = np.where(triangle >= 0, walls.of_triangle[triangle], -1)

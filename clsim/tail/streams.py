@@ -21,10 +21,10 @@ _KEPT = 2  # blocks
 
 
 class Emissions(Protocol):
-    """What a source emits, as it is heard far away in some directions."""
+    """Signals that a source emits in some directions, in the far field."""
 
     def sounds(self, zone: int, first: int, last: int) -> bool:
-        """Return whether a zone sends anything from sample `first` to `last`."""
+        """Test whether a zone emits between samples `first` and `last`."""
         ...
 
     def read(self, zone: int, departures: NDArray[np.int64], first: int, last: int) -> NDArray[Any]:

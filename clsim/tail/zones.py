@@ -44,7 +44,7 @@ class Zones:
 
     @property
     def reach(self) -> float:
-        """How far from its middle a zone is heard, m."""
+        """Radius of a zone about its middle, m."""
         return _REACH * self.radius
 
     @classmethod
@@ -98,7 +98,7 @@ def zone_radius(room: Room) -> float:
 
 
 def is_static(end: End, *, turning: bool) -> bool:
-    """Return whether an end never moves, and never turns where that matters."""
+    """Test whether an end never moves, and never turns where that matters."""
     return end.trajectory.is_static and not (turning and end.trajectory.turns)
 
 

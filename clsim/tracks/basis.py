@@ -14,32 +14,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
-    """K functions of frequency; a response is their sum with K real gains.
-
-    Attributes
-    ----------
-    projection : ndarray (K, parts M)
-        From responses at the nodes to gains; two parts, real and imaginary ones, for complex responses.
-    functions : ndarray (K, parts M)
-        The functions at the nodes, weighted like `weight`: what is left of a response without them was lost.
-    weight : ndarray (M,)
-        Of the nodes' frequencies, so that the mean square over nodes is that over the signal's spectrum.
-    loudness : ndarray (W,)
-        Inverse of the energy that is heard of each short window of the signal, as a mean over the run.
-    asked_db, error_db : float
-        Asked and reached bound of the error of the sum of all paths at a receiver, in the root mean square over the
-        spectrum of what sounds within some 40 ms, relative to that sum, dB; the reached one for both where it was
-        told.
-    """
+    """K functions of frequency; a response is their sum with K real gains."""
 
     nodes: Floats  # (M,) frequencies at which responses are taken, Hz
+    # (K, parts M) matrix from responses at the nodes to gains; complex responses have a real and an imaginary part.
     projection: Floats
+    # (K, parts M) functions at the nodes, weighted like `weight`; the rest of a response is the residual.
     functions: Floats
+    # (M,) weight of the nodes' frequencies, so that the mean square over nodes is that over the signal's spectrum.
     weight: Floats
     filters: Floats  # (K, L) the functions as filters of odd length, about their middle tap
     sizes: Floats  # (K,) most that each function adds to what is heard at any instant, relative to that
     strengths: Floats  # (K,) root mean square of each weighted function over the nodes
+    # (W,) inverse of the received energy of each short window of the signal, as a mean over the run.
     loudness: Floats
+    # Requested and reached bound of the error of the sum of all paths at a receiver: root mean square over the spectrum
+    # within 40 ms, relative to that sum, dB. Where the request was not given, both are the reached one.
     asked_db: float
     error_db: float
 

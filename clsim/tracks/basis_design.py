@@ -1,4 +1,4 @@
-"""How a few filters per source are found that carry the responses of all its paths."""
+"""Design of a few filters per source that represent the responses of all its paths, and their residual."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) ->
 
 
 def _projection(shapes: Floats | Complexes, nodes: NDArray[np.int64], weight: Floats) -> Floats:
-    """Return what leads from responses at nodes to gains (K, parts M), by weighted least squares."""
+    """Return the matrix from responses at nodes to gains (K, parts M), by weighted least squares."""
     parts = 1 + int(np.iscomplexobj(shapes))
     weighted = in_parts(shapes[:, nodes] * weight[nodes], parts).T
     return np.asarray(np.linalg.pinv(weighted) * np.tile(weight[nodes], parts))
@@ -249,7 +249,7 @@ _UNSURE_DB = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """How well the steps from responses to filters hold them over a source's band, dB."""
+    """Errors of the steps from responses to filters over a source's band, dB."""
 
     source: int  # index
     low: float  # the band, Hz
@@ -285,7 +285,7 @@ class Held:
         return reached
 
     def _cause(self, reached: float, filters: BandFilters | None) -> tuple[str, str]:
-        """Return what keeps the error from being smaller, and what to do about it."""
+        """Return the limit of the error, and a remedy."""
         smooth = (
             "smooth what walls and directivities do over frequency (thin the rows of a table, shorten impulse "
             "responses), or narrow the signal's band (fade it)"

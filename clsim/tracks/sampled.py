@@ -46,7 +46,7 @@ _FAINT = 0.01  # weight of frequencies with next to nothing where a delay is loo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """Where a signal has energy."""
+    """Band of a signal."""
 
     low: float  # ends, Hz
     high: float  # likewise
@@ -56,7 +56,7 @@ class Band:
 
     @property
     def turn(self) -> Complexes:
-        """What the delay does at the frequencies, (F,)."""
+        """Phase factor of the delay at the frequencies, (F,)."""
         return np.asarray(np.exp(-2j * math.pi * self.late * self.frequencies))
 
     @property

@@ -278,7 +278,7 @@ class SceneTracks(Tracks):
         return self.paths.scene
 
     def costly(self, pair: int) -> bool:
-        """Return what the kind of paths says."""
+        """Return the property of the kind of paths."""
         return self.pair_paths[pair].family.costly
 
     def evaluate(
@@ -497,7 +497,7 @@ def _batches(pair_paths: Sequence[PairPaths], pairs: list[int]) -> Iterator[list
 
 
 def _clock_time(receiver: Receiver, times: Floats) -> Floats:
-    """Return what the receiver's clock tells at true times (n,), s."""
+    """Return the readings of the receiver's clock at true times (n,), s."""
     if receiver.electronics is None:
         return times
     return (times - receiver.clock_error(np.zeros(1))) / receiver.clock_rate

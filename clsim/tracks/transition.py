@@ -1,4 +1,4 @@
-"""How paths begin and end: at once, or by a raised cosine centred on the boundary."""
+"""Transitions of paths that begin and end: at once, or by a raised cosine centred on the boundary."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def as_transition(value: object) -> float:
 
 
 def heard(times: Floats, start: Floats, end: Floats, transition: float) -> Floats:
-    """Return the weight (paths, times) of paths that are heard from `start` to `end` (paths,).
+    """Return the weight (paths, times) of paths that are active from `start` to `end` (paths,).
 
     Shapes: times (T,) s; start, end (P,) s.
 

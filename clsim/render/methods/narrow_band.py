@@ -49,7 +49,7 @@ class NarrowBand:
         return len(self.low_pass) // 2
 
     def left(self, frequencies: Floats) -> Floats:
-        """Return what the band-pass leaves of evenly spaced frequencies (F,) up to half the sampling rate, Hz."""
+        """Return the gain of the band-stop at evenly spaced frequencies (F,) up to half the sampling rate."""
         away = np.abs(frequencies - self.baseband.carrier)
         left, bins = np.where(away <= self.flat, 0.0, 1.0), np.flatnonzero((away > self.flat) & (away < self.half))
         rate = 2.0 * float(frequencies[-1])
@@ -72,7 +72,7 @@ class Split:
 
     @classmethod
     def into(cls, bands: tuple[NarrowBand, ...], error_db: float) -> Split:
-        """Return what takes bands out, for an error asked of all that is rendered."""
+        """Return the split into bands, for the error requested of the whole rendering."""
         return cls(bands, 10 ** ((error_db - MARGIN_DB) / 20))
 
     @property
@@ -108,7 +108,7 @@ class Split:
         return left[first - begin : last - begin]
 
     def _leaves_nothing(self, tone: float | None) -> bool:
-        """Return whether nothing is left of a steady tone, by its frequency in Hz.
+        """Test whether a steady tone is removed, by its frequency in Hz.
 
         Its level is 3 dB below its amplitude; what the band-pass leaves of it and of its image is 6 dB below silence.
         """

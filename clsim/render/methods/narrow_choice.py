@@ -1,4 +1,4 @@
-"""Which narrow bands of a source's signal can be rendered as complex envelopes, and what that costs."""
+"""Choice of the narrow bands of a source's signal that are rendered as complex envelopes, by their cost."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _envelope_cost(band: NarrowBand, rate: float) -> float:
 
 
 def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
-    """Return why envelopes at a low rate would not carry what is received by pairs of a source; None if they would."""
+    """Return the reason against envelopes at a low rate for the pairs of a source; None if there is none."""
     assert emission.tracks.of_scene is not None, "offers are made for scenes"
     span = emission.start, emission.start + emission.signal.duration, emission.until
     reasons = (
@@ -96,13 +96,13 @@ def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
 
 
 def _heard(tracks: Tracks, mine: list[int], until: float) -> float:
-    """Return how many paths of some pairs are heard on average until the end of the run, s."""
+    """Return the mean number of active paths of some pairs until the end of the run, s."""
     times = (np.clip([tracks.pairs[i].start, tracks.pairs[i].end], 0.0, until) for i in mine)
     return float(sum((end - start).sum() for start, end in times)) / until
 
 
 def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
-    """Return by how far paths that begin and end spread a tone to either side within an error, Hz; 0 for none.
+    """Return the half width to which paths that begin and end spread a tone, within an error, Hz; 0 for none.
 
     The energy spectrum of a raised cosine over T is that of a step, ``1 / (2 pi f)^2``, times ``cos(pi f T)^2 /
     (1 - (2 f T)^2)^2``: beyond F there are ``1 / (320 pi^2 T^4 F^5)`` to either side together, which must be below the
@@ -182,7 +182,7 @@ def _obstacle(
     silence: float,
     span: tuple[float, float, float],
 ) -> str:
-    """Return why an envelope at a low rate would not do; "" if it would. Below the level of silence nothing is heard.
+    """Return the reason against an envelope at a low rate; "" if there is none. Levels below `silence` are neglected.
 
     The span is when the signal begins and ends and when the run ends, s.
     """
@@ -218,7 +218,7 @@ def _obstacle(
 def _passes(
     tracks: SceneTracks, index: int, receivers: list[int]
 ) -> Iterator[tuple[str, tuple[Trajectory, Trajectory], float, float]]:
-    """Yield what sound runs between without a wall: its name, both motions, their speeds, m/s, and its radius, m."""
+    """Yield endpoints of direct legs: name, both motions, sum of their speeds in m/s, and radius in m."""
     scene, speeds = tracks.scene, tracks.speeds
     source = scene.sources[index].trajectory, float(speeds.source[index])
     ears = [(scene.receivers[i].trajectory, float(speeds.receiver[i])) for i in receivers]
@@ -231,7 +231,7 @@ def _passes(
 
 
 def _is_passed(ends: tuple[Trajectory, Trajectory], until: float, needed: float, most: float, radius: float) -> bool:
-    """Return whether two ends, one of a radius, m, ever are as near as they come in so many s; at most so fast, m/s.
+    """Test whether two ends come within `radius` m plus the distance that they cover in `needed` s at up to `most` m/s.
 
     Sound that is heard until the end was emitted before. Ends that are carried together do not pass each other.
     """
@@ -250,9 +250,9 @@ def _is_passed(ends: tuple[Trajectory, Trajectory], until: float, needed: float,
 
 
 def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
-    """Return how loud a tone at the carrier becomes beyond what the envelope has room for, relative to it, by a sample.
+    """Estimate the level of a carrier tone outside the envelope's band, relative to the tone, from a sample.
 
-    Looked at are some paths in some stretches of the run in which the signal is heard.
+    The sample is some paths in some segments of the run in which the signal is received.
     """
     carrier, max_rate = narrow.baseband.carrier, tracks.max_rate(tracks.pairs[pair].source)
     rate = 2.0 * (narrow.baseband.sampling_rate or 0.0)

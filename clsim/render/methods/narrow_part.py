@@ -32,7 +32,7 @@ def build(plan: Plan) -> NarrowParts | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NarrowParts:
-    """What is rendered as envelope and made sound."""
+    """Contribution of the signals that are rendered as envelopes and upsampled."""
 
     parts: tuple[NarrowPart, ...]  # one for each carrier
 
@@ -42,7 +42,7 @@ class NarrowParts:
         return "narrow parts"
 
     def describe(self) -> list[str]:
-        """Return how each is rendered, some lines."""
+        """Describe the rendering of each, some lines."""
         return [line for part in self.parts for line in _described(part)]
 
     def digest(self) -> str:
@@ -54,7 +54,7 @@ class NarrowParts:
         return found.hexdigest()
 
     def begin(self) -> _Adding:
-        """Return what adds them."""
+        """Return an object that adds them."""
         return _Adding(self.parts)
 
 

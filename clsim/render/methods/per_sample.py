@@ -57,7 +57,7 @@ class PathSum:
         return "path sum"
 
     def describe(self) -> list[str]:
-        """Return how each source's delays and responses are carried, and the bound of the error."""
+        """Describe the filters of each source for delays and responses, and the bound of the error."""
         lines = []
         for i, filters in enumerate(self.plan.source_filters):
             if not self.plan.allocation.convolves(self.plan.tracks, i):
@@ -85,7 +85,7 @@ class PathSum:
         return found.hexdigest()
 
     def begin(self) -> _Sum:
-        """Return what adds it."""
+        """Return an object that adds it."""
         return _Sum(self.plan)
 
 

@@ -31,12 +31,12 @@ _LOWEST_COMPLEX = 1e-3  # the same for complex responses, which may bend at 0 Hz
 
 
 def pairs_at_rest(tracks: Tracks, options: RenderOptions) -> frozenset[int]:
-    """Return the indices of the pairs that this method claims, at next to no cost: those that `can` be convolved."""
+    """Return the indices of the pairs that `can` be convolved, which this method claims."""
     return frozenset(i for i in range(len(tracks.pairs)) if can(tracks, options, i) is None)
 
 
 def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
-    """Return why a pair, by its index, cannot be convolved; None if it can.
+    """Return the reason against convolving a pair, by its index; None if there is none.
 
     A delay filter that is requested by name (Lagrange) is used for all paths, and the reference engine renders all of
     them one by one.
@@ -82,7 +82,7 @@ class StaticConvolution:
         return "static pairs"
 
     def describe(self) -> list[str]:
-        """Return how many pairs are convolved, a line."""
+        """Describe the number of convolved pairs, one line."""
         return [f"{len(self.pairs)} of {len(self.tracks.pairs)} pairs never move: impulse responses, convolved"]
 
     def digest(self) -> str:
@@ -93,7 +93,7 @@ class StaticConvolution:
         return found.hexdigest()
 
     def begin(self) -> _Convolution:
-        """Return what adds it."""
+        """Return an object that adds it."""
         return _Convolution(self)
 
     def responses(self, source: int) -> list[tuple[int, ImpulseResponse]]:

@@ -1,4 +1,4 @@
-"""Where branch signals are active: what engines may leave out elsewhere without a change of a single bit."""
+"""Active samples of branch signals; engines skip the others without changing a bit."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Activity:
     cells: NDArray[np.bool_]  # (cells,) whether they are active
 
     def __or__(self, other: Activity) -> Activity:
-        """Return where either is active."""
+        """Return the union of both."""
         return Activity(self.cells | other.cells)
 
     @property
     def pays(self) -> bool:
-        """Whether so much is silent that it pays to look."""
+        """Whether few enough cells are active for skipping to be cost-effective."""
         return float(np.mean(self.cells)) < _SPARSE
 
     @property
@@ -44,9 +44,7 @@ class Activity:
 
 
 def find_activity(active: NDArray[np.int64], count: int, before: int, after: int) -> Activity:
-    """Return which cells of branch signals are active.
-
-    Shapes: active (n,).
+    """Find the active cells of branch signals; active (n,).
 
     active: samples that are not zero of what the branch filters filter; the first sample of the branches is at
     `before`.

@@ -28,7 +28,7 @@ class BasebandEngine(OpenclEngine):
 
     @property
     def run(self) -> type[Run]:
-        """What renders a batch of receivers."""
+        """Class that renders a batch of receivers."""
         return _BasebandRun
 
     def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:

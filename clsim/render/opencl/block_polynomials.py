@@ -121,9 +121,7 @@ def cell_polynomials(gain: Floats, cell: int, blocks: int) -> tuple[Floats, Floa
 
 
 def between(gain: Floats, every: int) -> tuple[Floats, Floats]:
-    """Return gains at all nodes, from those at every so many, and a bound of their error.
-
-    Shapes: gain (..., n).
+    """Return gains at all nodes, from those at every so many, and a bound of their error; gain (..., n).
 
     Between two nodes the polynomial of degree 4 through the five about them is taken.
     """

@@ -54,7 +54,7 @@ class BodyTracks(DeviceTracks):
         super().__init__(plan, tracks, family, queue, compiler, together)
 
     def _moving(self, surfaces: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return which mirrors of paths (P, N) move."""
+        """Return a mask (P, N) of the mirrors of paths that move."""
         return np.asarray((surfaces >= 0) & self._moves[surfaces])
 
     def _kinds(self) -> dict[str, int]:
@@ -69,7 +69,7 @@ class BodyTracks(DeviceTracks):
         return self._uploaded(**columns)
 
     def _seen(self, surfaces: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], Floats]:
-        """Return what the source's own room sees of paths by mirrors (P, N): of the receiver, and of mirrors.
+        """Return the views of paths by mirrors (P, N) from the source's own room: of the receiver, and of mirrors.
 
         Shapes: result (P, 3, 3), (P, BODIES), (P, N, 3).
         """

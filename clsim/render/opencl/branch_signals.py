@@ -27,7 +27,7 @@ _MARGIN = 64  # samples of branch signal beyond the bounds of the delays
 
 @dataclass(frozen=True, slots=True)
 class Feed:
-    """What of a signal can be heard in a chunk, and by which delays."""
+    """Part of a signal that can arrive in a chunk, with its range of delays."""
 
     source: int
     active: list[ActivePaths]
@@ -73,12 +73,12 @@ class BranchSignals:
         return -(-(stop - start) // unit) * unit
 
     def take(self, source: int, start: int, length: int) -> Feed | None:
-        """Return what of a signal can be heard in a chunk, prepared or not; None if it is silent."""
+        """Return the part of a signal that can arrive in a chunk, prepared or not; None if it is zero."""
         wanted = source, start, length
         return self._ahead[1] if self._ahead[0] == wanted else self._feed(*wanted)
 
     def look_ahead(self, source: int, start: int) -> None:
-        """Prepare what comes after a source's chunk while the device is at work."""
+        """Prepare the signal of the next source or chunk while the device computes."""
         plan = self._plan
         self._queue.flush()
         source, start = (source + 1, start) if source + 1 < len(plan.source_filters) else (0, start + self._chunk)
@@ -88,7 +88,7 @@ class BranchSignals:
             self._ahead = following, self._feed(*following)
 
     def _active(self, source: int, start: int, length: int) -> list[ActivePaths]:
-        """Return the paths of a source that are heard within a chunk."""
+        """Return the paths of a source that are active within a chunk."""
         plan, rate, pairs = self._plan, self._plan.sampling_rate, self._plan.tracks.pairs
         mine = [i for i, pair in enumerate(pairs) if pair.source == source and i not in plan.allocation.convolved]
         # Nodes lie up to a block before and two after what is rendered.
@@ -101,7 +101,7 @@ class BranchSignals:
         return [pair for pair in found if len(pair.rows)]
 
     def _feed(self, source: int, start: int, length: int) -> Feed | None:
-        """Return what of a signal can be heard in a chunk; None if it is silent."""
+        """Return the part of a signal that can arrive in a chunk; None if it is zero."""
         filters, rate = self._plan.source_filters[source], self._plan.sampling_rate
         active = self._active(source, start, length)
         if not active:
@@ -190,7 +190,7 @@ class BranchSignals:
 
 
 def _taps_before(bank: Bank) -> int:
-    """Return how many samples before the first one the branch filters read."""
+    """Return the number of samples that the branch filters read before the first one."""
     return int(bank.taps.shape[1]) - 1 - bank.centre
 
 

@@ -49,7 +49,7 @@ class DeviceNodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceChunk:
-    """What one source and a batch of receivers need over a chunk, on the device."""
+    """Data of one source and a batch of receivers over a chunk, on the device."""
 
     source: int
     batch: PathBatch
@@ -158,11 +158,11 @@ class DeviceTracks:
         return {}
 
     def _met(self, rows: Rows) -> NDArray[np.signedinteger[Any]]:
-        """Return what reflects paths, as rows of the scene's materials (P, N), -1 for none."""
+        """Return the reflecting walls of paths, as rows of the scene's materials (P, N), -1 for none."""
         return np.asarray(self._family.walls[rows])
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Return what paths (slots,) see of the ends as the program takes it: images as columns."""
+        """Return the images of paths (slots,) as columns, the program's arguments."""
         matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
         return self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
 
@@ -171,7 +171,7 @@ class DeviceTracks:
         return self._surroundings[source].bounces(self._met(rows))
 
     def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Return what the field of paths (slots,) that are more than reflected is made of: nothing, for images."""
+        """Return tables of the diffracted or scattered field of paths (slots,); empty for images."""
         return {"transition": None, "faces": None, "waves": None, "middle": 0.0, "modes": None}
 
     def _trajectory(self, knots: Floats) -> dict[str, Any]:
@@ -179,7 +179,7 @@ class DeviceTracks:
         return self._uploaded(knots=knots)
 
     def _poses(self, start: float, end: float) -> dict[str, Any]:
-        """Return where things are from a time to another, s, that paths meet: none, for images."""
+        """Return the poses of scatterers or bodies that paths meet between two times, s; none for images."""
         return {"poses": None, "pose_cells": None, "pose_count": 0, "first_pose": 0.0, "pose_rate": 0.0}
 
     def _coarse_delays(
@@ -276,7 +276,7 @@ class DeviceTracks:
         }  # fmt: skip
 
     def _smooth(self, chunk: DeviceChunk, receivers: NDArray[Any], block: int) -> float:
-        """Return how wrong gains between neighbouring blocks may be, squared and relative; 0 if all are looked at.
+        """Return the allowed error of gains between nodes, squared and relative; 0 if all nodes are evaluated.
 
         They are where beams turn fast or lack symmetry: tables over a sphere have bends between such nodes.
         """
@@ -301,7 +301,7 @@ class DeviceTracks:
         }
 
     def _shape(self, source: int, block: int) -> dict[str, float]:
-        """Return what differs from block to block and from scene to scene at no cost: arguments, not constants."""
+        """Return values that differ between blocks and scenes: as arguments they need no new build."""
         subblock = self._plan.subblock(source, block)
         return {
             "block_samples": block,

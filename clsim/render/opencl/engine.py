@@ -41,7 +41,7 @@ _TOGETHER = 8  # functions of frequency that are summed at a time
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How the sum of paths is spread over a device: a subblock of samples over lanes of vectors, or over work-items."""
+    """Layout of the sum of paths on a device: a subblock of samples over lanes of vectors, or over work-items."""
 
     lanes: int
     subblocks: int  # subblocks to a work-item, or to a group of them
@@ -139,7 +139,7 @@ class OpenclEngine:
         self._coarse[source] = max(self._coarse[source], (wrong, time))
 
     def maker(self, pair: int) -> NodeMaker:
-        """Return what makes the nodes of a pair: the device, where it has a program for such paths.
+        """Return the maker of the nodes of a pair: the device, where it has a program for such paths.
 
         Without float64 there is none for envelopes, whose delays are septics, and for wind.
         """
@@ -158,7 +158,7 @@ class OpenclEngine:
 
     @property
     def run(self) -> type[Run]:
-        """What renders a batch of receivers."""
+        """Class that renders a batch of receivers."""
         return Run
 
     def _add(self, pressure: NDArray[Any], start: int) -> None:
@@ -287,7 +287,7 @@ class Run:
                     self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
 
     def _fits(self, block: int) -> bool:
-        """Return whether the polynomials of one segment in blocks of a length can be held."""
+        """Test whether the polynomials of one segment in blocks of a length fit into memory."""
         needed = self._plan.bytes_per_node(self._source) * self._batch.count * (self._plan.segment // block)
         return not self._plan.is_fine(block) or needed <= 4 * self._engine.limits.node_budget
 
@@ -342,7 +342,7 @@ class Run:
         self._clear_gains(nodes, slot, at)
 
     def _polynomial_constants(self, nodes: Any) -> dict[str, int]:
-        """Return what says how the polynomials of blocks are laid out."""
+        """Return the constants of the layout of block polynomials."""
         return {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(nodes.activity is not None)}
 
     def _branch_arguments(self, begin: int) -> dict[str, Any]:

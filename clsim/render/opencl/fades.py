@@ -56,7 +56,7 @@ class Fades:
 
 
 def boundaries(plan: Plan, batch: PathBatch) -> Boundaries:
-    """Return when the paths of a batch are heard."""
+    """Return the times at which the paths of a batch begin and end."""
     rate, transition = plan.sampling_rate, plan.tracks.transition
     pairs = [plan.tracks.pairs[i] for i in batch.pairs]
     rows = [batch.path[batch.of_pair(i)] for i in range(len(pairs))]
@@ -71,7 +71,7 @@ def boundaries(plan: Plan, batch: PathBatch) -> Boundaries:
 
 
 def find_fades(bounds: Boundaries, batch: PathBatch, start: int, block: int, blocks: int) -> Fades | None:
-    """Return where paths begin or end within some blocks from a sample on; None if none does."""
+    """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
     found = []
     for place in (bounds.start, bounds.end):
         half = 0.5 * bounds.ramp

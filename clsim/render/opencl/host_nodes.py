@@ -49,7 +49,7 @@ class HostNodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Run:
-    """What nodes are made of: a source's, blocks of so many samples from one on, and when each slot is heard."""
+    """Inputs of nodes: source, blocks of a length from a sample on, and the active interval of each slot."""
 
     source: int
     start: int
@@ -60,7 +60,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """What was found of some paths: squares (2, segments) of errors and of what is heard, and bounds of delays, s."""
+    """Results of some paths: squares (2, segments) of errors and levels, and bounds of delays, s."""
 
     squares: Floats
     shortest: float
@@ -83,7 +83,7 @@ class HostTracks:
         activity: Activity | None,
         first: int,
     ) -> tuple[int, PathBatch, Boundaries]:
-        """Return what `nodes` needs; nothing is left out here."""
+        """Return the arguments of `nodes`; the host skips no silent parts."""
         return source, batch, bounds
 
     def nodes(
@@ -125,7 +125,7 @@ class HostTracks:
     def _part(
         self, run: _Run, pair: int, rows: NDArray[np.int64], slots: NDArray[np.int64]
     ) -> tuple[NDArray[np.int32], NDArray[np.float32], _Found]:
-        """Return whole delays, polynomials, and what was found of some paths of a pair."""
+        """Return whole delays, polynomials and results of some paths of a pair."""
         plan, filters, block = self._plan, self._plan.source_filters[run.source], run.block
         rate, terms = plan.sampling_rate, plan.delay_terms
         times = node_times(run.start, block, run.blocks, rate)
@@ -171,13 +171,13 @@ class HostTracks:
 
 
 def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float) -> NDArray[np.bool_]:
-    """Return in which blocks (paths, blocks) of nodes (paths, blocks + 3) what is emitted can arrive."""
+    """Return a mask (paths, blocks) of the blocks of nodes (paths, blocks + 3) in which the signal can arrive."""
     first, last = filters.emitted_between(rate)
     return np.asarray((times[3:] - delay[:, 3:] >= first) & (times[:-3] - delay[:, :-3] <= last))
 
 
 def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:
-    """Return the largest error of each segment and what is heard, (2, segments), squared, of paths (paths, blocks)."""
+    """Return the squared largest error and level of each segment, (2, segments), of paths (paths, blocks)."""
     first = np.arange(0, wrong.shape[1], step)
     largest = [np.maximum.reduceat(values, first, axis=1) for values in (wrong, np.abs(gain))]
     return np.stack([np.sum(values**2, axis=0) for values in largest])
@@ -191,7 +191,7 @@ def _parts(batch: PathBatch, i: int) -> list[NDArray[np.int64]]:
 
 
 def thread_count() -> int:
-    """Return how many threads of this process can run at the same time, as the operating system tells."""
+    """Return the number of threads of this process that the operating system runs at the same time."""
     affinity = getattr(os, "sched_getaffinity", None)  # not told by every operating system
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
@@ -202,7 +202,7 @@ def side_by_side(
     meanwhile: Callable[[], None] | None = None,
     threads: int | None = None,
 ) -> list[Result]:
-    """Return what a function makes of each item, in their order."""
+    """Apply a function to each item in threads; results keep the order of the items."""
     count = min(thread_count() if threads is None else threads, len(items))
     if count <= 1:
         if meanwhile is not None:

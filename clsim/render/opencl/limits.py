@@ -1,4 +1,4 @@
-"""What a device takes of a plan at a time: how many samples, and for how long it may compute at a stretch."""
+"""Limits of a device for a plan: samples rendered at a time, and the length of one launch."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Limits:
 
     @property
     def paths_in_launch(self) -> int:
-        """How many paths may be computed by one launch: so many that a segment of them is `LONGEST_LAUNCH` at most.
+        """Number of paths in one launch, of which a segment takes at most `LONGEST_LAUNCH`.
 
         By estimate, in the shortest blocks for which room is made beforehand; at least a batch of 64.
         """
@@ -47,7 +47,7 @@ class Limits:
         return max(1, int(min(paths, MOST_INDEX)) // BATCH) * BATCH
 
     def segments_in_launch(self, paths: int, block: int) -> int:
-        """Return how many segments of some paths may be computed by one launch.
+        """Return the number of segments of some paths in one launch.
 
         result: so many that GPUs are estimated to need `LONGEST_LAUNCH` at most; at least one.
         """
@@ -60,7 +60,7 @@ class Limits:
         return max(rendering, self._plan.segment // block * _OPERATIONS_PER_NODE)
 
     def _most_samples(self) -> float:
-        """Return how many samples fit at a time, each buffer by itself and all of them together."""
+        """Return the number of samples at a time for which each buffer, and all of them together, fit."""
         widest = max(bank.taps.size for f in self._plan.source_filters for bank in f.banks)
         launched = max(operations_in_launch(self._info) / (2.0 * widest), self._plan.segment)
         whole = SHARE * self._info.memory_bytes - _LEVELS * self.node_budget - sum(self._fixed.values())

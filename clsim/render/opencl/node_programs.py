@@ -1,4 +1,4 @@
-"""What makes the nodes of which kinds of paths on a device, by `PathFamily.device`."""
+"""Classes that compute the nodes of each kind of paths on a device, by `PathFamily.device`."""
 
 from clsim.render.opencl.body_nodes import BodyTracks
 from clsim.render.opencl.device_nodes import DeviceTracks

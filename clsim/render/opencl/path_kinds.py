@@ -1,4 +1,4 @@
-"""What programs are told of the kinds of paths: constants that say which kind a build is for, and what these need."""
+"""Compile-time constants of programs for each kind of paths."""
 
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE

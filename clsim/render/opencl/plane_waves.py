@@ -39,7 +39,7 @@ class DeviceWaves:
     def heard(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
     ) -> NDArray[np.float32]:
-        """Return what listeners hear (R, n), as `Waves` says."""
+        """Return the pressure at listeners (R, n), see `Waves`."""
         import pyopencl as cl
 
         listeners, nodes, count = motion.ahead[:, :-1].shape

@@ -1,4 +1,4 @@
-"""What a source's paths meet on their way, as tables for the device."""
+"""Tables of air, walls, directivities and receivers for the device."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Surroundings:
         return np.full((count, slots), -1, dtype=np.int32), np.zeros((count, 3, slots), dtype=np.float32)
 
     def reflection(self, walls: Walls) -> Floats:
-        """Return what the walls that are the same at every angle do to each path, (P, parts, nodes)."""
+        """Return the product of reflection factors of walls without angle dependence, (P, parts, nodes)."""
         product = self._responses.reflection(walls)
         return np.stack([product.real, product.imag][: self.parts], axis=1)
 
@@ -106,9 +106,7 @@ class Surroundings:
 
 
 def air_polynomials(at: SceneResponse, mach: float) -> tuple[Floats, Floats]:
-    """Return absorption, 1/m, and lead, rad/m, as polynomials of what motion adds to frequencies.
-
-    Shapes: result (terms, F).
+    """Return absorption, 1/m, and lead, rad/m, as polynomials of what motion adds to frequencies; result (terms, F).
 
     absorption, lead: coefficients of powers of the ratio of the frequency on the way to that emitted, less 1.
     """

@@ -1,4 +1,4 @@
-"""What the functions of frequency do not hold of what is heard: of all paths together, beside what sounds about it."""
+"""Residual of the functions of frequency, of all paths together, relative to the received signal at that time."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 class Unheld:
-    """What no function holds of one source's paths, by segment and receiver, over what is heard.
+    """Residual of one source's paths that no function represents, by segment and receiver, over their level.
 
-    Functions are made for the sum of a receiver's paths of all kinds, relative to what sounds within some 40 ms. A
-    segment in which nothing but the last echoes of a pulse sounds tells nothing alone: it counts beside its neighbours.
+    Functions are designed for the sum of a receiver's paths of all kinds, relative to its level over 40 ms. A
+    segment with only the last echoes of a pulse is therefore compared with the level of its neighbours too.
     """
 
     def __init__(self, receivers: int) -> None:
@@ -26,23 +26,23 @@ class Unheld:
         self._worst = 0.0
 
     def add(self, first: int, receiver: NDArray[np.int32], squares: Floats) -> None:
-        """Add what paths to some receivers (n,) bring in segments from one on, squares (2, segments, n)."""
+        """Add squares (2, segments, n) of residual and level of paths to some receivers (n,), from a segment on."""
         for i in range(squares.shape[1]):
             here = self._squares.setdefault(first + i, np.zeros((2, self._receivers)))
             here[:, receiver] += squares[:, i]
 
     def settle(self, before: int) -> None:
-        """Take note that nothing more is added to segments before one, and forget what is no longer needed of them."""
+        """Close the segments before one: take their maximum and drop their sums."""
         self._worst = max(self._worst, self._largest([s for s in self._squares if s < before - 1]))
         self._squares = {s: here for s, here in self._squares.items() if s >= before - 2}
 
     @property
     def level_db(self) -> float:
-        """The largest part of what is heard that no function holds, dB."""
+        """The largest residual relative to the received level, dB."""
         return 10.0 * math.log10(max(self._worst, self._largest(list(self._squares)), 1e-30))
 
     def _largest(self, segments: list[int]) -> float:
-        """Return the largest part in some segments, squared."""
+        """Return the largest squared residual of some segments."""
         largest = 0.0
         for s in segments:
             about = [self._squares[n][1] for n in (s - 1, s, s + 1) if n in self._squares]
