@@ -184,7 +184,7 @@ def impulse_responses(
     as_choice("lead", lead, LEADS)
     with_tail = as_choice("tail", tail, TAILS) == "auto" and kept.low < ULTRASOUND
     seed = as_count("tail_seed", tail_seed)
-    heard = _heard_pairs(paths, time)
+    heard = _active_pairs(paths, time)
     if not heard:
         raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
     found, shape = {}, (len(scene.sources), len(scene.receivers))
@@ -213,15 +213,15 @@ def _add_tails(
     found: dict[tuple[int, int], ImpulseResponse],
 ) -> tuple[str, ...]:  # fmt: skip
     """Add every source's tail to the pairs' responses at a time, s; return a line of description each."""
-    told = []
+    notes = []
     for source in sorted({source for source, _ in found}):
         tails, what = frozen_tails(paths, source, time, rate, band, seed)
         for receiver, one in enumerate(tails):
             before = [found[source, receiver]] if (source, receiver) in found else []
             found[source, receiver] = summed([*before, one])
         left = f"without it {what.left_db:.1f} dB of the energy is missing"
-        told.append(f"source {source}: diffuse tail of {what.describe()}; {left}")
-    return tuple(told)
+        notes.append(f"source {source}: diffuse tail of {what.describe()}; {left}")
+    return tuple(notes)
 
 
 def _earliest(pair: PairPaths, now: Floats) -> float:
@@ -270,7 +270,7 @@ def _as_instant(scene: Scene, at: Any) -> float:
     return time
 
 
-def _heard_pairs(paths: PathSet, time: float) -> dict[tuple[int, int], list[PairPaths]]:
+def _active_pairs(paths: PathSet, time: float) -> dict[tuple[int, int], list[PairPaths]]:
     """Return the active paths of every kind at a time, by source and receiver."""
     heard: NDArray[np.bool_] = (paths.start <= time) & (time < paths.end)
     found: dict[tuple[int, int], list[PairPaths]] = {}

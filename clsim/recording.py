@@ -307,8 +307,8 @@ def sound_coordinates(names: Sequence[str], units: Sequence[str], positions: Flo
 
     coordinates: dict[str, Any] = {"receiver": texts(names), "unit": ("receiver", texts(units))}
     if positions is not None:
-        told = {"units": "m", "long_name": "position at 0 s"}
-        coordinates |= {"axis": texts("xyz"), "position": (("receiver", "axis"), positions, told)}
+        attributes = {"units": "m", "long_name": "position at 0 s"}
+        coordinates |= {"axis": texts("xyz"), "position": (("receiver", "axis"), positions, attributes)}
     return xarray.Dataset(coords=coordinates)
 
 

@@ -11,7 +11,7 @@ from clsim.errors import ClsimError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-Row = dict[str, Any]  # what became of a task: "status" ("finished", "failed"), "error", "seconds", and what is its own
+Row = dict[str, Any]  # result of a task: "status" ("finished", "failed"), "error", "seconds", and its own keys
 Call = tuple["Callable[..., Any]", tuple[Any, ...]]  # a function and its arguments, for a worker
 
 PATIENCE = 60.0  # s without a worker

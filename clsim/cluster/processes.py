@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from clsim.cluster.dispatch import Row, Tasks
 
-_STARTS = 3  # of a process in a row, none of which lives until it is ready
+_STARTS = 3  # starts of a process in a row that fail before it is ready
 _LONGEST = 60.0  # s that a task is waited for which is writing: a chunk takes less
-_GRACE = 5.0  # s in which a process that is ended leaves its task: what it calls in C ends first
+_GRACE = 5.0  # s for an ended process to leave its task: calls into C finish first
 
 
 @dataclass(slots=True, eq=False)
@@ -211,7 +211,7 @@ def _heirs(environment: dict[str, str]) -> Iterator[None]:
 
 
 def _serve(pipe: Any, device: str | None, environment: dict[str, str]) -> None:
-    """Execute calls from a pipe until it is closed or the process is told to end."""
+    """Execute calls from a pipe until it is closed or the process receives the signal to end."""
     status = 1
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -222,7 +222,7 @@ def _serve(pipe: Any, device: str | None, environment: dict[str, str]) -> None:
         while (call := calls.get()) is not None:
             _send(pipe, _answer(call, device))
         status = 0
-    except (KeyboardInterrupt, OSError):  # asked to end, or nobody listens any more
+    except (KeyboardInterrupt, OSError):  # signalled to end, or the pipe is closed
         status = 0
     finally:
         os._exit(status)  # threads of drivers and of the listener would be waited for
@@ -269,7 +269,7 @@ def _send(pipe: Any, answer: tuple[bool, Any]) -> None:
 def local_devices() -> list[str]:
     """Return the devices over which workers of this machine are to be spread: GPUs, else all of the usual platform.
 
-    To be asked for before workers are started, so that they keep kernels where this process does.
+    Call it before workers are started, so that they keep kernels where this process does.
     """
     from clsim.opencl.device import find_device, list_devices
 

@@ -29,7 +29,7 @@ class Workers:
     """Requested workers: processes of this machine or a Dask scheduler."""
 
     number: int | None = None  # processes on this machine: one per GPU, else one per two cores where None
-    scheduler: str | None = None  # address of a running Dask scheduler, whose workers do the work instead
+    scheduler: str | None = None  # address of a running Dask scheduler to use instead
 
     def __post_init__(self) -> None:
         if self.number is not None and self.scheduler is not None:
@@ -158,7 +158,7 @@ class DaskTeam:
             return None
         try:
             row = row_of(future, number, self._tasks)
-        except TimeoutError:  # its worker died before it could tell; if not, it will
+        except TimeoutError:  # its worker died before it reported, or reports later
             self._done.put((number, future))
             return None
         self._futures.pop(number).release()
@@ -168,10 +168,10 @@ class DaskTeam:
         """Cancel all tasks, and wait for workers that are still writing."""
         for future in self._futures.values():
             future.cancel()
-        asked = self._tasks.over()
-        if asked is not None:
+        last_call = self._tasks.over()
+        if last_call is not None:
             there = self._client.nthreads()  # one that died would be waited for half a minute
-            self._ask(asked, sorted(self._known & there.keys()), "ignore")
+            self._ask(last_call, sorted(self._known & there.keys()), "ignore")
 
     def _ask(self, call: Call, workers: list[str], on_error: str) -> dict[str, Any]:
         """Return the workers' results of a call, by address."""

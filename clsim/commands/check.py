@@ -81,8 +81,8 @@ def _facing(scene: Scene) -> list[str]:
 
 def _left_by_images(planned: PlannedScene) -> list[str]:
     """Return a note on the energy beyond the image sources, unless the plan has a tail."""
-    asked = planned.plan.options
-    left = left_by_images(planned.paths, asked.sampling_rate) if asked.tail == "off" else None
+    options = planned.plan.options
+    left = left_by_images(planned.paths, options.sampling_rate) if options.tail == "off" else None
     return [] if left is None else [f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter"]
 
 

@@ -132,7 +132,7 @@ def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> lis
     chosen = [item for item in ends if end is None or item.name == end]
     if not chosen:
         raise InputError("--end", not_one_of(end, [item.name for item in ends]))
-    heard = wanted if wanted is not None else _heard_frequencies(scene)
+    heard = wanted if wanted is not None else _emitted_frequencies(scene)
     diagrams = []
     for item in chosen:
         frequencies = heard
@@ -147,7 +147,7 @@ def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> lis
     return diagrams
 
 
-def _heard_frequencies(scene: Scene) -> Floats:
+def _emitted_frequencies(scene: Scene) -> Floats:
     """Return the ends and centres of the emitted bands, Hz."""
     found = set()
     for source in scene.sources:

@@ -119,7 +119,7 @@ def _fill(
     if outputs.table in missing:
         write_table(planned.path_table(times), results.work / outputs.table)
     if any(name.endswith(".png") for name in missing):
-        from clsim.workflow.pictures import draw_pictures  # late: what draws takes longer to import than all else
+        from clsim.workflow.pictures import draw_pictures  # late: matplotlib takes longer to import than all else
 
         draw_pictures(planned, times, store, results, outputs, missing)
     if GROUND_TRUTH in missing:

@@ -44,8 +44,10 @@ def as_scale(value: Any) -> float:
 
 def missing_bytes(log: str) -> int:
     """Return the number of bytes by which a file is shorter than its header says, by libsndfile's log of its header."""
-    found = [(name, int(told), int(there)) for name, told, there in _CUT.findall(log)]
-    known = [(name, told - there) for name, told, there in found if not any(told in some for some in _UNKNOWN)]
+    found = [(name, int(declared), int(there)) for name, declared, there in _CUT.findall(log)]
+    known = [
+        (name, declared - there) for name, declared, there in found if not any(declared in some for some in _UNKNOWN)
+    ]
     return max((less for name, less in known if less > _WHOLE_FILE.get(name, 0)), default=0)
 
 

@@ -38,10 +38,7 @@ _FINE = 130  # dpi, of thin lines close to each other
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectivityDiagram:
-    """Content of one polar diagram.
-
-    Shapes: frequencies (f,) Hz.
-    """
+    """Content of one polar diagram, with frequencies (f,) in Hz."""
 
     title: str
     directivity: Directivity
@@ -52,9 +49,7 @@ class DirectivityDiagram:
 def directivity_levels(diagram: DirectivityDiagram, angles: Floats, *, upright: bool = False) -> Floats:
     """Return the level of a directivity in dB by angle from the axis and frequency, (n, f), at most 0 and at least -40.
 
-    Shapes: angles (n,) rad.
-
-    angles: from the axis +x, towards +y (to the left) or, if `upright`, towards +z, rad.
+    angles: (n,) rad from the axis +x, towards +y (to the left) or, if `upright`, towards +z.
 
     0 dB is the gain 1, or the largest gain shown if that is more.
     """
@@ -104,8 +99,8 @@ def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
     """Draw the dispersion of air: speed of sound minus its value at 0 Hz."""
     dispersing = replace(air, dispersion=True)
     raised = [1e3 * (dispersing.speed_at(f) - air.speed_of_sound) for f in frequencies]
-    told = f"{100 * air.state[1]:g} %: {air.speed_of_sound:.3f} m/s"
-    axes.semilogx(frequencies / 1e3, raised, color=colour, label=told)
+    label = f"{100 * air.state[1]:g} %: {air.speed_of_sound:.3f} m/s"
+    axes.semilogx(frequencies / 1e3, raised, color=colour, label=label)
     axes.set(xlabel="frequency (kHz)", ylabel="above the speed at 0 Hz (mm/s)", title="speed of sound by frequency")
     axes.set(xlim=(1.0, 200.0), ylim=(0.0, None))
     axes.legend(title="relative humidity: speed at 0 Hz", fontsize=9, loc="lower right")
@@ -186,7 +181,7 @@ def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
 def reflection_loss(material: Material, frequency: Floats, cosine: Floats) -> Floats:
     """Return ``-20 log10 |R|``, dB; NaN where the material is unknown. Extrapolation gives no warning.
 
-    frequency, cosine: hz, and cosine of the angle of incidence; one of them may be a single number.
+    frequency, cosine: Hz, and cosine of the angle of incidence; one of them may be a single number.
     """
     f, cosine = np.broadcast_arrays(frequency, cosine)
     loss = np.full(f.shape, np.nan)

@@ -187,10 +187,7 @@ def envelope_spectrogram(
     segment: int | None = None,
     shown: float | None = None,
 ) -> None:
-    """Draw the level of a complex envelope over time and frequency off the carrier.
-
-    Shapes: envelope (n,) Pa.
-    """
+    """Draw the level of a complex envelope (n,), Pa, over time and offset from the carrier."""
     figure, axes = new_figure(5.0)
     axes.grid(visible=False)
     draw_envelope_spectrogram(figure, axes, envelope, sampling_rate, carrier, title=title, segment=segment, shown=shown)

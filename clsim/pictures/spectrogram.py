@@ -43,9 +43,7 @@ class Spectrogram:
 def spectrogram(
     pressure: Readable, sampling_rate: float, band: tuple[float, float], segment: int | None = None
 ) -> Spectrogram:
-    """Return the level of sound over time and frequency.
-
-    Shapes: pressure (n,) Pa; band (low, high) Hz.
+    """Return the level of pressure (n,), Pa, over time and frequency in a band (low, high), Hz.
 
     segment: samples of a window. When left out, time and frequency are resolved to the same share of the picture.
 

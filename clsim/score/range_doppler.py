@@ -11,7 +11,7 @@ from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_on
 from clsim.errors import InputError
 from clsim.packages import check_packages, check_pictures
 from clsim.score.matched_filter import MatchedFilter
-from clsim.score.ranging import emissions_of, heard_scene, outputs_of, source_index, span_of
+from clsim.score.ranging import emissions_of, outputs_of, scored_paths, source_index, span_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -152,7 +152,7 @@ def range_doppler(
     grows at v turns the phase of the pulse's mean frequency f by ``-2 pi f v P / c`` (two ways: twice that) in a
     period P (M. A. Richards, "Fundamentals of Radar Signal Processing", 2nd edition, 2014, section 5.3).
     """
-    paths = heard_scene(recording, "a range-Doppler map")
+    paths = scored_paths(recording, "a range-Doppler map")
     row = as_index("receiver", receiver, recording.receiver_names)
     ways = 2.0 if as_flag("two_way", two_way) else 1.0
     rate, c = recording.sampling_rate, paths.scene.air.speed_of_sound

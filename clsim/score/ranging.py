@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Method = Literal["matched-filter", "first-peak", "phase"]
 METHODS: tuple[str, ...] = get_args(Method)
-_AT_A_TIME = 64  # emissions whose outputs are held
+_AT_A_TIME = 64  # emissions whose outputs are kept in memory
 _LATE = 1e-10  # s, of rounding, by which a receiver's trajectory may be exceeded
 
 
@@ -252,7 +252,7 @@ def ranging(
     0 Hz for "phase", which knows the carrier; E is the energy of what was found, N_0 the density of the noise of the
     receiver's electronics at the pulse's mean frequency.
     """
-    paths = heard_scene(recording, "ranging")
+    paths = scored_paths(recording, "ranging")
     as_choice("method", method, METHODS)
     detection = 10.0 ** (as_number("detection_db", detection_db, at_least=0.0, at_most=100.0, unit="dB") / 20.0)
     first = 10.0 ** (as_number("first_peak_db", first_peak_db, at_least=-60.0, at_most=0.0, unit="dB") / 20.0)
@@ -354,7 +354,7 @@ def _noise_density(end: Receiver, sampling_rate: float, frequency: float) -> flo
     return float(noise * 10.0 ** (electronics.gain_db / 10.0) + electronics.step**2 / 12.0) / half
 
 
-def heard_scene(recording: Recording, what: str) -> PathSet:
+def scored_paths(recording: Recording, what: str) -> PathSet:
     """Return the paths of a recording, or raise if a score of this kind cannot be made from it."""
     recording = as_recording(recording)
     if recording.carrier is not None:

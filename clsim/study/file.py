@@ -126,7 +126,7 @@ class Member:
     """One scene of a study."""
 
     number: int  # from 0
-    parameters: dict[str, Any]  # values of what is varied, by its name
+    parameters: dict[str, Any]  # values of the varied fields, by name
     changes: dict[str, Any]  # the same by the fields' paths
 
     @property
@@ -142,7 +142,7 @@ class Study:
     content: dict[str, Any]  # of the scene file
     base: Path  # folder to which the scene's paths are relative
     folder: Path  # that of the study file, in which the metrics' module is looked for
-    keep: tuple[str, ...]  # what is kept of each member
+    keep: tuple[str, ...]  # stored content of each member
     metrics: str  # ``"module:function"``, or empty
     table_rate: float  # instants of the ground truth per second
     members: tuple[Member, ...]  # all of them

@@ -47,11 +47,11 @@ class MemberRow:
     """Result of a member."""
 
     member: int  # from 0
-    parameters: dict[str, Any]  # values of what is varied, by its name
-    status: str = "waiting"  # what became of it
+    parameters: dict[str, Any]  # values of the varied fields, by name
+    status: str = "waiting"  # result of the member
     seconds: float = 0.0  # that it took; 0 while it waits
     error: str = ""  # why it failed
-    warnings: tuple[str, ...] = field(default=())  # what it warned of
+    warnings: tuple[str, ...] = field(default=())  # texts of its warnings
     device: str = ""  # openCL device that rendered it, by id and name
 
 

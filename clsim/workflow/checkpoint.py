@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from clsim.workflow.pipeline import PlannedScene
     from clsim.workflow.result_folder import ResultFolder
 
-_PERIOD = 1.0  # s between notes in the journal, at least: what a killed run loses beside the chunk it was at
+_PERIOD = 1.0  # s between checkpoints, at least: the loss of a killed run beside its current chunk
 _WORTH = 2e9  # path-samples of a piece, about: seconds, so that handing it out costs nothing
 _PIECES = 64  # into which a run is cut at least along time, as far as it has chunks
 _BLOCKS = 2  # of receivers for each worker
@@ -146,14 +146,14 @@ def render_on_workers(
     with within_memory(plan.largest_field, f"rendering by {here} processes", here * plan.memory_bytes):
         remove_leftovers(folder)
     pieces = Pieces(handed, PlanFile.write(folder, handed), *begun)
-    dispatch, told = Dispatch(pieces.todo()), set[str]()
+    dispatch, shown = Dispatch(pieces.todo()), set[str]()
     try:
         with closing(workers.at_most(pieces.count).rows(dispatch, pieces, _devices(workers, plan))) as rows:
             for number, row in rows:
                 if row["status"] == "failed":
                     piece = pieces.piece(number)
                     raise ClsimError(f"samples {piece.first} to {piece.last} were not rendered: {row['error']}")
-                _tell(row["warnings"], told)
+                _forward(row["warnings"], shown)
                 for ready in pieces.settle(number, row["state"]):
                     dispatch.add(ready)
                 advance(pieces.rendered(number))
@@ -165,12 +165,12 @@ def render_on_workers(
     receivers.warn()
 
 
-def _tell(warnings: list[str], told: set[str]) -> None:
+def _forward(warnings: list[str], shown: set[str]) -> None:
     """Forward the warnings of pieces; those that differ in numbers alone appear once."""
     for text in warnings:
         without_numbers = re.sub(r"[\d.]+", "", text)
-        if without_numbers not in told:
-            told.add(without_numbers)
+        if without_numbers not in shown:
+            shown.add(without_numbers)
             warn(text)
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _PREFIXES = ("", "k", "M", "G", "T")
 _PATIENCE = 2.0  # s after which progress is shown
-_MOMENT = 0.3  # s of building after which it is told: programs that were built before take less
+_MOMENT = 0.3  # s of building before a message: cached programs take less
 
 
 @contextmanager
@@ -83,14 +83,14 @@ class BuiltPrograms(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self.count, self._seconds, self._told = 0, 0.0, not sys.stderr.isatty()
+        self.count, self._seconds, self._shown = 0, 0.0, not sys.stderr.isatty()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Count a program from the compiler's log record: its name, and seconds."""
         _, seconds = record.args if isinstance(record.args, tuple) else ("", 0.0)
         self.count, self._seconds = self.count + 1, self._seconds + float(str(seconds))
-        if self._seconds > _MOMENT and not self._told:
-            self._told = True
+        if self._seconds > _MOMENT and not self._shown:
+            self._shown = True
             print("clsim: building kernels (once)", file=sys.stderr)
 
 

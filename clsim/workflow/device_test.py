@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from clsim.render.plan import Plan
 
 RATE = 192e3
-PROMISED_DB = -85.0  # of what is heard, at default settings
+PROMISED_DB = -85.0  # relative to the received signal, at default settings
 _DURATION = 0.03  # s, of the scenes that are compared
 _ORDER, _LONG = 8, 1.0  # of the one whose rates are measured, and s
 _SIZE = np.array([6.0, 5.0, 3.0])
@@ -44,7 +44,7 @@ class DeviceReport:
     """Result of a device's test."""
 
     info: DeviceInfo  # the device
-    apart_db: dict[str, float]  # by scene, how far it is from the reference engine, dB of what is heard
+    apart_db: dict[str, float]  # difference from the reference engine by scene, dB relative to the received signal
     render_rate: float  # path-samples a second, of the sum over paths and of the tracks by themselves
     tracks_rate: float  # likewise
     first_seconds: float  # that the first call took, building kernels included

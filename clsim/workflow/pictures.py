@@ -34,7 +34,10 @@ if TYPE_CHECKING:
 
 _SHORT, _SWEEPS = 0.05, 8.0  # s, and band times duration, of pulses that are short sweeps
 _LEAST_WINDOW = 32  # samples
-_PURE, _MOST_CURVES = 0.02, 6  # band of a tone as a share of its frequency; lines of theory that are still told apart
+_PURE, _MOST_CURVES = (
+    0.02,
+    6,
+)  # band of a tone as a share of its frequency; curves of theory that remain distinguishable
 _MOST_INSTANTS = 3000  # of lines in a picture, more than it has columns
 
 
@@ -46,10 +49,7 @@ def draw_pictures(
     outputs: RunOutputs,
     missing: list[str],
 ) -> None:
-    """Draw the missing plots at times (T,), s; one that fails becomes a warning.
-
-    Shapes: times (T,) s.
-    """
+    """Draw the missing plots at times (T,), s; one that fails becomes a warning."""
     left_out = len(outputs.receivers) - len(outputs.drawn)
     if left_out:
         print(f"pictures are of the first {MOST_DRAWN} receivers of {len(outputs.receivers)}", file=sys.stderr)

@@ -165,9 +165,9 @@ def do_piece(plan: PlanFile, piece: Piece, state: State, device: str | None) -> 
             with_blas_threads(site.handed.blas_threads),
         ):
             remembered = site.do(piece, state)
-    told = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
+    shown = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
     seconds = time.process_time() - begun
-    return {"status": "finished", "state": remembered, "warnings": told, "seconds": seconds}
+    return {"status": "finished", "state": remembered, "warnings": shown, "seconds": seconds}
 
 
 async def idle() -> None:
