@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
+from clsim.output.hdf5_file import missing_chunks
 from clsim.output.stores import STORE_FORMAT, STORES
+from clsim.output.zarr_chunks import arrays_with_missing_chunks
 from clsim.packages import check_packages
 from clsim.recording import with_times
 
@@ -34,7 +36,7 @@ def open_store(path: str | os.PathLike[str]) -> Any:
     Raises
     ------
     InputError
-        If there is no store, or one of another format, or a package is missing.
+        If there is no store, or one of another format, a chunk of it is missing, or a package is.
 
     Notes
     -----
@@ -57,8 +59,23 @@ def open_store(path: str | os.PathLike[str]) -> Any:
             found = xarray.open_dataset(path, engine="h5netcdf") if kind == "hdf5" else xarray.open_zarr(path)
     except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:  # and what unpacks a damaged chunk
         raise InputError("path", f"must be a store of clsim, but {path} is none: {error}") from error
-    check_format(found.attrs, path)
+    try:
+        check_format(found.attrs, path)
+        _check_chunks(kind, path)
+    except InputError:
+        found.close()
+        raise
     return with_times(found, found.attrs["sampling_rate"])
+
+
+def _check_chunks(kind: str, path: Path) -> None:
+    """Raise an InputError if chunks are missing, for which packages would read zeros."""
+    try:
+        missing = missing_chunks(path) if kind == "hdf5" else len(arrays_with_missing_chunks(path))
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
+        raise InputError("path", f"must be a store of clsim, but {path} cannot be read: {error}") from error
+    if missing:
+        raise InputError("path", f"must hold what was written, but chunks of {path} are missing")
 
 
 def check_format(attributes: Any, path: Path) -> None:

@@ -6,7 +6,6 @@ is not sound is on the disk before the first sample.
 
 from __future__ import annotations
 
-import io
 import shutil
 import warnings
 from abc import ABC, abstractmethod
@@ -18,7 +17,9 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
+from clsim.output.hdf5_file import CHECKSUM_BYTES, LARGEST_CHUNK, chunk_places, create_file, fletcher32
 from clsim.output.raw_rows import RawRows
+from clsim.output.zarr_chunks import ALL_CHUNKS
 from clsim.packages import check_packages
 from clsim.recording import sound_attributes, sound_coordinates
 
@@ -141,17 +142,25 @@ class _RowStore(SoundStore):
 
     @abstractmethod
     def places(self) -> list[tuple[Path, int]]:
-        """Return file and byte at which each receiver's samples begin."""
+        """Return file and byte at which each row begins."""
+
+    @property
+    def _row_type(self) -> str:
+        return self._sound.sample_type
+
+    @property
+    def _row_length(self) -> int:
+        return self._sound.samples
 
     def open(self) -> None:
         """Open the files of all rows, which are there."""
-        self._rows = RawRows(self.places(), self._sound.sample_type)
+        self._rows = RawRows(self.places(), self._row_type)
 
     def reserve(self) -> None:
         """Take the disk space of all samples."""
         self.open()
         try:
-            self._rows.reserve(self._sound.samples)
+            self._rows.reserve(self._row_length)
             self._rows.to_disk()
         finally:
             self.close()
@@ -201,23 +210,10 @@ class _WavStore(_RowStore):
         return SoundFile(path) if self._sound.carrier is None else EnvelopeFile(path)
 
 
-class _Image(io.BytesIO):
-    """The beginning of a file in memory; how long the file is, is only noted."""
-
-    length = 0
-
-    def truncate(self, size: int | None = None) -> int:
-        """Note the file's length, and forget what lies beyond."""
-        self.length = self.tell() if size is None else size
-        return super().truncate(self.length)  # which adds nothing where that is more
-
-
 class _Hdf5Store(_RowStore):
-    """A netCDF-4 file whose sound is one unbroken block, written past the HDF5 library.
+    """A netCDF-4 file whose sound is in chunks of one receiver with checksums, written past the HDF5 library.
 
-    A process that dies within the library can leave a file that no longer opens, and a full disk can end the process
-    within the library. Here it writes into memory; what it wrote is on the disk before the first sample, and does not
-    change any more.
+    What the library wrote is on the disk before the first sample, and does not change any more.
     """
 
     packages = ("h5netcdf", "h5py", "xarray")
@@ -233,48 +229,47 @@ class _Hdf5Store(_RowStore):
         """Return why a receiver's name cannot be written: texts of HDF5 end at a NUL."""
         return f"must have no NUL in its name for --store hdf5, but is {receiver!r:.80}" if "\0" in receiver else ""
 
-    def create(self) -> None:
-        """Write all but the samples, whose room, of zeros, is one block of the file."""
-        import h5netcdf
-        import h5py
-        from xarray.backends import H5NetCDFStore
+    @property
+    def _chunk(self) -> int:
+        return min(self._sound.chunk, self._sound.samples)
 
-        image = _Image()
-        with h5netcdf.File(image, "w") as file:
-            self._sound.coordinates().dump_to_store(H5NetCDFStore(file))
-            file.dimensions["time"] = self._sound.samples
-            variable = file.create_variable("sound", ("receiver", "time"), np.dtype(self._sound.sample_type))
-            variable.attrs.update(self._sound.sound_attributes)
-        with h5py.File(image, "r+") as raw:
-            raw["sound"][0, 0] = 0.0  # gives the block its place in the file
-        with self.paths[0].open("wb") as out:
-            out.write(image.getbuffer())
-            out.truncate(image.length)
+    def create(self) -> None:
+        """Write all but the samples, whose chunks, of zeros, have their places in the file."""
+        sound, size = self._sound, self._row_length
+        if size > LARGEST_CHUNK:
+            raise InputError(
+                "chunk", f"must take less than 4 GiB of a receiver for --store hdf5, but takes {size} bytes"
+            )
+        shape = len(sound.receiver_names), sound.samples
+        create_file(self.paths[0], sound.coordinates(), shape, self._chunk, sound.sample_type, sound.sound_attributes)
         self.reserve()
 
-    def places(self) -> list[tuple[Path, int]]:
-        """Return the file and the byte at which the samples of each receiver begin in its block."""
-        path, count = self.paths[0], len(self._sound.receiver_names)
-        begin = _place_in(path)
-        return [(path, begin + self._row_bytes * r) for r in range(count)]
+    @property
+    def _row_type(self) -> str:
+        return "|u1"
 
     @property
-    def _row_bytes(self) -> int:
-        return np.dtype(self._sound.sample_type).itemsize * self._sound.samples
+    def _row_length(self) -> int:
+        return np.dtype(self._sound.sample_type).itemsize * self._chunk + CHECKSUM_BYTES
+
+    def places(self) -> list[tuple[Path, int]]:
+        """Return the file and the byte at which each chunk begins, those of the first receiver first."""
+        return [(self.paths[0], begin) for begin in chunk_places(self.paths[0])]
+
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write a whole chunk `(receivers, n)` from sample `start` on, of receiver `first` and those behind it."""
+        number, of_row = start // self._chunk, -(-self._sound.samples // self._chunk)
+        for r, row in enumerate(samples, first):
+            chunk = np.zeros(self._chunk, self._sound.sample_type)  # the last one is as long as all others
+            chunk[: len(row)] = row
+            content = chunk.view(np.uint8)
+            self._rows.write(0, np.concatenate([content, fletcher32(content)])[None], r * of_row + number)
 
     def row(self, folder: Path, receiver: int) -> Readable:
-        """Return the samples of one receiver, a part of the file as an array."""
-        path, samples = folder / self.paths[0].name, self._sound.samples
-        begin = _place_in(path) + self._row_bytes * receiver
-        return np.memmap(path, dtype=self._sound.sample_type, mode="r", offset=begin, shape=(samples,))
+        """Return the samples of one receiver, read as they are asked for."""
+        import h5py
 
-
-def _place_in(path: Path) -> int:
-    """Return the byte at which the sound of an HDF5 file begins."""
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        return int(file["sound"].id.get_offset())
+        return _ArrayRow(h5py.File(folder / self.paths[0].name, "r")["sound"], receiver)
 
 
 class _ZarrStore(SoundStore):
@@ -295,7 +290,7 @@ class _ZarrStore(SoundStore):
         return ["recording.zarr"]
 
     def create(self) -> None:
-        """Write coordinates, and an array of zeros in chunks of one receiver and one chunk of the run."""
+        """Write coordinates, and an array without chunks yet, of one receiver and one chunk of the run each."""
         import zarr
 
         path, sound = self.paths[0], self._sound
@@ -303,7 +298,7 @@ class _ZarrStore(SoundStore):
         write_zarr(sound.coordinates(), path, "w-")
         zarr.open_group(path, mode="r+").create_array(
             "sound", shape=(len(sound.receiver_names), sound.samples), chunks=(1, min(sound.chunk, sound.samples)),
-            dtype=sound.sample_type, fill_value=0.0, dimension_names=("receiver", "time"),
+            dtype=sound.sample_type, fill_value=np.nan, dimension_names=("receiver", "time"),
             attributes=sound.sound_attributes, compressors=_compressors(),
         )  # fmt: skip
         consolidate(path)
@@ -318,7 +313,8 @@ class _ZarrStore(SoundStore):
         """Open the array, which is there."""
         import zarr
 
-        self._array = zarr.open_group(self.paths[0], mode="r+")["sound"]
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            self._array = zarr.open_group(self.paths[0], mode="r+")["sound"]
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
         """Write whole chunks `(receivers, n)` from sample `start` on, of receiver `first` and those behind it."""
@@ -331,9 +327,8 @@ class _ZarrStore(SoundStore):
     def to_disk(self) -> None:
         """Return when all chunks that were written, and their folders, are on the disk."""
         for path in self._written:
-            if path.exists():  # silence has no file
-                to_disk(path)
-        for folder in {path.parent for path in self._written if path.parent.exists()}:
+            to_disk(path)
+        for folder in {path.parent for path in self._written}:
             to_disk(folder)
         self._written = []
 
@@ -345,11 +340,11 @@ class _ZarrStore(SoundStore):
         """Return the samples of one receiver, read as they are asked for."""
         import zarr
 
-        return _ZarrRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], receiver)
+        return _ArrayRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], receiver)
 
 
-class _ZarrRow:
-    """Samples of one receiver of a Zarr array, read where they are cut."""
+class _ArrayRow:
+    """Samples of one receiver of a Zarr array or an HDF5 dataset, read where they are cut."""
 
     def __init__(self, array: Any, receiver: int) -> None:
         self._array, self._receiver = array, receiver
@@ -381,10 +376,12 @@ def _compressors() -> list[Any]:
 
 
 def write_zarr(content: Any, path: Path, mode: str) -> None:
-    """Write an xarray Dataset into a Zarr group, each chunk with its checksum."""
+    """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum."""
     fresh = [name for name in content.variables if not (path / name).exists()]  # others keep theirs
     encoding = {name: {"compressors": _compressors()} for name in fresh}
-    content.to_zarr(path, mode=mode, consolidated=False, zarr_format=3, encoding=encoding)
+    content.assign_attrs(ALL_CHUNKS).to_zarr(
+        path, mode=mode, consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
+    )
 
 
 def consolidate(path: Path) -> None:

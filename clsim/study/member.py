@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from clsim.errors import ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, consolidate, write_zarr
+from clsim.output.zarr_chunks import arrays_with_missing_chunks
 from clsim.packages import check_packages
 from clsim.study.content import computed, metrics_function
 from clsim.study.file import Member, Study
@@ -108,7 +109,8 @@ def row_of_group(group: Path) -> dict[str, Any] | None:
         arrays = metadata["consolidated_metadata"]["metadata"]
         row = as_row(metadata["attributes"]["study_row"])
         whole = all((group / name / "zarr.json").exists() for name in arrays)
-    except (FileNotFoundError, NotADirectoryError, ValueError, KeyError, TypeError, RecursionError):
+        whole = whole and not arrays_with_missing_chunks(group, metadata)
+    except (FileNotFoundError, NotADirectoryError, AttributeError, ValueError, KeyError, TypeError, RecursionError):
         return None
     good = whole and row is not None and row["status"] == "finished" and f"m{row['member']:06d}" == group.name
     return row if good else None
@@ -218,22 +220,25 @@ def root_attributes() -> dict[str, Any]:
 
 
 def changed_arrays(store: Path) -> tuple[list[str], int]:
-    """List arrays of a store whose chunks cannot be read or fail their checksum, and count all arrays."""
+    """List arrays of a store whose chunks are missing, unreadable or fail their checksum, and count all arrays."""
     check_packages("folder", "zarr", "store", "zarr")
     import zarr
 
     paths = sorted(path.parent for path in store.rglob("zarr.json") if path.parent != store)
-    changed, count = [], 0
+    changed, count = set(), 0
     for path in paths:
         try:
             found = zarr.open(path, mode="r")
-            if isinstance(found, zarr.Array):
-                count += 1
-                for part in range(found.nchunks):
-                    found.get_block_selection(_block(found.cdata_shape, part))
-        except (OSError, ValueError, RuntimeError, KeyError, TypeError):
-            changed.append(f"{store.name}/{path.relative_to(store).as_posix()}")
-    return changed, max(count, len(changed))
+            if isinstance(found, zarr.Group):
+                changed |= {path / name for name in arrays_with_missing_chunks(path)}
+                continue
+            count += 1
+            for part in range(found.nchunks):
+                found.get_block_selection(_block(found.cdata_shape, part))
+        except (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError):
+            changed.add(path)
+    names = [f"{store.name}/{path.relative_to(store).as_posix()}" for path in sorted(changed)]
+    return names, max(count, len(names))
 
 
 def _block(shape: tuple[int, ...], number: int) -> tuple[int, ...]:
