@@ -150,7 +150,7 @@ def _search(
     radius: float, half: float, ends: tuple[Floats, Floats], near: Glint | None, between: tuple[Floats, Floats],
     weight: Floats | float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Return specular points (3, n) by steps that make ways shorter, and by how much the last one has changed them."""
+    """Return specular points (3, n) by steps that shorten the path, and their change (n,) by the last step, rad."""
     source, receiver = ends
     if near is None:  # the mirror point of the axis, and the bisector from there
         off = [np.maximum(np.hypot(end[0], end[1]) - radius, 1e-3 * radius) for end in ends]
@@ -184,7 +184,7 @@ def _joined(radius: float, of: tuple[Floats, Floats]) -> Floats:
 
 
 def _way(place: Floats, ends: tuple[Floats, Floats], weight: Floats | float) -> Floats:
-    """Return the lengths (n,) of the ways by places (3, n)."""
+    """Return the lengths (n,) of the paths by places (3, n)."""
     to, back = (place - end for end in ends)
     return np.asarray(np.sqrt(_dot(to, to)) + weight * np.sqrt(_dot(back, back)))
 

@@ -36,7 +36,7 @@ _ROOT_J = np.exp(0.25j * np.pi)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeWay:
-    """The shortest ways over edges, each array (...)."""
+    """The shortest paths over edges, each array (...)."""
 
     length: Floats  # (...) of the whole way, m
     apex: Floats  # (...) z at which it meets the edge, m
@@ -46,7 +46,7 @@ class EdgeWay:
 
 
 def edge_way(source_r: Floats, source_z: Floats, receiver_r: Floats, receiver_z: Floats) -> EdgeWay:
-    """Return the shortest ways over edges between places at distances r and heights z (...), m.
+    """Return the shortest paths over edges between places at distances r and heights z (...), m.
 
     Rolled out, the ends are at (-r_s, z_s) and (r_r, z_r) of a plane, and the edge is its z-axis (J. B. Keller,
     "Geometrical theory of diffraction", J. Opt. Soc. Am. 52(2), 1962, section 2: the cone of diffracted rays).

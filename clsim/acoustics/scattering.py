@@ -121,7 +121,7 @@ def _between(s: Floats, r: Floats) -> tuple[Floats, Any]:
 def _search(
     scale: Floats, s: Floats, r: Floats, between: Floats, begin: Floats, weight: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Return unit vectors (3, n) of the shortest ways, and by how much the last step has changed them."""
+    """Return unit vectors (3, n) of the shortest paths, and their change by the last step."""
     u, change = _newton(scale, s, r, begin, weight, LONGEST_STEP)
     rest = np.flatnonzero(change > FAR)
     if len(rest):
@@ -133,7 +133,7 @@ def _search(
 def _careful(
     scale: Floats, s: Floats, r: Floats, between: Floats, u: Floats, weight: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Return the same as `_search` by steps that make ways shorter, from what is nearest between the ends or `u`."""
+    """Return the same as `_search` by steps that shorten the path, from the nearest point between the ends or `u`."""
     guesses = (u, _unit(between))
     ways = [_way(scale, s, r, v, weight) for v in guesses]
     u, way = np.where(ways[0] <= ways[1], *guesses), np.minimum(*ways)
@@ -166,7 +166,7 @@ def _unit(v: Floats) -> Floats:
 
 
 def _way(scale: Floats, s: Floats, r: Floats, u: Floats, weight: Floats | float) -> Floats:
-    """Return the lengths (n,) of the ways by ``A u``."""
+    """Return the lengths (n,) of the paths by ``A u``."""
     to, back = (scale * u - end for end in (s, r))
     return np.asarray(np.sqrt(_dot(to, to)) + weight * np.sqrt(_dot(back, back)))
 

@@ -62,7 +62,7 @@ def list_devices() -> list[DeviceInfo]:
 
 
 def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
-    """Return the device that the user asked for, or the best: GPUs first, then by compute units."""
+    """Return the requested device, or the best: GPUs first, then by compute units."""
     found = _devices()
     if not found:
         raise DeviceError(f'{no_device()}; or use engine="reference", which needs none but is slow')

@@ -65,7 +65,7 @@ def _elements(array: NDArray[Any], element: type[np.generic] | None) -> NDArray[
 
 
 def upload(context: Any, array: NDArray[Any]) -> Any:
-    """Return a buffer of a context that holds a copy of an array."""
+    """Return a buffer of a context with a copy of an array."""
     import pyopencl as cl
 
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
@@ -88,7 +88,7 @@ class Scratch:
         self._kept: dict[Any, Any] = {}
 
     def take(self, name: Any, size: int) -> Any:
-        """Return the buffer of a name, of at least `size` bytes; what it held may be lost."""
+        """Return the buffer of a name, of at least `size` bytes; its content may be lost."""
         import pyopencl as cl
 
         if name not in self._kept or self._kept[name].size < size:

@@ -29,7 +29,7 @@ def with_blas_threads(count: int) -> Iterator[None]:
 
 
 def _libraries() -> ThreadpoolController:
-    """Return the libraries of this process: looked for, which takes milliseconds, when there are other modules."""
+    """Return the libraries of this process; the search takes milliseconds and is repeated after new imports."""
     return _found(len(sys.modules))
 
 

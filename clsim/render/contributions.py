@@ -13,7 +13,7 @@ State = dict[str, "NDArray[Any]"]
 
 
 class Contribution(Protocol):
-    """Part of the pressure at all receivers, settled before any of it is computed.
+    """Part of the pressure at all receivers, decided before any of it is computed.
 
     Attributes
     ----------

@@ -68,7 +68,7 @@ class DiffuseTail:
 
 
 class _Tail(Stateless):
-    """Adds tails; their responses are made when they are first heard."""
+    """Adds tails; their responses are computed at the first use."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -135,7 +135,7 @@ class _ZoneHeard:
             pressure[list(found)] += self._signals.waves.heard(streams, first, motion, start, stop)
 
     def _motion(self, receiver: int, grid: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
-        """Return the samples by which a receiver hears streams ahead, and their gains (N, M); None out of the zone."""
+        """Return the advance of streams at a receiver, samples, and their gains (N, M); None out of the zone."""
         end, clock = self._scene.receivers[receiver], grid / self._rate
         times = clock + end.clock_error(clock)
         zones, c = self._tail.receiver_zones, self._scene.air.speed_of_sound

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from clsim.arrays import Floats
-    from clsim.numerics.upsampling import Upsampler
+    from clsim.numerics.resampling import Upsampler
     from clsim.render.contributions import Contribution
     from clsim.render.options import RenderOptions
     from clsim.render.source_filters import SourceFilters
@@ -321,7 +321,7 @@ def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Flo
 
 
 def chunk_of(tracks: Tracks, options: RenderOptions, samples: int, rate: float, segment: int) -> int:
-    """Return the chunk's length in whole segments: as asked, or long against the delays and small in memory."""
+    """Return the chunk's length in whole segments: as requested, or long against the delays and small in memory."""
     whole = math.ceil(samples / segment)
     if options.chunk is not None:
         return segment * min(whole, math.ceil(options.chunk / segment))

@@ -8,7 +8,7 @@ from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from clsim.errors import InputError
-from clsim.numerics.upsampling import Upsampler
+from clsim.numerics.resampling import Upsampler
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.blas_threads import with_blas_threads
 from clsim.render.diffuse_tail import diffuse_tail
@@ -151,7 +151,7 @@ def _samples(
     ringing: float,
     tail: float,
 ) -> int:
-    """Return the length: as asked, or until all that was emitted has been heard, with tails that last so long, s."""
+    """Return the length: as requested, or until all sound has arrived, with tails that last so long, s."""
     last, what = tracks.first_end()
     if duration is None:
         end = max(start + signal.duration for signal, start in emissions)

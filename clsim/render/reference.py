@@ -44,7 +44,7 @@ class ReferenceEngine:
         return pressure
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        """Add all paths from sample `start` on to the pressure (receivers, n), Pa."""
         pressure += self.render(start, start + pressure.shape[1])
 
 

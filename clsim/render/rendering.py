@@ -74,7 +74,7 @@ class PressureSum:
             adding.restore({name.removeprefix(mine): state[name] for name in state if name.startswith(mine)})
 
     def warn(self) -> None:
-        """Warn of what came out worse than asked."""
+        """Warn of results that miss the requested accuracy."""
         for adding in self._adding:
             adding.warn()
 

@@ -141,7 +141,7 @@ class SourceFilters:
 
     @property
     def half_length(self) -> int:
-        """Samples by which the filters look to either side: so much sounds before a path's first arrival at most."""
+        """Half length of the filters, samples: the longest ringing before a path's first arrival."""
         return -(-(self.filter_half + self.bank.half_length) // self.oversampling)
 
     @property
@@ -248,7 +248,7 @@ def design_source_filters(emission: Emission) -> SourceFilters:
 
 
 def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:
-    """Return 2 where a signal's band ends so near half the sampling rate that twice that rate holds it, else 1."""
+    """Return 2 if a signal's band ends so near half the sampling rate that it needs twice that rate, else 1."""
     nyquist = 0.5 * rate / (1.0 + max_rate)
     if not isinstance(interpolator, Bandlimited) or sound.bounds(_MAIN_WINDOW_SHARE)[1] <= _WIDEST * nyquist:
         return 1

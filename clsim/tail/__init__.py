@@ -1,1 +1,1 @@
-"""Diffuse tails: energy by rays, and what sounds of it."""
+"""Diffuse tails: energy by rays, and noise shaped by it."""

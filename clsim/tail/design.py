@@ -63,7 +63,7 @@ class SourceTail:
 
     @property
     def duration(self) -> float:
-        """Time in s after which nothing is left that is heard."""
+        """Time after which the tail is negligible, s."""
         return max(len(pair.energy) for pair in self.pairs.values()) * self.time_step
 
     @property
@@ -199,7 +199,7 @@ def _error_db(runs: Floats) -> float:
 
 
 def _settled(listener: Listener, runs: int) -> TailEnergy:
-    """Return the mean of runs, smoothed and as long as it is heard."""
+    """Return the mean of runs, smoothed and cut at its audible end."""
     tail, images = listener.tail / runs, listener.images / runs
     total = tail.sum(axis=(0, 1)) + images.sum(axis=0)
     left = np.cumsum(tail.sum(axis=1)[::-1], axis=0)[::-1]

@@ -54,7 +54,7 @@ def plane_waves(tail: SourceTail, pair: tuple[int, int], source: int, rate: floa
 def at_one_place(
     tail: SourceTail, pair: tuple[int, int], source: int, rate: float, weights: Floats, *, moves: bool
 ) -> Responses:
-    """Return the responses at a zone's middle, where nothing but one end that stands still hears it; weights (M, B).
+    """Return the responses at a zone's middle, for a single static end there; weights (M, B).
 
     moves: whether the source does: then there is a stream for each direction of departure.
 

@@ -94,7 +94,7 @@ class Listener:
             self.settle(bands)
 
     def settle(self, bands: NDArray[np.int64]) -> None:
-        """Sort in what is held of rays that carry bands."""
+        """Add the stored passages of rays that carry bands to the histogram."""
         if not self._held:
             return
         place, departure, energy = (np.concatenate(parts) for parts in zip(*self._held, strict=True))

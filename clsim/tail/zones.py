@@ -27,7 +27,7 @@ _RATE, _MOST_TIMES = 50.0, 200_000  # Hz, and instants at which ways are looked 
 
 @dataclass(frozen=True, eq=False)
 class Zones:
-    """Zones along the ways of some ends."""
+    """Zones along the trajectories of some ends."""
 
     radius: float  # m
     poses: Floats  # (Z, 3) their middles over the radius, and, where beams turn, two axes over 30 degrees
@@ -49,7 +49,7 @@ class Zones:
 
     @classmethod
     def along(cls, ends: Sequence[End], room: Room, until: float, *, beams: bool) -> Zones:
-        """Return zones that cover the ways of ends from 0 s to a time, s; beams say whether turning matters."""
+        """Return zones that cover the trajectories of ends from 0 s to a time, s; with `beams`, turning counts too."""
         return cls._covering([(end, _instants(end, until)) for end in ends], room, beams=beams)
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Responses of a source's paths, sampled over a run, and what errors of them amount to in what is heard."""
+"""Responses of a source's paths, sampled over a run, and the errors of received signals that follow from theirs."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Band:
 
     @property
     def rest(self) -> Floats:
-        """Energy (W,) of what sounds about each window, but not in it."""
+        """Energy (W,) about each window, outside it."""
         return np.asarray(np.maximum(1.0 - self.energy.sum(axis=1), 0.0))
 
 
@@ -80,7 +80,7 @@ def chebyshev_points(low: float, high: float, count: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Responses (n, F) of paths at instants, relative to what is heard then, weighted by how many each stands for.
+    """Responses (n, F) of paths at instants, relative to the level then, weighted by the number each represents.
 
     A frame is an instant at one receiver; `first` is where the responses of each begin. The sum of squares over the
     rows of a frame is that over all of its paths.
@@ -97,11 +97,11 @@ class Sample:
 
     @cached_property
     def heard(self) -> Floats:
-        """Return the energy (frames, W) of what is heard of each window, and of what sounds about it."""
+        """Return the received energy (frames, W) of each window and of its neighbourhood."""
         return np.asarray(self.by_frame(self.responses) @ self.band.energy.T + self.band.rest)
 
     def loudness(self) -> Floats:
-        """Return the inverse (W,) of the energy that is heard of each window, as a mean over the frames."""
+        """Return the inverse (W,) of the received energy of each window, as a mean over the frames."""
         return np.asarray(np.mean(1.0 / np.maximum(self.heard, _FAINTEST), axis=0))
 
     def relative(self, left: Floats | Complexes) -> Floats:
@@ -109,7 +109,7 @@ class Sample:
         return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.heard).max(axis=1)))
 
     def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
-        """Return the most of what is heard that is carried by each function (K, F), of squared gains (frames, K)."""
+        """Return the largest share of each function (K, F) in the received energy, of squared gains (frames, K)."""
         shares = np.abs(shapes) ** 2 @ self.band.energy.T  # (K, W)
         heard = self.heard
         return np.sqrt([(np.outer(g, share) / heard).max() for g, share in zip(together.T, shares, strict=True)])
@@ -120,7 +120,7 @@ class Sample:
 
     @property
     def importance(self) -> Floats:
-        """Weight (F,) of errors at each frequency: what sounds there in any window, relative to what is heard of it."""
+        """Weight (F,) of errors at each frequency: the largest energy in any window, relative to its received energy."""
         energy, count = self.band.energy, len(self.band.frequencies)
         weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
         return np.asarray(np.maximum(weight, _QUIETEST))
@@ -140,7 +140,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picked:
-    """Paths of a pair at an instant, picked for what they are heard with, and how many each stands for."""
+    """Paths of a pair at an instant, drawn by their energy, and the number of paths that each represents."""
 
     paths: PairPaths  # which
     found: Arrivals  # theirs at that instant

@@ -1,4 +1,4 @@
-"""Delays and gains as samples: checked, cut where paths are not heard, and splines through them."""
+"""Delays and gains as samples: checks, active intervals, and splines through them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def checked_samples(times: Any, delays: Any, gains: Any) -> tuple[Floats, Floats, Floats]:
-    """Return times (T,), s, and delays, s, and gains (paths, T), NaN where a path is not heard."""
+    """Return times (T,), s, and delays, s, and gains (paths, T), NaN where a path is inactive."""
     times = as_floats("times", times, (None,))
     if len(times) < 2 or times[0] > 0.0 or np.any(np.diff(times) <= 0.0):
         raise InputError("times", f"must increase strictly from 0 s or before, but begin {times[:3].tolist()}")
@@ -43,7 +43,7 @@ def checked_indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
 
 
 def heard_intervals(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
-    """Return path, first and one past last sample of every interval in which a path is heard."""
+    """Return path, first and one past last sample of every interval in which a path is active."""
     found = []
     for p, row in enumerate(heard):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))

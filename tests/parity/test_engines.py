@@ -14,7 +14,7 @@ from clsim.paths.specular.family import SpecularPaths
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.pair_nodes import PairTracks
-from clsim.render.opencl.unheld import Unheld
+from clsim.render.opencl.residual import Residual
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import plan_render
 from clsim.render.reference import ReferenceEngine
@@ -222,7 +222,7 @@ def test_responses_that_nothing_holds_are_told() -> None:
 def test_what_nothing_holds_is_told_of_all_paths_beside_what_sounds_about_it() -> None:
     ears = np.array([2, 0])
     last_echoes = {7: [[1e-9, 0.0], [1e-3, 1.0]], 8: [[4e-9, 1e-9], [2e-3, 2.0]], 9: [[1e-9, 0.0], [1e-2, 1.0]]}
-    at_once, by_and_by, alone = Unheld(3), Unheld(3), Unheld(3)
+    at_once, by_and_by, alone = Residual(3), Residual(3), Residual(3)
     for segment, squares in last_echoes.items():
         for some in (at_once, by_and_by):
             some.add(segment, ears, np.array(squares)[:, None])

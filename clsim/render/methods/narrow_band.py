@@ -39,7 +39,7 @@ class NarrowBand:
 
     @classmethod
     def designed(cls, baseband: Baseband, flat: float, half: float, rate: float, error_db: float) -> NarrowBand:
-        """Return a band at a sampling rate, Hz, for an error asked of all that is rendered."""
+        """Return a band at a sampling rate, Hz, for the error requested of the whole rendering."""
         low_pass = low_pass_between(flat, half, rate, MARGIN_DB + _RIPPLE_DB - error_db)
         return cls(baseband, flat, half, low_pass)
 
@@ -143,12 +143,12 @@ class RestFilters(SourceFilters):
 
     @property
     def filter_half(self) -> int:
-        """Samples by which what is heard is longer than the signal to either side, without the delay filters."""
+        """Samples by which the band filters extend the signal to either side, without the delay filters."""
         return int(self.filters.shape[1] // 2) + self.oversampling * (self.split.reach + CELL)
 
     @property
     def unheld_db(self) -> float:
-        """Nothing is told: engines see how much of the rest is held, not how loud it is beside the narrow part."""
+        """Infinite: engines know the residual of the rest, but not its level relative to the narrow part."""
         return math.inf
 
     def sounding(self, first: int, last: int) -> Floats:

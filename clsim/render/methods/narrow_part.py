@@ -46,7 +46,7 @@ class NarrowParts:
         return [line for part in self.parts for line in _described(part)]
 
     def digest(self) -> str:
-        """Return a text that changes with what is asked of them and with any tap."""
+        """Return a text that changes with their options and with any tap."""
         found = hashlib.sha256()
         for part in self.parts:
             found.update(repr((part.plan.baseband, part.sources)).encode() + part.upsampler.taps.tobytes())
@@ -81,7 +81,7 @@ class _Adding(Stateless):
         self._parts = [_Upsampled(part) for part in parts]
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        """Add the upsampled envelopes from sample `start` on to the pressure (receivers, n), Pa."""
         with with_blas_threads(1):
             for part in self._parts:
                 part.add(pressure, start)
@@ -106,7 +106,7 @@ class _Adding(Stateless):
             part.found = partial(found, i)
 
     def warn(self) -> None:
-        """Warn of what the engines could not hold as well as asked."""
+        """Warn of residuals above the requested error."""
         for part in self._parts:
             part.warn()
 
@@ -136,7 +136,7 @@ class _Upsampled:
                 row += self._upsampler(envelope, first)[start - first * every : stop - first * every]
 
     def warn(self) -> None:
-        """Warn of what the engine could not hold as well as asked."""
+        """Warn of residuals above the requested error."""
         if self._engine is not None:
             self._engine.warn()
 
@@ -145,7 +145,7 @@ class _Upsampled:
         return self._chunks_of(*self._span(start, stop))
 
     def _span(self, start: int, stop: int) -> tuple[int, int]:
-        """Return between which samples the envelopes are looked at for those of the sound."""
+        """Return the first and last samples of the envelopes that samples of the sound need."""
         every, reach = self._upsampler.every, self._upsampler.reach
         return start // every + 1 - reach, -(-stop // every) + reach
 

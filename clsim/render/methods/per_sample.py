@@ -68,7 +68,7 @@ class PathSum:
         return lines
 
     def promised_db(self, source: int) -> float:
-        """Return the bound on the error of what is rendered path by path, relative to what is heard at any moment, dB.
+        """Return the bound on the error of the paths rendered per sample, relative to the received level over 40 ms, dB.
 
         Errors of delay filters, of responses and of motion between nodes are independent: their squares add up.
         """
@@ -102,14 +102,14 @@ class _Sum(Stateless):
         self._last = last
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        """Add the sum of paths from sample `start` on to the pressure (receivers, n), Pa."""
         if self._engine is None:
             self._engine = _engine(self._plan)
         self._engine.until(self._last)
         self._engine.add(pressure, start)
 
     def warn(self) -> None:
-        """Warn of what the engine could not hold as well as asked."""
+        """Warn of residuals above the requested error."""
         if self._engine is not None:
             self._engine.warn()
 

@@ -120,7 +120,7 @@ class _Convolution(Stateless):
         self._responses: dict[int, list[tuple[int, ImpulseResponse]]] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add what is heard from sample `start` on to the pressure (receivers, n), Pa."""
+        """Add the convolved pairs from sample `start` on to the pressure (receivers, n), Pa."""
         all_filters = self._what.source_filters
         if not self._responses:
             self._responses = {source: self._what.responses(source) for source in range(len(all_filters))}
@@ -138,7 +138,7 @@ class _Convolution(Stateless):
 
 
 def _band(filters: SourceFilters, *, complex_responses: bool) -> ResponseBand:
-    """Return the band that holds a signal, with edges as wide as there is room, so that arrivals are short."""
+    """Return the band of a signal, with the widest possible edges, so that arrivals are short."""
     rate = filters.signal.sampling_rate
     low, high = np.clip(shares(filters.signal.energy_spectrum(), _SHARE), *filters.held)
     high = min(max(high, 0.025 * rate), max(0.5 * _WIDEST * rate, filters.band))

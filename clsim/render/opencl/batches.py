@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActivePaths:
-    """The paths of one pair that are heard for a while."""
+    """The active paths of one pair in an interval."""
 
     index: int  # of the pair, in `Tracks.pairs`
     rows: NDArray[np.int64]  # (n,) its paths
@@ -24,7 +24,7 @@ class ActivePaths:
     high: Floats  # likewise
 
     def during(self, plan: Plan, first: int, last: int) -> ActivePaths:
-        """Return those heard within samples `first` to `last`."""
+        """Return those active within samples `first` to `last`."""
         pair, ramp = plan.tracks.pairs[self.index], 0.5 * plan.tracks.transition
         begin, end = first / plan.sampling_rate, last / plan.sampling_rate
         heard = (pair.start[self.rows] - ramp <= end) & (pair.end[self.rows] + ramp >= begin)

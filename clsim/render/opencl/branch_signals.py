@@ -1,4 +1,4 @@
-"""Branch signals: what of the emitted signals can be heard in a chunk, filtered on the device for all its paths."""
+"""Branch signals: the part of emitted signals that can arrive in a chunk, filtered on the device for all paths."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class BranchSignals:
         )  # fmt: skip
 
     def made(self, feed: Feed, skips_silence: bool) -> Branches:
-        """Filter what can be heard of a signal, all of it or what sounds of it."""
+        """Filter the part of a signal that can arrive, all of it or its non-zero samples."""
         filters = self._plan.source_filters[feed.source]
         found = feed.activity if skips_silence else None
         # Whole pages apart, rows would fight for the same cache lines.
@@ -148,7 +148,7 @@ class BranchSignals:
         return Branches(out, stride, feed.first, feed.least, feed.most, found)
 
     def _emit(self, feed: Feed) -> tuple[Any, int]:
-        """Return memory that holds what is emitted, silence included, and the samples of its rows."""
+        """Return a buffer of the emitted signal, silence included, and the samples of its rows."""
         import pyopencl as cl
 
         rows, samples = feed.values.shape[0] * feed.values.shape[1], feed.before + feed.width + feed.after

@@ -19,7 +19,7 @@ from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostTracks
 from clsim.render.opencl.limits import Limits
 from clsim.render.opencl.node_programs import NODE_PROGRAMS, PAIR_PROGRAMS
-from clsim.render.opencl.unheld import Unheld
+from clsim.render.opencl.residual import Residual
 from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class OpenclEngine:
             plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts, self.limits.most_samples
         )
         self.skips_silence = True
-        self.unheld = [Unheld(plan.receiver_count) for _ in plan.source_filters]
+        self.unheld = [Residual(plan.receiver_count) for _ in plan.source_filters]
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._makers: dict[PathFamily | None, NodeMaker] = {}  # None: the host, whatever the kind of paths
 
@@ -100,7 +100,7 @@ class OpenclEngine:
         return pressure
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add what is heard from sample `start` on, a whole number of segments, to the pressure (receivers, n), Pa."""
+        """Add all paths from sample `start` on, a whole number of segments, to the pressure (receivers, n), Pa."""
         import pyopencl as cl
 
         most = self.limits.most_samples
@@ -118,7 +118,7 @@ class OpenclEngine:
         self.branch_signals.last = last
 
     def warn(self) -> None:
-        """Warn where responses came along that the functions of frequency hold worse than asked."""
+        """Warn of responses for which the functions of frequency miss the requested error."""
         for i, filters in enumerate(self._plan.source_filters):
             reached = self.unheld[i].level_db
             if reached > filters.unheld_db > -math.inf:
@@ -253,7 +253,7 @@ class Run:
         self._functions = len(self._plan.source_filters[task.source].basis)
 
     def render(self) -> None:
-        """Add what is heard to the pressure on the device."""
+        """Add the batch's paths to the pressure on the device."""
         self._cover(self._task.first, self._task.last, 0)
 
     def _cover(self, first: int, last: int, level: int) -> None:

@@ -21,7 +21,7 @@ _NEVER = 2**40  # samples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boundaries:
-    """When the paths of a batch are heard.
+    """Active intervals of the paths of a batch.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Boundaries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fades:
-    """Slots and blocks that are heard with a weight, grouped by receiver and block."""
+    """Slots and blocks with a transition weight, grouped by receiver and block."""
 
     slot: NDArray[np.int32]  # (n,) which
     block: NDArray[np.int32]  # likewise
@@ -97,7 +97,7 @@ def find_fades(bounds: Boundaries, batch: PathBatch, start: int, block: int, blo
     far = 2.0**23
 
     def here(place: Floats) -> NDArray[Any]:
-        """Return places in samples of the run from its beginning, bounded so that float32 holds them."""
+        """Return sample indices of the run from its beginning, bounded to the exact range of float32."""
         return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
 
     return Fades(

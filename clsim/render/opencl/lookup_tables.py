@@ -30,7 +30,7 @@ OMNI, AXIAL, SPHERICAL = range(3)  # kinds of tables of directivities: none, by 
 
 
 def directivity_kind(directivities: Sequence[Directivity]) -> int:
-    """Return the kind of table that holds all of some directivities."""
+    """Return the kind of table that represents all of some directivities."""
     if not all(isinstance(d, AxisymmetricDirectivity) for d in directivities):
         return SPHERICAL
     return OMNI if all(isinstance(d, Omni) for d in directivities) else AXIAL

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from clsim.numerics.upsampling import Upsampler
+from clsim.numerics.resampling import Upsampler
 
 RATE = 192e3
 

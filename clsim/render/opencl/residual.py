@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 
-class Unheld:
+class Residual:
     """Residual of one source's paths that no function represents, by segment and receiver, over their level.
 
     Functions are designed for the sum of a receiver's paths of all kinds, relative to its level over 40 ms. A
