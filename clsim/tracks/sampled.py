@@ -120,7 +120,7 @@ class Sample:
 
     @property
     def importance(self) -> Floats:
-        """Weight (F,) of errors at each frequency: the largest energy in any window, relative to its received energy."""
+        """Weight (F,) of errors at each frequency: largest energy in any window, relative to its received energy."""
         energy, count = self.band.energy, len(self.band.frequencies)
         weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
         return np.asarray(np.maximum(weight, _QUIETEST))

@@ -68,7 +68,7 @@ class PathSum:
         return lines
 
     def promised_db(self, source: int) -> float:
-        """Return the bound on the error of the paths rendered per sample, relative to the received level over 40 ms, dB.
+        """Return the bound on the error of paths rendered per sample, relative to the received level over 40 ms, dB.
 
         Errors of delay filters, of responses and of motion between nodes are independent: their squares add up.
         """
