@@ -24,7 +24,7 @@ from clsim.paths.family import SPECULAR, PathFamily
 from clsim.paths.path_table import PathTable
 from clsim.paths.view import paths_page
 from clsim.pictures.notebook import html_table, inline_page
-from clsim.scene.view import known_until
+from clsim.scene.scene import known_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.quaternions import rotate
-from clsim.scene.air_by_height import coefficients
+from clsim.scene.air import coefficients
 from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from clsim.files.atomic import atomic_path
 from clsim.paths.family import DIFFRACTION
 from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedPaths, ViewedWall, page_text
 from clsim.scene.room.edges import Edges
-from clsim.scene.view import frame_times, viewed_bodies, viewed_ends, viewed_walls
+from clsim.scene.scene import frame_times, viewed_bodies, viewed_ends, viewed_walls
 
 if TYPE_CHECKING:
     from collections.abc import Callable

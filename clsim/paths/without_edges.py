@@ -8,7 +8,7 @@ import numpy as np
 
 from clsim.errors import warn
 from clsim.paths.family import BODY, SPECULAR
-from clsim.scene.view import known_until
+from clsim.scene.scene import known_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

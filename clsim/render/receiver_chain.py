@@ -9,9 +9,9 @@ import numpy as np
 
 from clsim.errors import InputError, warn
 from clsim.render.plan import SEGMENT, Plan
-from clsim.scene.signal.filtering import StreamFilter
 from clsim.scene.signal.waveforms import white_noise
 from clsim.scene.transducer.electronics import Electronics
+from clsim.scene.transducer.transducer import StreamFilter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

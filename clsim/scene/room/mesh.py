@@ -18,8 +18,15 @@ from clsim.scene.room.edges import Edges, find_edges
 from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
-from clsim.scene.room.mesh_cleaning import MeshShape, clean_mesh, cross_products, describe_mesh, mesh_shape
-from clsim.scene.room.shells import panels_below, thin_panels
+from clsim.scene.room.mesh_cleaning import (
+    MeshShape,
+    clean_mesh,
+    cross_products,
+    describe_mesh,
+    mesh_shape,
+    panels_below,
+    thin_panels,
+)
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls, first_contact, first_off, walls_at
 
 if TYPE_CHECKING:

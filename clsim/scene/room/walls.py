@@ -11,8 +11,7 @@ import numpy as np
 
 from clsim.arrays import firsts, spread, unique_rows
 from clsim.scene.room.faces import NEAREST
-from clsim.scene.room.mesh_cleaning import clusters, cross_products
-from clsim.scene.room.shells import outward_sides
+from clsim.scene.room.mesh_cleaning import clusters, cross_products, outward_sides
 from clsim.scene.room.wall_pairs import WallTree, meeting, same_planes, straddling, touching_pairs
 
 if TYPE_CHECKING:

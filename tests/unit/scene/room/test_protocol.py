@@ -16,7 +16,7 @@ from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
 from clsim.scene.room.protocol import ROOM_MEMBERS, Room, is_room
 from clsim.scene.room.shoebox import ConvexRoom
-from clsim.scene.view import viewed_walls
+from clsim.scene.scene import viewed_walls
 
 WALL = clsim.Material.from_reflection(0.9)
 TONE = clsim.Signal.tone(40e3, 0.01, 192e3, fade=1e-3)

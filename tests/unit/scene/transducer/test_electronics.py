@@ -8,7 +8,7 @@ import clsim
 from clsim import Electronics, InputError, Transducer
 from clsim.render.plan import SEGMENT
 from clsim.render.receiver_chain import ReceiverEnd
-from clsim.scene.signal.filtering import StreamFilter
+from clsim.scene.transducer.transducer import StreamFilter
 
 RATE = 192e3
 COUNT = 3 * SEGMENT + 1234
