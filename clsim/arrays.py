@@ -36,17 +36,17 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def texts(values: Iterable[str]) -> NDArray[Any]:
-    """Return texts (n,) as an array that pandas, xarray, Zarr and HDF5 keep at their own lengths."""
+    """Return texts (n,) as an array that pandas, xarray, Zarr and HDF5 store with variable lengths."""
     return np.array(list(values), dtype=object)
 
 
 def firsts(count: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where each of several parts begins when they stand in a row, and the end, from their lengths (n,)."""
+    """Return offsets (n + 1,) of consecutive parts from their lengths (n,), with the end as the last one."""
     return np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
 
 
 def spread(first: NDArray[np.int64], which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return what things have several of, where that of thing w stands from ``first[w]`` to ``first[w + 1]``.
+    """Return indices of the ragged rows `which`, where row w spans ``first[w]`` to ``first[w + 1]``.
 
     Shapes: first (n + 1,); which (k,); result (m,).
     """
@@ -56,7 +56,7 @@ def spread(first: NDArray[np.int64], which: NDArray[np.int64]) -> tuple[NDArray[
 
 
 def unique_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the different rows of a table, much faster than NumPy does.
+    """Return unique rows of a table, much faster than `numpy.unique`.
 
     Shapes: rows (n, k); result (m, k), (m,), (n,).
     """
@@ -97,7 +97,7 @@ def as_floats(
 
 
 def _told(value: Any) -> str:
-    """Return the beginning of what Python shows of a value."""
+    """Return the first characters of a value's ``repr``."""
     try:
         return f"{value!r:.80}"
     except (ValueError, RecursionError):  # thousands of digits, or of lists within each other
@@ -159,7 +159,7 @@ def as_choice(field: str, value: Any, choices: tuple[str, ...]) -> str:
 
 
 def as_index(field: str, value: Any, names: Sequence[str]) -> int:
-    """Return the index of one of several that have names, by index or name."""
+    """Return index of a named item, given by index or name."""
     if not isinstance(value, str):
         return as_count(field, value, at_most=len(names) - 1)
     if value not in names:
@@ -168,7 +168,7 @@ def as_index(field: str, value: Any, names: Sequence[str]) -> int:
 
 
 def short_repr(value: Any) -> str:
-    """Return a dataclass's fields in a line, however much they hold: the ``__repr__`` of classes that hold arrays.
+    """Return one-line ``__repr__`` for dataclasses with array fields.
 
     result: arrays of more than four numbers by type and shape, several things by their number, other values by their
     names.
@@ -185,7 +185,7 @@ def short_repr(value: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Return what stands for a field's value."""
+    """Return short text of a field's value."""
     if isinstance(value, np.ndarray):
         return str(value.tolist()) if value.size <= _FEW else f"<{value.dtype} {value.shape}>"
     if isinstance(value, tuple | list | dict):

@@ -69,7 +69,7 @@ class InputError(ClsimError, ValueError):
 
 
 def not_one_of(value: Any, names: Iterable[str]) -> str:
-    """Return the problem of a value that is none of some names; what is close to it is asked for.
+    """Return problem text for a value that is none of the allowed names, with the nearest name as a suggestion.
 
     result: the rule, the value, and the name that was perhaps meant; of many names then that one alone.
 
@@ -89,7 +89,7 @@ def not_one_of(value: Any, names: Iterable[str]) -> str:
 
 
 def meant(value: Any, names: Iterable[str]) -> str:
-    """Return the end of a message that asks for the name nearest to what was given; empty where none is near."""
+    """Return the suffix "did you mean ..." with the nearest name; empty where none is near."""
     from difflib import get_close_matches  # late: only what goes wrong needs it
 
     by_form = {name.casefold().replace("_", "-"): name for name in names}
@@ -116,12 +116,12 @@ def in_one_line(error: BaseException) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return how many things there are, in words: ``1 source``, ``2 sources``."""
+    """Return a count with its noun: ``1 source``, ``2 sources``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def warn(message: str) -> None:
-    """Warn, as of the line outside clsim that called it."""
+    """Issue a `ClsimWarning` attributed to the calling line outside clsim."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "clsim":
         level, frame = level + 1, frame.f_back

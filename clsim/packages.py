@@ -8,7 +8,7 @@ from clsim.errors import InputError
 
 
 def check_packages(field: str, what: str, extra: str, *packages: str) -> None:
-    """See that packages are installed that a use needs.
+    """Raise an InputError if a package that a feature needs is not installed.
 
     Examples
     --------
@@ -23,5 +23,5 @@ def check_packages(field: str, what: str, extra: str, *packages: str) -> None:
 
 
 def check_pictures(field: str) -> None:
-    """See that what draws pictures is installed; `field` asks for one."""
+    """Raise an InputError for `field` if the plotting packages are not installed."""
     check_packages(field, "a picture", "pictures", "matplotlib")

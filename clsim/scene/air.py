@@ -33,7 +33,7 @@ MOST_TERMS = 33  # of polynomials
 
 
 def told_by_height(field: str, value: Any, **rule: Any) -> ByHeight:
-    """Return a number, a pair of numbers, or a function of heights; pairs of the same number are that."""
+    """Return normalised height profile: a number, a pair of numbers or a function; an equal pair becomes one number."""
     if callable(value):
         function: Callable[[Floats], Any] = value
         return function
@@ -46,7 +46,7 @@ def told_by_height(field: str, value: Any, **rule: Any) -> ByHeight:
 
 
 def at_heights(field: str, told: ByHeight, where: tuple[float, float], heights: Floats) -> Floats:
-    """Return values at heights (n,) in m of what was told; pairs hold at two heights, and on a straight line."""
+    """Return values of a height profile at heights (n,), m; a pair is interpolated linearly between two heights."""
     if isinstance(told, tuple):
         return told[0] + (told[1] - told[0]) * (heights - where[0]) / (where[1] - where[0])
     if not callable(told):
@@ -199,7 +199,7 @@ class Air:
         object.__setattr__(self, "wind", _checked_wind(wind, self.speed_of_sound))
 
     def _settle(self) -> None:
-        """Make the layers and the state half way up, and what follows from it."""
+        """Set the layers, the state at mid-height, and the derived quantities."""
         layered = not (isinstance(self.temperature_celsius, float) and isinstance(self.relative_humidity, float))
         layers = _layers(self) if layered and self.extent is not None else ()
         low, high = self.extent or self.heights or UNPLACED
@@ -276,12 +276,12 @@ class Air:
 
     @property
     def slowest(self) -> float:
-        """Speed at which sound makes way at least, against the wind, m/s."""
+        """Lower bound of the propagation speed, against the wind, m/s."""
         slowest = min((layer.speed_of_sound for layer in self.layers), default=self.speed_of_sound)
         return slowest - (0.0 if self.wind is None else math.hypot(*self.wind))
 
     def describe(self) -> list[str]:
-        """Return what the air is like, a line each.
+        """Return a description of the air, a line per fact.
 
         Returns
         -------
@@ -419,7 +419,7 @@ def _checked_heights(value: ArrayLike) -> tuple[float, float]:
 
 
 def _layers(air: Air) -> tuple[Air, ...]:
-    """Return the air at as many heights as polynomials need; none if it is the same everywhere."""
+    """Return the air at the Chebyshev points of the height polynomials; empty for uniform air."""
     terms = _FEWEST_TERMS
     while True:
         layers, more = _at_places(air, terms), _at_places(air, 2 * terms)
@@ -440,7 +440,7 @@ def _layers(air: Air) -> tuple[Air, ...]:
 
 
 def _at_places(air: Air, count: int) -> tuple[Air, ...]:
-    """Return the air at Chebyshev's points of its extent, each the same everywhere."""
+    """Return uniform air at each Chebyshev point of the height range."""
     assert air.extent is not None
     told = air.at_height(places(air.extent, count))
     return tuple(
@@ -476,7 +476,7 @@ def _checked_wind(value: ArrayLike | None, speed_of_sound: float) -> tuple[float
 
 
 def _speed(asked: float | str | None, celsius: float, humidity: float, pressure: float) -> float:
-    """Return the speed of sound that was asked for, by number or by formula, m/s."""
+    """Return speed of sound by the given number or formula, m/s."""
     if asked is None:
         return speed_of_sound_cramer(celsius, humidity, pressure)
     if isinstance(asked, str):

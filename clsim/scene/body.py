@@ -176,7 +176,7 @@ class Body:
         return np.asarray(np.linalg.norm(self.trajectory.velocity(times), axis=-1) + self.lever * turning)
 
     def describe(self) -> list[str]:
-        """Return what it is like in a line.
+        """Return a description in one line.
 
         Returns
         -------
@@ -189,7 +189,7 @@ class Body:
         return [f"body {self.name!r}: {counted(len(self.mesh.walls), 'face')}, {size} m, {moves}"]
 
     def placed(self, points: Floats, time: Floats) -> Floats:
-        """Return where points (..., 3) of its own coordinates are at times (...), m.
+        """Return room positions at times (...) of points (..., 3) in the body's own coordinates, m.
 
         Parameters
         ----------
@@ -225,7 +225,7 @@ class Body:
 
 
 def with_carriers(ends: Sequence[End], bodies: Sequence[Body]) -> tuple[End, ...]:
-    """Return ends with their ways through the room: of those that bodies carry, what follows from these."""
+    """Return sources and receivers with their trajectories in the room; mounted ones follow their bodies."""
     found = {body.name: body.trajectory for body in bodies}
     carried = []
     for i, end in enumerate(ends):

@@ -1,4 +1,4 @@
-"""Whether bodies are where they can be: apart from walls, from each other and from sources and receivers."""
+"""Checks that moving bodies stay apart from walls, from each other and from sources and receivers."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _check_motion(field_name: str, body: Body, last: float, slowest: float) -> N
 
 
 def _looks(bodies: Sequence[Body]) -> Floats:
-    """Return times from one to the next of which bodies go no farther than a step, s."""
+    """Return sampling times between which bodies move at most `_STEP`, s."""
     last = min((b.trajectory.end for b in bodies if not b.is_static and math.isfinite(b.trajectory.end)), default=0.0)
     instants = np.arange(math.ceil(max(last, 0.0) * _RATE) + 1) / _RATE
     speed = sum(body.speed(instants) for body in bodies)

@@ -1,4 +1,4 @@
-"""People out of motion capture: parts between joints of a file."""
+"""People from motion capture: parts between joints of a file."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def captured_person(
     translate: ArrayLike = (0.0, 0.0, 0.0),
     time_offset: float = 0.0,
 ) -> list[Scatterer]:
-    r"""Return what a person of a motion-capture file scatters by: parts between joints, however they move.
+    r"""Return the scatterers of a person from a motion-capture file: one for each part between two joints.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def captured_person(
 
     Notes
     -----
-    Joints go on C2 splines through the rows, so that the noise of markers is heard as motion: smooth them before.
+    Joints go on C2 splines through the rows, so that the noise of markers appears as motion: smooth them before.
     Parts stay as long as they are in the mean.
 
     Examples
@@ -142,13 +142,13 @@ def captured_person(
 
 
 def _placed(scale: float, up: str, rotation: Floats, translation: Floats) -> Any:
-    """Return what brings points (n, 3) of a file into the room."""
+    """Return the map of points (n, 3) from a file's axes into the room."""
     axes = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[up]
     return lambda points: turned(rotation, scale * points[:, axes]) + translation
 
 
 def _between(known: dict[str, Floats], segments: Any) -> list[_Part]:
-    """Return the parts between joints that are asked for."""
+    """Return the parts between the given pairs of joints."""
     if isinstance(segments, str) or not isinstance(segments, Sequence) or not segments:
         raise InputError("segments", f"must be a list of (joint, joint, radius), but is {segments!r:.80}")
     parts = []
@@ -170,7 +170,7 @@ def _between(known: dict[str, Floats], segments: Any) -> list[_Part]:
 
 
 def _limb(name: str, begin: Floats, end: Floats, radius: float, flat: float | None = None) -> _Part | None:
-    """Return what is between two joints (n, 3); None if they are ever at one place."""
+    """Return the limb between two joints (n, 3); None if they coincide at any time."""
     away = end - begin
     if np.linalg.norm(away, axis=1).min() < _SHORTEST:
         return None
@@ -207,7 +207,7 @@ def _usual(joints: Joints, known: dict[str, Floats]) -> list[_Part]:
 
 
 def _trunk(at: dict[str, Floats], tall: float) -> list[_Part]:
-    """Return head, chest and pelvis, as far as their joints are known, of a person so tall, m."""
+    """Return head, chest and pelvis of a person of a height, m, as far as their joints are known."""
     parts = []
     wide = {
         joint: at[f"left {joint}"] - at[f"right {joint}"] for joint in ("shoulder", "hip") if f"right {joint}" in at

@@ -41,7 +41,7 @@ def towards(motion: Trajectory, point: Floats) -> Trajectory:
     """Return a motion whose +x axis points at a point (3,) of its frame, m."""
 
     def directions(times: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return directions (T, 3) of any length, and that all of them are known."""
+        """Return directions (T, 3) of any length, and a mask of known ones, here all."""
         away = point - motion.position(times)
         near = np.flatnonzero(np.linalg.norm(away, axis=1) < _NEAREST)
         if len(near):
@@ -56,13 +56,13 @@ def towards(motion: Trajectory, point: Floats) -> Trajectory:
 
 
 def forward(motion: Trajectory) -> Trajectory:
-    """Return a motion whose +x axis points where it goes; in a rest it turns evenly from one direction to the next."""
+    """Return a motion whose +x axis points along its velocity; in rests it turns evenly between directions."""
     if motion.is_static:
         raise InputError("aim", 'must be a direction, or aim_at given, where nothing moves, but is "forward"')
     top = motion.peak_speed(motion.start, motion.end)[0]
 
     def directions(times: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return velocities (T, 3), and a mask of those that are no rest."""
+        """Return velocities (T, 3), and a mask of instants in motion."""
         velocity = motion.velocity(np.clip(times, motion.start, motion.end))
         return velocity, np.linalg.norm(velocity, axis=1) > _SLOW * top
 
@@ -321,7 +321,7 @@ End = Source | Receiver
 
 
 def _check_end(item: End) -> None:
-    """Refuse a source or receiver whose name, trajectory, directivity or carrier is none."""
+    """Refuse a source or receiver whose name, trajectory, directivity or carrier has the wrong type."""
     if not isinstance(item.name, str) or not item.name.strip():
         raise InputError("name", f"must be a text that is not empty, but is {item.name!r:.80}")
     if not isinstance(item.trajectory, Trajectory):
@@ -337,7 +337,7 @@ def _check_end(item: End) -> None:
 
 
 def _settle_aim(item: End) -> None:
-    """Make the aim of a source or receiver an array, or orientations of its trajectory."""
+    """Convert the aim of a source or receiver to an array, or to orientations of its trajectory."""
     for name in ("aim", "aim_at"):
         if getattr(item, name) is not None and item.trajectory.has_orientation:
             raise InputError(name, "must be left out, because the trajectory has orientations of its own")

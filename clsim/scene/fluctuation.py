@@ -26,7 +26,7 @@ class Fluctuation:
     rms : float
         Root of the mean square of every path's delay noise, at most 1 ms, s.
     correlation_time : float
-        After which it has the correlation 1/e, from 1 ms, s.
+        Time after which the correlation is 1/e, from 1 ms, s.
     correlation_length : float
         The same of places: noise of a path whose source or receiver stands there instead, m.
     seed : int
@@ -127,7 +127,7 @@ class Fluctuation:
 
 @dataclass(frozen=True, slots=True)
 class TargetFluctuation:
-    """Slow noise of what a scatterer sends back, as of many parts that move a little against each other.
+    """Slow noise of the scattered pressure, as of many parts that move slightly against each other.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ _ALONG = 1e-6  # cosine below which a direction runs along a wall
 
 
 def find_mount(room: Room, end: End | Scatterer) -> Mount | None:
-    """Return the wall that an end sits in, and on which side; None for one that is not flush."""
+    """Return wall and side of a flush-mounted source or receiver; None if it is not flush."""
     if end.flush is False:
         return None
     place = np.asarray(end.trajectory.position(np.zeros(1)))

@@ -32,7 +32,7 @@ _TURNS, _EVERY = 1000.0, 4  # Hz of orientations; positions are splines through 
 
 
 def pose_times(start: float, end: float) -> Floats:
-    """Return the instants (n,) at which poses are wanted, s: one a millisecond and 17 at least.
+    """Return instants (n,) of poses, s: one per millisecond, at least 17.
 
     Examples
     --------
@@ -54,7 +54,7 @@ def through_poses(times: Floats, places: Floats, quaternions: Floats) -> Traject
 
 
 def quaternions_along(along: Floats, aside: Floats | None = None) -> Floats:
-    """Return orientations (n, 4), x y z w, whose z goes along directions and whose y goes aside.
+    """Return orientations (n, 4), x y z w, with z along one direction and y in the plane of a second one.
 
     Shapes: along (n, 3); aside (n, 3).
 
@@ -104,7 +104,7 @@ class Gait:
 
 
 def cycle_duration(relative_speed: Floats) -> Floats:
-    """Return how long two steps take, leg lengths over speed ``1.346 / sqrt(v)``, for one leg length, s.
+    """Return duration of two steps, ``1.346 / sqrt(v)`` s at v leg lengths a second.
 
     Shapes: relative_speed (n,).
 
@@ -209,7 +209,7 @@ PARTS = {
 
 
 def walking_person(name: str, height: float, trajectory: Trajectory) -> list[Scatterer]:
-    """Return what a walking person scatters by: 13 ellipsoids on the gait of Boulic and Thalmann.
+    """Return the scatterers of a walking person: 13 ellipsoids on the gait of Boulic and Thalmann.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def _posed(gait: Gait) -> Pose:
 
 
 def _lowest(pose: Pose) -> Floats:
-    """Return how high the lower of both soles is (n,), in heights."""
+    """Return height of the lower sole (n,), in body heights."""
     ends = []
     for side in ("right", "left"):
         place, angles = pose[f"{side} foot"]
@@ -319,7 +319,7 @@ def _lowest(pose: Pose) -> Floats:
 
 
 def _frame(angles: tuple[Floats, Floats, Floats], x: float, y: float, z: float) -> Floats:
-    """Return where a place of a frame is (n, 3) that is turned about x, then y, then z by angles (n,)."""
+    """Return position (n, 3) of a point of a frame turned about x, then y, then z by angles (n,)."""
     about_z, about_y, about_x = angles
     aside, up = y * np.cos(about_x) - z * np.sin(about_x), y * np.sin(about_x) + z * np.cos(about_x)
     ahead, up = x * np.cos(about_y) + up * np.sin(about_y), up * np.cos(about_y) - x * np.sin(about_y)
@@ -353,7 +353,7 @@ _BENT, _THUMB = 0.5 * math.pi, 0.6  # rad by which each joint of a closed hand i
 
 
 def hand(name: str, trajectory: Trajectory, length: float = 0.19, opening: ArrayLike | float = 1.0) -> list[Scatterer]:
-    """Return what a hand scatters by: an ellipsoid, the palm, and two capsules for each finger.
+    """Return the scatterers of a hand: an ellipsoid for the palm, and two capsules for each finger.
 
     Parameters
     ----------
@@ -408,7 +408,7 @@ def hand(name: str, trajectory: Trajectory, length: float = 0.19, opening: Array
 
 
 def _opening(opening: ArrayLike | float) -> tuple[Floats, Floats]:
-    """Return times (n,), s, and how open a hand is at each (n,), 0 to 1."""
+    """Return times (n,), s, and the opening of a hand at each (n,), 0 to 1."""
     if isinstance(opening, int | float | np.integer | np.floating):
         return np.zeros(1), np.array([as_number("opening", opening, at_least=0.0, at_most=1.0)])
     rows = as_floats("opening", opening, (None, 2))
@@ -421,7 +421,7 @@ def _opening(opening: ArrayLike | float) -> tuple[Floats, Floats]:
 
 
 def _between(times: Floats, shares: Floats, instants: Floats) -> Floats:
-    """Return how open a hand is at instants (n,): from one share to the next as ``6 u^5 - 15 u^4 + 10 u^3``."""
+    """Return opening of a hand at instants (n,), from one value to the next as ``6 u^5 - 15 u^4 + 10 u^3``."""
     piece = np.clip(np.searchsorted(times, instants, side="right") - 1, 0, len(times) - 2)
     u = np.clip((instants - times[piece]) / (times[piece + 1] - times[piece]), 0.0, 1.0)
     return np.asarray(shares[piece] + (shares[piece + 1] - shares[piece]) * u**3 * (10.0 + u * (6.0 * u - 15.0)))
@@ -445,7 +445,7 @@ def _bent(finger: str, numbers: tuple[float, ...], share: Floats) -> list[tuple[
 
 
 def _moved(trajectory: Trajectory, times: Floats, places: Floats, turns: Floats) -> Trajectory:
-    """Return the motion of what is at places (n, 3), m, of a frame, turned by quaternions (n, 4)."""
+    """Return motion of a part at positions (n, 3), m, of a frame, turned by quaternions (n, 4)."""
     frame = trajectory.orientation(times)
     places = trajectory.position(times) + rotate(frame, places)
     turned = quaternion_product(frame, turns)

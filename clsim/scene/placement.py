@@ -1,4 +1,4 @@
-"""Whether sources and receivers are where they can be; errors give time and place."""
+"""Checks of positions, motions and plausibility of sources, receivers and scatterers; errors give time and place."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def check_scatterers(
 
 
 def _fastest_turn(scatterer: Scatterer) -> float:
-    """Return when the surface of a scatterer is about as fast as it ever is, s."""
+    """Return time at which the surface speed of a scatterer is about the largest, s."""
     motion, (start, end) = scatterer.trajectory, scatterer.time_range
     times = np.linspace(start, end, min(max(int((end - start) * _SCAN_RATE), 1), _SCAN_BLOCK) + 1)
     turn = np.linalg.norm(motion.angular_velocity(times), axis=1)
@@ -165,9 +165,9 @@ def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float
 
 
 def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
-    """Refuse ends that the walls of a closed room part from the others; warn of those that a hole alone joins to them.
+    """Refuse sources and receivers that walls separate from the others; warn of those connected by a hole alone.
 
-    A mesh that is open, or whose holes are large, has no inside, and a convex room is left by nobody.
+    An open mesh, or one with large holes, has no inside; positions in a convex room are checked elsewhere.
     """
     if room.is_convex:
         return
@@ -200,7 +200,7 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
 
 
 def first_place(room: Room, item: End) -> Floats:
-    """Return where an end is at 0 s (3,), m; one in a wall a step in front of it."""
+    """Return position of a source or receiver at 0 s (3,), m; one in a wall is moved a step in front of it."""
     place = np.asarray(item.trajectory.position(np.zeros(1)))
     mount = find_mount(room, item)
     return np.asarray((place if mount is None else mount.lifted(place))[0])
@@ -217,13 +217,13 @@ _SPARE = 1.0 + 1e-9  # for the rounding of distances
 
 
 def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount | None = None) -> int | None:
-    """Return the first instant at which a motion is out of the room or in a wall, or about to go through one.
+    """Return the first instant at which a motion is outside the room, in a wall, or about to pass through one.
 
-    mount: the wall that it sits in: refused is then what is off that, or beyond its edges, as well.
+    mount: its wall, if flush; positions off this wall or beyond its edges are then refused too.
     """
 
     def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
-        """Return the instants at which the room refuses a place, and which spans may hold one."""
+        """Return instants at which the room refuses a position, and a mask of ranges that may contain one."""
         after = np.minimum(last + 1, instants.count - 1)  # the way to the next instant belongs to each
         free = room.clearance(motion.position(instants.times(middle)), mount)
         speed = motion.speed_over(instants.times(first), instants.times(after))
@@ -243,7 +243,7 @@ def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount |
 def first_approach(
     motion: Motion, others: Motion | Floats, nearest: float, instants: Instants
 ) -> tuple[int, int] | None:
-    """Return the first instant about which a motion comes nearer to others than allowed, and to which of them.
+    """Return the first instant at which a motion comes too near to one of the others, and the index of that one.
 
     Shapes: others (n, 3) m.
     """
@@ -251,7 +251,7 @@ def first_approach(
     half = 0.5 * instants.step
 
     def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
-        """Return the instants at which the other end is too near, and which spans may hold one."""
+        """Return instants at which the other is too near, and a mask of ranges that may contain one."""
         speed, times = motion.speed_over(instants.times(first), instants.times(last)), instants.times(middle)
         at, velocity = motion.position(times)[:, None], motion.velocity(times)
         if isinstance(others, Motion):
@@ -278,7 +278,7 @@ def first_approach(
 
 
 def nearest_within(apart: Floats, velocity: Floats, half: float) -> tuple[Floats, Floats]:
-    """Return the least distances (n,), m, within a time before and after, s, and when from now, of straight motions.
+    """Return least distances (n,), m, of straight motions within ±`half` s, and their times relative to now, s.
 
     Shapes: apart, velocity (n, 3) m.
     """
@@ -288,7 +288,7 @@ def nearest_within(apart: Floats, velocity: Floats, half: float) -> tuple[Floats
 
 
 def _slices(count: int, others: int) -> list[slice]:
-    """Return slices of so many that each has a bounded number of pairs with the others."""
+    """Return slices with a bounded number of pairs each."""
     step = max(1, _PAIRS // max(others, 1))
     return [slice(i, min(i + step, count)) for i in range(0, count, step)]
 
@@ -299,7 +299,7 @@ _LOWEST = 100.0  # Hz, below which paths are no picture of sound in a room
 
 
 def warn_of_units(room: Room, sources: Sequence[Source]) -> None:
-    """Warn of a room of a size that rooms do not have, and of signals too low to follow paths."""
+    """Warn of a room of implausible size, and of signals too low in frequency for paths."""
     doubts = [_doubt_in_size(room)]
     doubts += [_doubt_in_frequency(i, s.signal.centre_frequency) for i, s in enumerate(sources)]
     for doubt in filter(None, doubts):
@@ -323,7 +323,7 @@ def warn_of_roles(sources: Sequence[Source], receivers: Sequence[Receiver]) -> N
 
 
 def warn_of_facing(ends: Sequence[tuple[str, End]]) -> None:
-    """Warn of the first directional end that moves but faces +x all the time because nothing says otherwise."""
+    """Warn of the first directional source or receiver that moves but always faces +x for lack of an orientation."""
     for field, end in ends:
         motion = end.trajectory
         if end.aim is None and not (motion.is_static or motion.has_orientation or isinstance(end.directivity, Omni)):

@@ -120,7 +120,7 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
 
 
 def _from_xml(path: str | PathLike[str], content: bytes) -> list[list[float]]:
-    """Return what the elements ``pos`` of a file say."""
+    """Return positions from the elements ``pos`` of a file."""
     from xml.etree import ElementTree
 
     if b"\0" in content:  # UTF-16, in which what follows would find nothing
@@ -146,7 +146,7 @@ def _from_xml(path: str | PathLike[str], content: bytes) -> list[list[float]]:
 
 
 def _from_lines(path: str | PathLike[str], lines: list[str]) -> list[list[float]]:
-    """Return what lines of three numbers say."""
+    """Return positions from lines of three numbers."""
     found: list[list[float]] = []
     words_passed = False
     for number, line in enumerate(lines, 1):

@@ -28,7 +28,7 @@ _LARGEST_KA = 2000.0  # of a series
 
 
 class Shape(Protocol):
-    """What a scatterer does to a wave, in its own frame."""
+    """Protocol of scatterer shapes: specular point, strength and field in the scatterer's frame."""
 
     @property
     def kind(self) -> str:
@@ -52,35 +52,35 @@ class Shape(Protocol):
 
     @property
     def shadows(self) -> bool:
-        """Whether what it scatters takes away the sound that goes on behind it."""
+        """Whether the scattered field includes the shadow behind it."""
         ...
 
     @property
     def aspects(self) -> int:
-        """How many numbers `field` takes."""
+        """Number of arguments of `field` per path."""
         ...
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
-        """Return where ends (3, n) see it, see `ellipsoid_glint`; None for its centre."""
+        """Return specular point for endpoints (3, n), see `ellipsoid_glint`; None for its centre."""
         ...
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        """Return how strongly (n,) it scatters between ends (3, n), m, and what `field` takes (n, aspects)."""
+        """Return scattering strength (n,) between endpoints (3, n), m, and arguments (n, aspects) of `field`."""
         ...
 
     def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
-        """Return by what its strength is multiplied (..., F) at wave numbers (F,), 1/m; None for 1."""
+        """Return factor (..., F) of the strength at wave numbers (F,), 1/m; None for 1."""
         ...
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
-        """Return bounds (n, F) of what it sends back, times the length of the path, at wave numbers (F,) 1/m.
+        """Return bounds (n, F) of the scattered pressure times the path length at wave numbers (F,), 1/m.
 
         The distances of both ends from it have at least these harmonic means, over 2, (n,) m.
         """
         ...
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return which places (n, 3) are in it, or nearer to it than a margin, m."""
+        """Return mask of positions (n, 3) inside it, or nearer to it than a margin, m."""
         ...
 
 
@@ -102,15 +102,12 @@ class PointShape:
 
     @property
     def semi_axes(self) -> Floats:
-        """Zeros."""
         return np.zeros(3)
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
-        """Return None: it is its own centre."""
         return None
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        """Return the one strength (n,), m, and 1."""
         one = np.ones(source.shape[1])
         return self.strongest * one, one[:, None]
 
@@ -123,7 +120,7 @@ class PointShape:
         return _over(nearest, np.full(len(wave), self.strongest))
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return which places (n, 3) are nearer than a margin, m."""
+        """Return mask of positions (n, 3) nearer than a margin, m."""
         return np.asarray(np.linalg.norm(places, axis=-1) < margin)
 
 
@@ -139,15 +136,12 @@ class EllipsoidShape:
 
     @property
     def radius(self) -> float:
-        """The longest semi-axis, m."""
         return float(self.semi_axes.max())
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
-        """Return its specular point."""
         return ellipsoid_glint(self.semi_axes, source, receiver, near, weight)
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        """Return the strength (n,) at its specular point, m, and 1."""
         found = glint or self.glint(source, receiver, None, 1.0)
         return ellipsoid_strength(self.semi_axes, source, receiver, found), np.ones((source.shape[1], 1))
 
@@ -160,7 +154,7 @@ class EllipsoidShape:
         return _over(nearest, np.full(len(wave), 0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2))
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return which places (n, 3) are in the ellipsoid whose semi-axes are longer by a margin, m."""
+        """Return mask of positions (n, 3) in the ellipsoid whose semi-axes are longer by a margin, m."""
         return np.asarray(np.linalg.norm(places / (self.semi_axes + margin), axis=-1) < 1.0)
 
 
@@ -176,15 +170,12 @@ class SphereShape:
 
     @property
     def semi_axes(self) -> Floats:
-        """The radius, three times."""
         return np.full(3, self.radius)
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
-        """Return its specular point."""
         return ellipsoid_glint(np.full(3, self.radius), source, receiver, near, weight)
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        """Return the strength (n,) that its field is relative to, m, and what that takes (n, aspects)."""
         return sphere.sphere_aspects(self.radius, source, receiver, glint or self.glint(source, receiver, None, 1.0))
 
     def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
@@ -207,7 +198,7 @@ class SphereShape:
         return sphere.sphere_bound(self.radius, wave, nearest)
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return which places (n, 3) are in the sphere, or nearer to it than a margin, m."""
+        """Return mask of positions (n, 3) in the sphere, or nearer to it than a margin, m."""
         return np.asarray(np.linalg.norm(places, axis=-1) < self.radius + margin)
 
 
@@ -224,20 +215,16 @@ class CapsuleShape:
 
     @property
     def semi_axes(self) -> Floats:
-        """The radius of the cylinder, twice, and half of its whole length, m."""
         return np.array([self.cylinder_radius, self.cylinder_radius, self.radius])
 
     @property
     def radius(self) -> float:
-        """Half of its whole length, m."""
         return 0.5 * self.length + self.cylinder_radius
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
-        """Return its specular point."""
         return capsule_glint(self.cylinder_radius, self.length, source, receiver, near, weight)
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        """Return the strength (n,) that its field is relative to, m, and what that takes (n, aspects)."""
         found = glint or self.glint(source, receiver, None, 1.0)
         return capsule_aspects(self.cylinder_radius, self.length, source, receiver, found)
 
@@ -251,7 +238,7 @@ class CapsuleShape:
         return _over(nearest, side + self.cylinder_radius)
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return which places (n, 3) are in it, or nearer to it than a margin, m."""
+        """Return mask of positions (n, 3) inside it, or nearer to it than a margin, m."""
         beyond = np.maximum(np.abs(places[..., 2]) - 0.5 * self.length, 0.0)
         off = np.stack([places[..., 0], places[..., 1], beyond], axis=-1)
         return np.asarray(np.linalg.norm(off, axis=-1) < self.cylinder_radius + margin)
@@ -479,7 +466,7 @@ class Scatterer:
 
     @property
     def _known(self) -> tuple[float, float]:
-        """From when to when its trajectory goes on, s."""
+        """Start and end of its trajectory, s."""
         from clsim.scene.motion.curves import CONTINUATION
 
         return self.trajectory.start - CONTINUATION, self.trajectory.end + CONTINUATION

@@ -1,4 +1,4 @@
-"""The scene: a room, its air, and what sounds and listens in it."""
+"""The scene: a room, its air, sources and receivers, scatterers and bodies."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _TRAIL = 400  # points of a drawn trajectory
 
 
 def scene_page(room: Room, ends: Ends, bodies: Bodies, frames: int, title: str) -> str:
-    """Return the page of a room and of what moves in it: frames from 0 s until the first trajectory ends."""
+    """Return page of a scene: frames from 0 s to the end of the first trajectory."""
     moving = [*ends, *bodies]
     times = frame_times(moving, known_until(moving), frames)
     nothing = ViewedPaths.none()
@@ -53,13 +53,13 @@ def scene_page(room: Room, ends: Ends, bodies: Bodies, frames: int, title: str) 
 
 
 def known_until(ends: Sequence[tuple[str, End | Scatterer | Body]]) -> float:
-    """Return until when all trajectories are known, s; 0 where nothing moves."""
+    """Return end of the time in which all trajectories are defined, s; 0 for a static scene."""
     finite = [item.trajectory.end for _, item in ends if np.isfinite(item.trajectory.end)]
     return float(min(finite, default=0.0))
 
 
 def frame_times(ends: Sequence[tuple[str, End | Scatterer | Body]], duration: float, frames: int) -> Floats:
-    """Return the instants (F,) of a page, s: one where nothing moves."""
+    """Return instants (F,) of a page, s; one for a static scene."""
     moves = any(np.isfinite(item.trajectory.end) for _, item in ends)
     return np.linspace(0.0, duration, frames) if moves and frames > 1 else np.zeros(1)
 
@@ -115,7 +115,7 @@ _NEAREST = 1e-6  # m, least bound of the distance between ends
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A room, its air, and what sounds and listens in it.
+    """A room, its air, sources and receivers, scatterers and bodies.
 
     Parameters
     ----------
@@ -128,9 +128,9 @@ class Scene:
     min_distance : float
         Distance below which a source may not come to a receiver, and neither to a scatterer, m.
     scatterers : sequence of Scatterer
-        What scatters and moves, with unique names.
+        Scatterers, at rest or moving, with unique names.
     bodies : sequence of Body
-        What moves, reflects and hides what is behind it, with unique names.
+        Moving bodies that reflect and shadow sound, with unique names.
 
     Raises
     ------
@@ -264,7 +264,7 @@ class Scene:
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return what room, air and bodies are like, a line each, and of ends in a closed room which are inside at 0 s.
+        """Return a description of room, air and bodies, a line each; in a closed room also the sides of ends at 0 s.
 
         Returns
         -------

@@ -39,7 +39,6 @@ class _Box(_Body):
     material: MaterialModel
 
     def build(self, base: Path) -> Body:
-        """Return what it says."""
         material = within("material", lambda: self.material.build(base))
         return Body.box(size=self.size, centre=self.centre, material=material, **self.moving(base))
 
@@ -49,7 +48,6 @@ class _Mesh(_Body):
     mesh: MeshModel
 
     def build(self, base: Path) -> Body:
-        """Return what it says."""
         return Body(mesh=within("mesh", lambda: self.mesh.build(base)), **self.moving(base))
 
 
@@ -60,7 +58,6 @@ class _Faces(_Body):
     material: MaterialModel
 
     def build(self, base: Path) -> Body:
-        """Return what it says."""
         material = within("material", lambda: self.material.build(base))
         if not self.triangles:
             raise InputError("triangles", "must hold at least one, but is empty")
@@ -77,7 +74,6 @@ class _Fluctuation(Model):
     seed: int = 0
 
     def build(self) -> TargetFluctuation:
-        """Return what it says."""
         return TargetFluctuation(**self.arguments())
 
 
@@ -100,7 +96,6 @@ class _Point(_Scatterer):
     target_strength_db: float
 
     def build(self, base: Path) -> list[Scatterer]:
-        """Return what it says."""
         return [Scatterer.point(**self.parts(base))]
 
 
@@ -110,7 +105,6 @@ class _Sphere(_Scatterer):
     model: Literal["series", "geometrical"] = "series"
 
     def build(self, base: Path) -> list[Scatterer]:
-        """Return what it says."""
         return [Scatterer.sphere(**self.parts(base))]
 
 
@@ -119,7 +113,6 @@ class _Ellipsoid(_Scatterer):
     semi_axes: Vector
 
     def build(self, base: Path) -> list[Scatterer]:
-        """Return what it says."""
         return [Scatterer.ellipsoid(**self.parts(base))]
 
 
@@ -129,7 +122,6 @@ class _Capsule(_Scatterer):
     length: float
 
     def build(self, base: Path) -> list[Scatterer]:
-        """Return what it says."""
         return [Scatterer.capsule(**self.parts(base))]
 
 
@@ -140,7 +132,6 @@ class _Person(Model):
     trajectory: TrajectoryModel
 
     def build(self, base: Path) -> list[Scatterer]:
-        """Return what it says."""
         return walking_person(self.name, self.height, within("trajectory", lambda: self.trajectory.build(base)))
 
 
@@ -163,7 +154,6 @@ class _CapturedPerson(Model):
     time_offset: float = 0.0
 
     def build(self, base: Path) -> list[Scatterer]:
-        """Return what it says."""
         arguments = self.arguments() | {"path": base / self.path}
         if self.segments is not None:
             arguments["segments"] = [(s.start, s.end, s.radius) for s in self.segments]
@@ -178,7 +168,6 @@ class _Hand(Model):
     opening: float | list[Pair] = 1.0
 
     def build(self, base: Path) -> list[Scatterer]:
-        """Return what it says."""
         return hand(**self.arguments() | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))})
 
 

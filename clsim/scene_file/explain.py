@@ -35,7 +35,7 @@ _RULES = {
 
 
 def explain(error: ValidationError, content: Any, model: type[BaseModel]) -> InputError:
-    """Return one of pydantic's complaints in our words, with the field's path."""
+    """Return InputError for one of pydantic's errors, with the field's path."""
     # A misspelt key comes before what is then missing; of a number or a list of numbers, what is wrong within the list;
     # of a text where a word or something else may stand, the word.
     complaints: list[Any] = error.errors(include_url=False)
@@ -66,7 +66,7 @@ def explain(error: ValidationError, content: Any, model: type[BaseModel]) -> Inp
 
 
 def _not_a_word(given: Any, expected: str) -> str:
-    """Return the problem of a value that is none of the words that pydantic lists."""
+    """Return problem text for a value that is none of the words that pydantic lists."""
     words = re.findall("'([^']*)'", expected)
     return (
         not_one_of(given, words) if isinstance(given, str) else f"must be {' or '.join(words)}, but is {in_file(given)}"
@@ -79,7 +79,7 @@ def in_file(value: Any) -> str:
 
 
 def kinds(table: type[BaseModel]) -> list[str]:
-    """Return the kinds that a table can be: one word, or none."""
+    """Return the kinds of a table: one word, or none."""
     field = table.model_fields.get("kind")
     return [] if field is None else list(get_args(field.annotation))
 
@@ -114,7 +114,7 @@ def _held(field: Any) -> list[tuple[str, type[BaseModel]]]:
 
 
 def _field_of(complaint: Any, content: Any) -> str:
-    """Return the path of the field that pydantic complains of."""
+    """Return path of the field of a pydantic error."""
     field, at, steps = "", content, complaint["loc"]
     for i, step in enumerate(steps):
         known = isinstance(at, dict | list) and (step in at if isinstance(at, dict) else isinstance(step, int))

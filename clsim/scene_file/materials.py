@@ -1,4 +1,4 @@
-"""Tables of what walls are made of."""
+"""Tables of materials."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ class _Absorption(Model):
     coefficients: list[float]
 
     def build(self, base: Path) -> Material:
-        """Return the material of these absorption coefficients."""
         return Material.from_absorption(**self.arguments())
 
 
@@ -34,7 +33,6 @@ class _Table(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Material:
-        """Return the material of this table of complex factors."""
         return Material.from_table(**self.arguments() | {"factors": _numbers("factors", self.factors)})
 
 
@@ -44,7 +42,6 @@ class _Impedance(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Material:
-        """Return the material of this impedance."""
         return Material.from_impedance(**self.arguments() | {"impedances": _numbers("impedances", self.impedances)})
 
 
@@ -60,7 +57,6 @@ class _ImpulseResponse(_Echo):
     sampling_rate: float
 
     def build(self, base: Path) -> Material:
-        """Return the material with this impulse response."""
         return Material.from_impulse_response(**self.arguments())
 
 
@@ -71,7 +67,6 @@ class _ImpulseResponseFile(_Echo):
     truncated: bool = False
 
     def build(self, base: Path) -> Material:
-        """Return the material whose impulse response a file holds."""
         return Material.from_wav(**self.arguments() | {"path": base / self.path})
 
 
@@ -81,7 +76,6 @@ class _Solid(Model):
     boundary_layer: bool = True
 
     def build(self, base: Path) -> Material:
-        """Return the material of a half-space of this solid."""
         return Material.from_solid(**self.arguments())
 
 
@@ -91,7 +85,6 @@ class _Porous(Model):
     outside: Literal["extend"] | None = None
 
     def build(self, base: Path) -> Material:
-        """Return the material of this porous layer before a rigid wall."""
         return Material.from_porous(**self.arguments())
 
 
@@ -101,7 +94,7 @@ class _Scattering(Model):
 
 
 class MaterialModel(Model):
-    """One of the ways to say what a wall is made of, how rough it is (m), and what it scatters."""
+    """One description of a wall's material, its roughness (m), and its scattering coefficient."""
 
     reflection: Complex | None = None
     named: str | None = None
@@ -146,7 +139,7 @@ _WORDS = frozenset(MaterialModel.model_fields)
 
 
 def is_material(value: Any) -> bool:
-    """Return whether a table is one material, not materials by name, which are tables themselves.
+    """Whether a table is one material, not materials by name, which are tables themselves.
 
     A material's own tables (``absorption``, ``solid`` ...) could be names of groups in a mesh as well: what stands in
     them tells.

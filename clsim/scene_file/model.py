@@ -1,4 +1,4 @@
-"""What the models of a scene file's tables share."""
+"""Base class and helpers of the models of a scene file's tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
 class Model(BaseModel):
-    """Unknown keys, texts for numbers, NaN and infinity are errors."""
+    """Base of all tables; `build` makes the value that a table describes, with paths relative to `base`."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -26,7 +26,7 @@ class Model(BaseModel):
 
 
 def within(parent: str, build: Callable[[], T]) -> T:
-    """Return what `build` makes; an InputError's field then begins with `parent`."""
+    """Call `build`; the field of an InputError then begins with `parent`."""
     try:
         return build()
     except InputError as error:

@@ -22,7 +22,6 @@ class _Tone(Model):
     fade: float = 0.0
 
     def build(self, base: Path) -> Signal:
-        """Return the tone."""
         return Signal.tone(**self.arguments())
 
 
@@ -38,7 +37,6 @@ class _Chirp(Model):
     fade: float = 0.0
 
     def build(self, base: Path) -> Signal:
-        """Return the chirp."""
         return Signal.chirp(**self.arguments())
 
 
@@ -69,7 +67,6 @@ class _Sequence(Model):
     amplitude: float = 1.0
 
     def build(self, base: Path) -> Signal:
-        """Return the carrier that a sequence of chips keys."""
         arguments = self.arguments()
         return Signal.sequence(kind=arguments.pop("sequence"), **arguments)
 
@@ -82,7 +79,6 @@ class _Wav(Model):
     truncated: bool = False
 
     def build(self, base: Path) -> Signal:
-        """Return the signal of a file."""
         return Signal.from_wav(**self.arguments() | {"path": base / self.path})
 
 
@@ -96,7 +92,6 @@ class _Pulses(Model):
     count: int
 
     def build(self, base: Path) -> Signal:
-        """Return the pulses."""
         return Signal.pulses(within("pulse", lambda: self.pulse.build(base)), self.period, self.count)
 
 
@@ -106,7 +101,6 @@ class _Fixed(Model):
     orientation: Quaternion | None = None
 
     def build(self, base: Path) -> Trajectory:
-        """Return a trajectory that stays where it is."""
         return Trajectory.fixed(self.position, orientation=self.orientation)
 
 
@@ -117,7 +111,6 @@ class _Line(Model):
     duration: float
 
     def build(self, base: Path) -> Trajectory:
-        """Return the straight way."""
         return Trajectory.line(self.start, self.end, self.duration)
 
 
@@ -131,7 +124,6 @@ class _Circle(Model):
     phase: float = 0.0
 
     def build(self, base: Path) -> Trajectory:
-        """Return the circle."""
         return Trajectory.circle(**self.arguments())
 
 
@@ -144,7 +136,6 @@ class _Swing(Model):
     origin: Vector | None = None
 
     def build(self, base: Path) -> Trajectory:
-        """Return what it says."""
         return Trajectory.swing(**self.arguments())
 
 
@@ -156,7 +147,6 @@ class _Waypoints(Model):
     smooth: bool = True
 
     def build(self, base: Path) -> Trajectory:
-        """Return the way through the points."""
         return Trajectory.waypoints(**self.arguments())
 
 
@@ -175,7 +165,6 @@ class _File(Model):
     max_gap: float | None = None
 
     def build(self, base: Path) -> Trajectory:
-        """Return the trajectory that a file holds."""
         arguments = self.arguments()
         return Trajectory.from_file(base / arguments.pop("path"), **arguments)
 

@@ -1,4 +1,4 @@
-"""Tables of rooms and what they are made of."""
+"""Tables of rooms, their obstacles and materials."""
 
 from __future__ import annotations
 
@@ -67,7 +67,6 @@ class MeshModel(Model):
     materials: Materials
 
     def build(self, base: Path) -> MeshRoom:
-        """Return the mesh."""
         materials = within("materials", lambda: _build_materials(self.materials, base))
         file = base / self.path
         try:
@@ -89,7 +88,6 @@ class PlanModel(Model):
     pillars: list[Corners] = []
 
     def build(self, base: Path) -> MeshRoom:
-        """Return the room."""
         materials = within("materials", lambda: _build_materials(self.materials, base))
         return MeshRoom.from_plan(self.outline, self.height, materials, [np.array(p) for p in self.pillars])
 
@@ -107,7 +105,7 @@ class _WithObstacles(Model):
     obstacles: list[ObstacleModel] = []
 
     def with_obstacles(self, room: R, base: Path) -> R | MeshRoom:
-        """Return the room with what stands in it."""
+        """Return the room joined with its obstacles."""
         if not self.obstacles:
             return room
         parts: list[MeshRoom] = [
@@ -126,7 +124,6 @@ class ShoeboxRoomModel(_WithObstacles):
     ]
 
     def build(self, base: Path) -> Shoebox | MeshRoom:
-        """Return the room."""
         walls: Any = self.walls
         return self.with_obstacles(Shoebox(np.array(self.size), within("walls", partial(walls.build, base))), base)
 
@@ -137,7 +134,6 @@ class MeshRoomModel(_WithObstacles, MeshModel):
     kind: Literal["mesh"]
 
     def build(self, base: Path) -> MeshRoom:
-        """Return the room."""
         return self.with_obstacles(super().build(base), base)
 
 
@@ -147,7 +143,6 @@ class PlanRoomModel(_WithObstacles, PlanModel):
     kind: Literal["plan"]
 
     def build(self, base: Path) -> MeshRoom:
-        """Return the room."""
         return self.with_obstacles(super().build(base), base)
 
 

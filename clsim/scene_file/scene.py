@@ -30,7 +30,6 @@ from clsim.scene_file.transducers import DirectivityModel, ElectronicsModel, Omn
 
 class _Part(Model):
     def build(self) -> Any:
-        """Return the value of an option that the table stands for."""
         raise NotImplementedError
 
 
@@ -39,7 +38,6 @@ class _Lagrange(_Part):
     order: int = 12
 
     def build(self) -> Interpolator:
-        """Return the Lagrange interpolator."""
         return Lagrange(self.order)
 
 
@@ -49,7 +47,6 @@ class _TruncatedLagrange(_Part):
     length: int
 
     def build(self) -> Interpolator:
-        """Return the truncated Lagrange interpolator."""
         return TruncatedLagrange(self.order, self.length)
 
 
@@ -58,7 +55,6 @@ class _Bandlimited(_Part):
     error_db: float = -90.0
 
     def build(self) -> Interpolator:
-        """Return the band-limited interpolator."""
         return Bandlimited(self.error_db)
 
 
@@ -68,7 +64,6 @@ class _Baseband(_Part):
     sampling_rate: float | None = None
 
     def build(self) -> Baseband:
-        """Return carrier and bandwidth, Hz."""
         return Baseband(self.carrier, self.bandwidth, self.sampling_rate)
 
 
@@ -81,7 +76,7 @@ _TABLES: dict[str, tuple[Any, Any]] = {
 
 
 class RenderTable(Model):
-    """What `render_model` adds the keys to."""
+    """Base of the ``[render]`` table, to which `render_model` adds the keys."""
 
     def build(self) -> dict[str, Any]:
         """Return the keyword arguments of `render`."""
@@ -127,7 +122,6 @@ class _Air(Model):
     fluctuation: _Fluctuation | None = None
 
     def build(self) -> Air:
-        """Return the air."""
         arguments, noise = self.arguments(), self.fluctuation
         if noise is not None:
             arguments["fluctuation"] = within("fluctuation", lambda: Fluctuation(**noise.arguments()))
@@ -169,7 +163,6 @@ class _Receiver(_End):
     electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> list[Receiver]:
-        """Return the receiver, in a list as arrays of receivers are."""
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
         return [Receiver(**self.parts(base), electronics=electronics)]
@@ -182,7 +175,6 @@ class _Grid(Model):
     z: float | list[float]
 
     def build(self, base: Path) -> Floats:
-        """Return the positions of the grid, `(n, 3)` m."""
         return grid_positions(self.x, self.y, self.z)
 
 
@@ -191,7 +183,6 @@ class _PositionsFile(Model):
     path: str
 
     def build(self, base: Path) -> Floats:
-        """Return the positions that a file holds, `(n, 3)` m."""
         return positions_from_file(base / self.path)
 
 
@@ -200,7 +191,6 @@ class _ReceiverArray(_Common):
     electronics: ElectronicsModel | None = None
 
     def build(self, base: Path) -> list[Receiver]:
-        """Return the receivers of the array, named by their numbers."""
         model = self.electronics
         electronics = None if model is None else within("electronics", model.build)
         positions = within("positions", lambda: self.positions.build(base))
@@ -216,7 +206,6 @@ class _Source(_End):
     start: float = 0.0
 
     def build(self, base: Path) -> Source:
-        """Return the source."""
         signal = within("signal", lambda: self.signal.build(base))
         return Source(**self.parts(base), signal=signal, start=self.start)
 
@@ -293,7 +282,7 @@ class SceneFile:
         return replace(self, model=model, paths=self.paths | search, render=self.render | changes)
 
     def on_device(self, device: str) -> SceneFile:
-        """Return the file for a device of this machine, of which its text says nothing; one that it names stays."""
+        """Return the file with a device of this machine, unless the file names one."""
         if self.render["device"] is not None:
             return self
         return replace(self, paths=self.paths | {"device": device}, render=self.render | {"device": device})
@@ -339,7 +328,7 @@ def referenced_files(file: SceneFile) -> list[Path]:
 
 
 def _paths_within(content: Any) -> list[tuple[dict[str, Any], str]]:
-    """Return the tables of a scene file that name a file, however deep they stand, and the keys that do."""
+    """Return tables of a scene file, at any depth, that name a file, and the keys that do."""
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
     here = [(content, key) for key in _PATHS if isinstance(content, dict) and isinstance(content.get(key), str)]
     return [*here, *(found for part in parts for found in _paths_within(part))]

@@ -24,7 +24,6 @@ class OmniModel(Model):
     kind: Literal["omni"] = "omni"
 
     def build(self, base: Path) -> Directivity:
-        """Return what it says."""
         return Omni()
 
 
@@ -33,7 +32,6 @@ class _FirstOrder(Model):
     weight: float = 0.5
 
     def build(self, base: Path) -> Directivity:
-        """Return the directivity of first order."""
         return FirstOrder(self.weight)
 
 
@@ -42,7 +40,6 @@ class _Piston(Model):
     radius: float
 
     def build(self, base: Path) -> Directivity:
-        """Return the piston's directivity."""
         return Piston(self.radius)
 
 
@@ -52,7 +49,6 @@ class _Named(Model):
     outside: Literal["hold"] | None = None
 
     def build(self, base: Path) -> Directivity:
-        """Return the directivity that a file has by this name."""
         return Directivity.named(self.name, self.outside)
 
 
@@ -74,7 +70,6 @@ class DirectivityTableModel(Model):
     relative_to_axis: bool = False
 
     def build(self, base: Path) -> Directivity:
-        """Return what it says."""
         path = base / self.path
         options: dict[str, Any] = {
             name: getattr(self, name) for name in ("rear", "side", "outside", "relative_to_axis")
@@ -114,7 +109,6 @@ class SofaModel(Model):
     relative_to_axis: bool = False
 
     def build(self, base: Path) -> Directivity:
-        """Return what it says."""
         path = base / self.path
         return SphericalDirectivity.from_sofa(
             path, self.measurement, outside=self.outside, relative_to_axis=self.relative_to_axis, name=path.stem
@@ -132,7 +126,6 @@ class _NamedTransducer(Model):
     name: str
 
     def build(self, base: Path) -> Transducer:
-        """Return the built-in transducer of this name."""
         return Transducer.named(self.name)
 
 
@@ -143,7 +136,6 @@ class _Resonance(Model):
     sensitivity: float
 
     def build(self, base: Path) -> Transducer:
-        """Return the transducer with this resonance."""
         return Transducer.resonance(**self.arguments())
 
 
@@ -155,7 +147,6 @@ class _ResponseTable(Model):
     outside: Literal["zero", "hold"] | None = None
 
     def build(self, base: Path) -> Transducer:
-        """Return the transducer with this table of a response."""
         values: Any = np.array(self.magnitudes)
         if self.phases is not None:
             if len(self.phases) != len(values):
@@ -173,7 +164,6 @@ class _ImpulseResponse(Model):
     sampling_rate: float
 
     def build(self, base: Path) -> Transducer:
-        """Return the transducer with this impulse response."""
         return Transducer.from_impulse_response(self.samples, self.sampling_rate)
 
 
@@ -185,7 +175,6 @@ class _ImpulseResponseFile(Model):
     truncated: bool = False
 
     def build(self, base: Path) -> Transducer:
-        """Return the transducer whose impulse response a file holds."""
         return Transducer.from_wav(**self.arguments() | {"path": base / self.path})
 
 
@@ -207,7 +196,6 @@ class ElectronicsModel(Model):
     clock_offset: float = 0.0
 
     def build(self) -> Electronics:
-        """Return what it says."""
         return Electronics(**self.arguments())
 
 

@@ -36,7 +36,7 @@ _OVERHANG = 15.0  # degrees beyond 0° or 180° that are taken for those of the 
 
 
 def overhangs(angles: Floats) -> bool:
-    """Return whether angles (a,) in degrees go beyond 0° or 180°, but not far, and are not those of both sides."""
+    """Whether angles (a,) in degrees exceed 0° or 180° by at most `_OVERHANG` and do not cover both sides."""
     beyond = angles[0] < -_SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE
     far = angles[0] < -_OVERHANG - _SAME_ANGLE or angles[-1] > 180.0 + _OVERHANG + _SAME_ANGLE
     return bool(beyond and not far and abs(angles[0] + angles[-1]) > _SAME_ANGLE)

@@ -23,7 +23,7 @@ _LARGEST, _LARGEST_DB = 1e15, 300.0
 
 
 def check_options(outside: Any, relative_to_axis: Any, name: Any) -> None:
-    """Raise an InputError if one of the options that all tables have is no such option."""
+    """Raise an InputError if an option that all tables share is invalid."""
     if outside is not None:
         as_choice("outside", outside, ("hold",))
     if not isinstance(relative_to_axis, bool | np.bool_):
@@ -58,7 +58,7 @@ def as_gains(values: Any, shape: tuple[int, int], layout: str) -> NDArray[Any]:
 
 
 def check_level(values: NDArray[Any], unit: str) -> None:
-    """Raise an InputError if gains (n, f), in dB or as a factor, are silent altogether or absurdly large."""
+    """Raise an InputError if gains (n, f), in dB or as a factor, are all zero or absurdly large."""
     magnitude = np.abs(values)
     most = _LARGEST_DB if unit else _LARGEST
     for i, j in np.argwhere(magnitude > most)[:1]:
@@ -69,7 +69,7 @@ def check_level(values: NDArray[Any], unit: str) -> None:
 
 
 def over_axis(values: NDArray[Any], axis: NDArray[Any], frequencies: Floats) -> NDArray[Any]:
-    """Return values (n, f) over those on the axis (f,)."""
+    """Return values (n, f) divided by those on the axis (f,)."""
     for i in np.flatnonzero(np.abs(axis) <= _SILENT * np.abs(values).max(axis=0))[:1]:
         raise InputError(
             "relative_to_axis", f"must be false where the axis is silent, but it is at {frequencies[i]:g} Hz"
@@ -262,5 +262,5 @@ class AxisymmetricDirectivity(Directivity):
 
 
 def name_directivity(name: str, make: Callable[[str | None], AxisymmetricDirectivity]) -> None:
-    """Let `Directivity.named` take a name; `make` gets its `outside`."""
+    """Register a name for `Directivity.named`; `make` gets its `outside`."""
     _NAMED[name] = make

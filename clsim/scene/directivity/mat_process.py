@@ -12,7 +12,7 @@ _SECONDS = 60  # of computing
 
 
 def main(largest: int, variable: str, names: list[str]) -> int:
-    """Read and write; return the exit status. Variables, or fields of one, that are not asked for are only named."""
+    """Read and write; return the exit status. Other than the requested variables or fields are only listed by name."""
     import numpy as np
 
     _limit()
@@ -28,7 +28,7 @@ def main(largest: int, variable: str, names: list[str]) -> int:
 
 
 def _read(file: Any, largest: int, variable: str, names: list[str]) -> dict[str, Any]:
-    """Return the names of what there is, of the structs in it and of the fields of one, and arrays."""
+    """Return names of variables, structs and fields of one struct, and the requested arrays."""
     import numpy as np
     from scipy.io import loadmat, whosmat
 

@@ -253,7 +253,7 @@ def _opened(path: Path) -> Any:
 
 
 def _check_size(path: Path) -> None:
-    """Refuse a file that unpacks to more than anyone measures."""
+    """Refuse a file whose unpacked data exceed a bound."""
     from netCDF4 import Dataset
 
     try:

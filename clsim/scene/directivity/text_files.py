@@ -117,7 +117,7 @@ def as_table(arrays: tuple[Any, Any, Any], angle_unit: str) -> tuple[Any, Any, A
 
 @lru_cache(maxsize=4)
 def _mat_variables(path: Path, stamp: tuple[int, ...], names: tuple[str, ...], variable: str) -> dict[str, Any]:
-    """Return what a MATLAB file holds, as `mat_process` tells it.
+    """Return content of a MATLAB file, read by `mat_process`.
 
     Another process reads it, because SciPy can end the one in which it meets a broken file. `stamp` makes a file that
     is another one now be read again.

@@ -63,16 +63,13 @@ class SolidWall:
 
     @property
     def is_complex(self) -> bool:
-        """Whether factors have a phase: the boundary layer's."""
         return self.boundary_layer
 
     @property
     def depends_on_angle(self) -> bool:
-        """Whether factors depend on the angle: the boundary layer's do."""
         return self.boundary_layer
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return factors by frequency and angle."""
         mismatch = mismatch_reflection(self.density, self.sound_speed, speed_of_sound)
         if not self.boundary_layer:
             return np.full(frequency.shape, mismatch)
@@ -80,7 +77,6 @@ class SolidWall:
         return mismatch * reflection_from_impedance(1.0 / beta, cosine)
 
     def describe(self) -> str:
-        """Return what it is."""
         return f"solid of {self.density:g} kg/m³ and {self.sound_speed:g} m/s"
 
 
@@ -104,12 +100,10 @@ class PorousLayer:
         return MIKI_RANGE[0] * self.flow_resistivity, MIKI_RANGE[1] * self.flow_resistivity
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return complex factors by frequency and angle."""
         phase = 2.0 * math.pi * frequency / speed_of_sound * self.thickness
         return backed_layer_reflection(*porous_medium(frequency, self.flow_resistivity), phase, cosine)
 
     def describe(self) -> str:
-        """Return what it is."""
         return f"porous layer of {1e3 * self.thickness:g} mm and {self.flow_resistivity:g} Pa s/m²"
 
 

@@ -67,7 +67,7 @@ _ROUNDING = 1e-9  # by which a cosine may exceed 1, and a frequency the ends of 
 
 @runtime_checkable
 class SurfaceModel(Protocol):
-    """What gives a reflection factor; a model of one's own is a frozen class with all of this."""
+    """Protocol of reflection models; a custom model is a frozen class with all of these members."""
 
     @property
     def is_complex(self) -> bool:
@@ -86,7 +86,7 @@ class SurfaceModel(Protocol):
 
     @property
     def beyond(self) -> str:
-        """What is said of frequencies outside the band, where the nearest end is taken; empty if they are refused."""
+        """Note on frequencies outside the band, where the nearest end is held; empty if they are refused."""
         ...
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
@@ -110,7 +110,7 @@ class SurfaceModel(Protocol):
         ...
 
     def describe(self) -> str:
-        """Return what it is, in a few words."""
+        """Return a short description."""
         ...
 
 
@@ -160,7 +160,7 @@ class ReflectingSurface:
         return self.model.band
 
     def describe(self) -> str:
-        """Return what it is, in a few words."""
+        """Return a short description."""
         rough = f", {1e3 * self.roughness:g} mm rough" if self.roughness else ""
         return self.model.describe() + rough + (", scatters" if self.scattering else "")
 
@@ -325,7 +325,7 @@ class ReflectingSurface:
         return f, np.minimum(cos, 1.0), c
 
     def _smooth_factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return the factor of the model, where the material is known or is held."""
+        """Return the model's factor, with frequencies outside its band held at the ends."""
         self.check_coverage(frequency)
         return self.model.factor(np.clip(frequency, *self.model.band), cosine, speed_of_sound)
 

@@ -66,7 +66,7 @@ def as_complexes(field: str, value: ArrayLike, count: int) -> NDArray[Any]:
 
 
 def check_clear_phase(frequencies: Floats, factors: NDArray[Any]) -> None:
-    """Warn if the phase turns so far between two frequencies that nobody can tell which way."""
+    """Warn if the phase change between two frequencies is ambiguous."""
     if factors.dtype.kind != "c":
         return
     magnitude = np.abs(factors)
@@ -81,7 +81,7 @@ def check_clear_phase(frequencies: Floats, factors: NDArray[Any]) -> None:
 
 
 def check_passive_echo(samples: Floats, sampling_rate: float, band: tuple[float, float], tolerance: float) -> None:
-    """Raise an InputError if an impulse response is too long, or sends back more than it receives within a band."""
+    """Raise an InputError if an impulse response is too long, or reflects too much energy within a band."""
     from scipy.fft import next_fast_len, rfft
 
     if len(samples) > _LONGEST:
@@ -104,7 +104,7 @@ def check_passive_echo(samples: Floats, sampling_rate: float, band: tuple[float,
 
 
 def warn_of_noise(samples: Floats, name: str) -> None:
-    """Warn if the end of an impulse response holds so much that the factor cannot be sure."""
+    """Warn if the end of an impulse response has so much energy that the factor is uncertain."""
     tail = samples[-(len(samples) // 10) :] if len(samples) >= 100 else samples[:0]
     rms = math.sqrt(float(np.mean(tail**2))) if len(tail) else 0.0
     error = rms * math.sqrt(len(samples))
@@ -131,15 +131,12 @@ class ConstantFactor:
 
     @property
     def is_complex(self) -> bool:
-        """Whether it has a phase."""
         return isinstance(self.value, complex)
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return the factor, once per frequency."""
         return np.full(frequency.shape, self.value)
 
     def describe(self) -> str:
-        """Return the factor."""
         return f"reflection {self.value:g}"
 
 
@@ -156,19 +153,15 @@ class AbsorptionTable:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Known where the table is."""
         return float(self.frequencies[0]), float(self.frequencies[-1])
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return real factors by frequency."""
         return np.asarray(reflection_from_absorption(np.clip(_curves(self)(frequency), 0.0, 1.0)))
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
-        """Return the absorption as a function of frequency."""
         return over_octaves(self.frequencies, self.coefficients)
 
     def describe(self) -> str:
-        """Return what it is."""
         return "absorption table"
 
 
@@ -185,16 +178,13 @@ class FactorTable:
 
     @property
     def is_complex(self) -> bool:
-        """Whether factors have a phase."""
         return self.factors.dtype.kind == "c"
 
     @property
     def band(self) -> tuple[float, float]:
-        """Known where the table is, or everywhere by name."""
         return _band(self.frequencies, self.outside)
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return factors by frequency."""
         return _curves(self)(frequency)
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
@@ -213,7 +203,6 @@ class FactorTable:
         return lambda f: (real(f) + 1j * imaginary(f)) * np.exp(1j * turn * np.clip(f, low, high))
 
     def describe(self) -> str:
-        """Return what it is."""
         return "complex table" if self.is_complex else "table of factors"
 
 
@@ -231,21 +220,18 @@ class ImpedanceTable:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Known where the table is, or everywhere by name."""
         return _band(self.frequencies, self.outside)
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return complex factors by frequency and angle."""
         return reflection_from_impedance(_curves(self)(frequency), cosine)
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
-        """Return the impedance as a function of frequency; monotone cubics keep its real part above 0."""
+        # Monotone cubics keep the real part above 0: the wall stays passive.
         resistance = over_octaves(self.frequencies, self.impedances.real)
         reactance = over_octaves(self.frequencies, self.impedances.imag)
         return lambda f: resistance(f) + 1j * reactance(f)
 
     def describe(self) -> str:
-        """Return what it is."""
         return "locally reacting impedance"
 
 
@@ -281,7 +267,6 @@ class MeasuredEcho:
         return np.asarray((spectrum * np.exp(-turn * self.reference))[back].reshape(frequency.shape))
 
     def describe(self) -> str:
-        """Return what it is."""
         return f"impulse response of {len(self.samples)} samples"
 
 
@@ -290,7 +275,7 @@ def _band(frequencies: Floats, outside: str | None) -> tuple[float, float]:
 
 
 def _mean_turn(frequencies: Floats, factors: NDArray[Any]) -> float:
-    """Return how far the phase turns per Hz, in the mean over the steps of a table, strong ones first."""
+    """Return mean phase slope of a table, rad/Hz, weighted by magnitude."""
     step = factors[1:] * factors[:-1].conj()
     weight = np.abs(step)
     total = float(weight @ np.diff(frequencies))

@@ -35,39 +35,33 @@ class Swung:
     hinge: Hinge
 
     def position(self, time: Floats) -> Floats:
-        """Return positions, m."""
         angle = self.hinge.at(time)[..., None]
         return np.asarray(self.foot + np.cos(angle) * self.along + np.sin(angle) * self.across)
 
     def velocity(self, time: Floats) -> Floats:
-        """Return velocities, m/s."""
         return np.cross(self.hinge.angular_velocity(time), self.position(time) - self.foot)
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed between two times (n,), m/s."""
         return np.asarray(np.linalg.norm(self.along) * self.hinge.angle.speed_over(begin, end))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carried:
-    """A point that a moving thing carries, and that may move in the thing's own frame."""
+    """A point mounted on a moving object, which may move in the object's frame."""
 
     carrier: Motion
     own: Motion
 
     def position(self, time: Floats) -> Floats:
-        """Return positions, m."""
         return self.carrier.position(time) + rotate(self.carrier.orientation(time), self.own.position(time))
 
     def velocity(self, time: Floats) -> Floats:
-        """Return velocities, m/s."""
         turned = self.carrier.orientation(time)
         arm = rotate(turned, self.own.position(time))
         moved = self.carrier.velocity(time) + rotate(turned, self.own.velocity(time))
         return np.asarray(moved + np.cross(self.carrier.angular_velocity(time), arm))
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed between two times (n,), m/s."""
         speed = self.own.speed_over(begin, end)
         arm = np.linalg.norm(self.own.position(begin), axis=-1) + speed * (end - begin)
         return np.asarray((self.carrier.speed_over(begin, end) + speed + self.carrier.peak_turn * arm) * _SPARE)
@@ -75,7 +69,7 @@ class Carried:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarriedTurning:
-    """The orientation of what a moving thing carries, and that may turn in the thing's own frame.
+    """Orientation of something mounted on a moving object, which may turn in the object's frame.
 
     Shapes: aim (4,).
     """
@@ -86,12 +80,10 @@ class CarriedTurning:
 
     @property
     def turns(self) -> bool:
-        """Whether it changes."""
         return self.carrier.turns or self.own.turns
 
     @property
     def peak(self) -> float:
-        """Bound of the angular velocity, rad/s."""
         return self.carrier.peak_turn + self.own.peak_turn
 
     @property
@@ -100,41 +92,35 @@ class CarriedTurning:
         return np.union1d(*(_turn_breaks(motion) for motion in (self.carrier, self.own)))
 
     def lever(self, points: Floats) -> float:
-        """Return how far the farthest of points (n, 3) is from the origin, m."""
         return float(np.linalg.norm(points, axis=-1).max())
 
     def orientation(self, time: Floats) -> Floats:
-        """Return unit quaternions x y z w at `time` of any shape, with 4 more columns."""
         own = quaternion_product(self.own.orientation(time), np.broadcast_to(self.aim, (*time.shape, 4)))
         return quaternion_product(self.carrier.orientation(time), own)
 
     def angular_velocity(self, time: Floats) -> Floats:
-        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns."""
         own = rotate(self.carrier.orientation(time), self.own.angular_velocity(time))
         return np.asarray(self.carrier.angular_velocity(time) + own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A point as a moving thing sees it, in its own frame."""
+    """A point in the frame of a moving object."""
 
     frame: Motion
     point: Motion
 
     def position(self, time: Floats) -> Floats:
-        """Return positions in the frame, m."""
         away = self.point.position(time) - self.frame.position(time)
         return rotate(_inverse(self.frame.orientation(time)), away)
 
     def velocity(self, time: Floats) -> Floats:
-        """Return velocities in the frame, m/s."""
         away = self.point.position(time) - self.frame.position(time)
         moved = self.point.velocity(time) - self.frame.velocity(time)
         turned = moved - np.cross(self.frame.angular_velocity(time), away)
         return rotate(_inverse(self.frame.orientation(time)), turned)
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed in the frame between two times (n,), m/s."""
         speed = self.point.speed_over(begin, end) + self.frame.speed_over(begin, end)
         away = np.linalg.norm(self.point.position(begin) - self.frame.position(begin), axis=-1) + speed * (end - begin)
         return np.asarray((speed + self.frame.peak_turn * away) * _SPARE)
@@ -149,14 +135,14 @@ def _turn_breaks(motion: Motion) -> Floats:
 
 
 def velocity_breaks(carrier: Motion, own: Motion) -> Floats:
-    """Return the times (k,) at which the velocity of something carried may jump, s, within both motions."""
+    """Return times (k,) at which the velocity of a mounted point may jump, s, within both motions."""
     times = np.concatenate([carrier.breaks, own.breaks, _turn_breaks(carrier)])
     first, last = max(carrier.start, own.start) - CONTINUATION, min(carrier.end, own.end) + CONTINUATION
     return read_only(np.unique(times[(times > first) & (times < last)]))
 
 
 def seen_by(frame: Motion, point: Motion) -> Motion:
-    """Return a motion as a moving thing sees it in its own frame; of what it carries that which it has there."""
+    """Return a motion in the frame of a moving object; a motion mounted on that object is returned as defined there."""
     from clsim.scene.motion.motion import Motion
 
     if isinstance(point.curve, Carried) and point.curve.carrier is frame:
@@ -167,7 +153,7 @@ def seen_by(frame: Motion, point: Motion) -> Motion:
 
 
 def even_ways(speed: Floats, rate: float, step: float) -> Floats:
-    """Return times (n,) from one to the next of which things go no farther than a step, s, first and last included.
+    """Return times (n,), s, between which objects move at most a step; first and last instants are included.
 
     Shapes: speed (m,) m/s.
 

@@ -36,7 +36,7 @@ def as_direction(field_name: str, value: Any) -> Floats:
 
 
 def question_turns(field_name: str, largest: float) -> None:
-    """Warn of angles of more than two turns, rad: degrees, more often than something that spins."""
+    """Warn of angles above two turns, rad, which are more often degrees than a spinning object."""
     if largest > _TWO_TURNS:
         warn(
             f"{field_name}: {largest:.6g} rad are {largest / (2.0 * np.pi):.3g} turns; angles are in radians: "

@@ -30,7 +30,7 @@ class Curve(Protocol):
         ...
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed between two times (n,), m/s, the nearer to it the nearer these are."""
+        """Return upper bounds of the speed between two times (n,), m/s; tighter for shorter intervals."""
         ...
 
 
@@ -41,17 +41,14 @@ class Static:
     point: Floats
 
     def position(self, time: Floats) -> Floats:
-        """Return positions, m."""
         out: Floats = np.empty((*time.shape, 3))
         out[...] = self.point
         return out
 
     def velocity(self, time: Floats) -> Floats:
-        """Return velocities, m/s."""
         return np.zeros((*time.shape, 3))
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed between two times (n,), m/s."""
         return np.zeros(len(begin))
 
 
@@ -63,15 +60,12 @@ class Straight:
     speed: Floats
 
     def position(self, time: Floats) -> Floats:
-        """Return positions, m."""
         return self.origin + time[..., None] * self.speed
 
     def velocity(self, time: Floats) -> Floats:
-        """Return velocities, m/s."""
         return np.tile(self.speed, (*time.shape, 1))
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed between two times (n,), m/s."""
         return np.full(len(begin), np.linalg.norm(self.speed))
 
 
@@ -92,17 +86,14 @@ class Circular:
     phase: float
 
     def position(self, time: Floats) -> Floats:
-        """Return positions, m."""
         angle = (self.phase + self.rate * time)[..., None]
         return self.center + self.radius * (np.cos(angle) * self.e1 + np.sin(angle) * self.e2)
 
     def velocity(self, time: Floats) -> Floats:
-        """Return velocities, m/s."""
         angle = (self.phase + self.rate * time)[..., None]
         return self.radius * self.rate * (np.cos(angle) * self.e2 - np.sin(angle) * self.e1)
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed between two times (n,), m/s."""
         return np.full(len(begin), abs(self.radius * self.rate))
 
 
@@ -126,15 +117,12 @@ class Piecewise:
         object.__setattr__(self, "_fastest", read_only(np.concatenate(fastest)))
 
     def position(self, time: Floats) -> Floats:
-        """Return positions, m."""
         return np.asarray(self.polynomial(time), dtype=np.float64)
 
     def velocity(self, time: Floats) -> Floats:
-        """Return velocities, m/s."""
         return np.asarray(self.derivative(time), dtype=np.float64)
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed between two times (n,), m/s."""
         knots = self.derivative.x
         first, last = (np.clip(np.searchsorted(knots, t, "right") - 1, 0, len(knots) - 2) for t in (begin, end))
         one = first == last
@@ -154,7 +142,7 @@ class Piecewise:
 
 
 def is_static(curve: Curve) -> bool:
-    """Return whether a curve surely stays at one place, to the last bit."""
+    """Whether a curve is bitwise constant."""
     if isinstance(curve, Straight):
         return not np.any(curve.speed)
     if isinstance(curve, Piecewise):

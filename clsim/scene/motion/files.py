@@ -50,7 +50,7 @@ class Poses:
     row: str = "line"
 
     def where(self, row: int) -> str:
-        """Return the place of a row for a message."""
+        """Return location of a row for a message."""
         return f"{self.file}, {self.row} {self.lines[row]}"
 
     def without(self, bad: Bools, what: str) -> Poses:
@@ -221,7 +221,7 @@ def _number(name: str, cell: str) -> float:
 
 
 def _clock(cell: str, whole: bool) -> Decimal:
-    """Return a time without loss: nanoseconds since 1970 have more digits than float64."""
+    """Return an exact time: nanoseconds since 1970 have more digits than float64."""
     try:
         time = Decimal(cell.strip()) if "_" not in cell else Decimal("nan")
     except DecimalException:
@@ -261,7 +261,7 @@ def _refuse_few(poses: Poses) -> None:
 
 
 def _check_times(poses: Poses, repair: bool) -> Poses:
-    """Find times that are not above all times before."""
+    """Return mask of times that do not exceed all earlier ones."""
     steps = np.diff(poses.times)
     least = _SHORTEST_STEP * float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     last = np.maximum.accumulate(poses.times)[:-1]
@@ -280,7 +280,7 @@ def _check_times(poses: Poses, repair: bool) -> Poses:
 
 
 def _check_jumps(poses: Poses, repair: bool, max_speed: float) -> Poses:
-    """Find positions that cannot be reached from the last good one."""
+    """Return mask of positions that cannot be reached from the last good one."""
     x, t = poses.positions, poses.times
     distance = np.linalg.norm(np.diff(x, axis=0), axis=1)
     speed = distance / np.diff(t)

@@ -31,7 +31,6 @@ class Instants:
 
     @property
     def count(self) -> int:
-        """How many they are."""
         return max(math.ceil((self.end - self.start) * self.rate), 1 if self.end > self.start else 0) + 1
 
     @property
@@ -44,11 +43,11 @@ class Instants:
         return np.asarray(self.start + self.step * index)
 
     def margin(self, first: Indices, middle: Indices, last: Indices) -> Floats:
-        """Return how far ranges go to either side of an instant within, s."""
+        """Return largest distance in time from an instant to the ends of its range, s."""
         return np.asarray(self.step * np.maximum(middle - first, last - middle))
 
     def first(self, probe: Probe) -> int | None:
-        """Return the first instant of which `probe` says that it is met, as evaluating every single one would.
+        """Return the first instant for which `probe` reports a hit, the same as by evaluating every instant.
 
         probe: takes the first, the middle and the last instants of ranges (n,), in the order of time. Returns the first
         that is surely met in each, or -1, and whether others of the range may be: then its halves before and behind the

@@ -25,7 +25,7 @@ _COLUMN = re.compile(r"(.+)[ ._]([xyz])", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joints:
-    """Where joints are over time."""
+    """Positions of joints over time."""
 
     names: tuple[str, ...]  # as in the file; the end of a chain without a name of its own is "NAME end"
     times: Floats  # (T,) s, from 0
@@ -90,7 +90,7 @@ def _table(text: str) -> Joints:
 
 
 def _numbers(line: int, text: str, count: int) -> list[float]:
-    """Return the numbers of a line, which must be so many."""
+    """Return the numbers of a line, `count` of them."""
     cells = text.split(",") if "," in text else text.split()
     try:
         if len(cells) != count:
@@ -105,7 +105,7 @@ def _numbers(line: int, text: str, count: int) -> list[float]:
 
 @dataclass(slots=True)
 class _Bone:
-    """A joint of a hierarchy: its parent, where it is from there, and what its channels are."""
+    """A joint of a hierarchy: parent, offset from it, and channels."""
 
     name: str
     parent: int
@@ -184,7 +184,7 @@ def _channels(number: int, words: list[str]) -> list[str]:
 
 
 def _posed(bones: list[_Bone], rows: Floats) -> Floats:
-    """Return where joints are (joints, T, 3): each turned about its own axes in the order of its channels."""
+    """Return positions of joints (joints, T, 3), each turned about its own axes in the order of its channels."""
     from scipy.spatial.transform import Rotation
 
     turns: list[Rotation] = []

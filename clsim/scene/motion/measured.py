@@ -246,7 +246,7 @@ def _derivative(samples: Floats) -> Floats:
 
 
 def _lowest(grid: Floats, score: Floats) -> float:
-    """Return where the score is lowest: its lowest sample, refined by the parabola through three."""
+    """Return location of the lowest score: its lowest sample, refined by the parabola through three."""
     i = int(np.argmin(score))
     if i in (0, len(score) - 1):
         return float(grid[i])

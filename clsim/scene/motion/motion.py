@@ -65,7 +65,7 @@ class Motion:
 
     @property
     def has_orientation(self) -> bool:
-        """Whether the trajectory says how the transducer is turned."""
+        """Whether the trajectory gives the transducer's orientation."""
         return self.turning is not None
 
     @property
@@ -129,7 +129,7 @@ class Motion:
         return velocity
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds of the speed between two times (n,), m/s, the nearer to it the nearer these are.
+        """Return upper bounds of the speed between two times (n,), m/s; tighter for shorter intervals.
 
         Parameters
         ----------
@@ -248,7 +248,7 @@ class Motion:
         best = (float(np.linalg.norm(self.velocity(instants.start))), instants.start)
 
         def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
-            """Return no hits, and which spans may hold a speed above the best so far."""
+            """Return no hits, and a mask of ranges that may contain a speed above the best so far."""
             nonlocal best
             times = instants.times(middle)
             speed = np.linalg.norm(self.velocity(times), axis=1)

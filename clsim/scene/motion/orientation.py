@@ -71,25 +71,20 @@ class GreatArcs:
 
     @property
     def turns(self) -> bool:
-        """Whether any two orientations differ."""
         return bool(np.any(self.angle))
 
     @property
     def peak(self) -> float:
-        """Largest angular velocity of the pieces, rad/s."""
         return float(np.linalg.norm(self.angular_velocity(self.times), axis=-1).max())
 
     @property
     def breaks(self) -> Floats:
-        """Times from piece to piece, s."""
         return self.times if self.turns else self.times[:0]
 
     def lever(self, points: Floats) -> float:
-        """Return how far the farthest of points (n, 3) is from the origin, m."""
         return float(np.linalg.norm(points, axis=-1).max())
 
     def orientation(self, time: Floats) -> Floats:
-        """Return unit quaternions x y z w at `time` of any shape, with 4 more columns."""
         if len(self.times) == 1:
             return np.tile(self.base[0], (*time.shape, 1))
         held = np.clip(time, self.times[0], self.times[-1])
@@ -123,35 +118,29 @@ class Hinge:
 
     @property
     def turns(self) -> bool:
-        """Whether the angle changes."""
         return bool(np.any(self.angle.derivative.c))
 
     @property
     def peak(self) -> float:
-        """Bound of the angular velocity, rad/s."""
         knots = self.angle.derivative.x
         return float(self.angle.speed_over(knots[:1], knots[-1:])[0])
 
     @property
     def breaks(self) -> Floats:
-        """None: angles are smooth."""
         return np.empty(0)
 
     def lever(self, points: Floats) -> float:
-        """Return how far the farthest of points (n, 3) is from the axis, m."""
         return float(np.linalg.norm(np.cross(self.axis, points), axis=-1).max())
 
     def at(self, time: Floats) -> Floats:
-        """Return angles, of the shape of `time`, rad; held where the motion no longer goes on."""
+        """Return angles of the shape of `time`, rad; constant after the end of the motion."""
         return self.angle.position(self._held(time))[..., 0]
 
     def orientation(self, time: Floats) -> Floats:
-        """Return unit quaternions x y z w at `time` of any shape, with 4 more columns."""
         half = 0.5 * self.at(time)[..., None]
         return np.concatenate([np.sin(half) * self.axis, np.cos(half)], axis=-1)
 
     def angular_velocity(self, time: Floats) -> Floats:
-        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns."""
         rate = np.where(time == self._held(time), self.angle.velocity(self._held(time))[..., 0], 0.0)
         return np.asarray(rate[..., None] * self.axis)
 

@@ -118,7 +118,7 @@ class Edges:
         return edge[faced], face[faced]
 
     def describe(self) -> list[str]:
-        """Return what edges there are, a line each."""
+        """Return description of the edges, a line each."""
         lines = [f"edges: {len(self)} that diffract, {self.length.sum():.4g} m together"] if len(self) else []
         for name, n, length, start in zip(self.names, self.n, self.length, self.start, strict=True):
             kind = f"{180.0 * n:.4g} degrees of air"
@@ -130,7 +130,7 @@ class Edges:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Line:
-    """A line that bounds walls, and the places (m,) on it between which its faces do not change."""
+    """A line that bounds walls, and the positions (m,) on it between which its faces do not change."""
 
     point: Floats
     along: Floats
@@ -165,7 +165,7 @@ class _Piece:
 def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | None = None) -> Edges:
     """Return the edges of walls at which sound is diffracted.
 
-    inside: tells which places (n, 3) are in the air of a room, (n,); everywhere when left out.
+    inside: mask (n,) of positions (n, 3) in the air of a room; all when left out.
 
     result: those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between
     faces of different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
@@ -260,7 +260,7 @@ def _faces_around(walls: Walls, line: _Line, place: Floats) -> list[tuple[float,
 
 
 def _diffracts(piece: _Piece, faces: Faces) -> bool:
-    """Tell whether a wedge diffracts."""
+    """Whether a wedge diffracts."""
     if piece.n == 1.0:
         return faces.materials[piece.faces[0]] is not faces.materials[piece.faces[1]]
     return abs(1.0 / piece.n - round(1.0 / piece.n)) > _WHOLE
@@ -278,7 +278,7 @@ def _joined(pieces: list[_Piece]) -> list[_Piece]:
 
 
 def _ends_at_a_wall(walls: Walls, end: Floats, along: Floats, into_air: Floats) -> NDArray[np.bool_]:
-    """Return which edges meet a wall at their ends (E, 3), as seen from the air beside them."""
+    """Return mask of edges that meet a wall at their ends (E, 3), as seen from the adjacent air."""
     closed = np.zeros(len(end), dtype=bool)
     beside = end + _BESIDE * walls.size * into_air
     for w in range(len(walls)):

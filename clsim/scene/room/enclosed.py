@@ -111,7 +111,7 @@ def enclosed_volume(
 
     Shapes: vertices, triangles (V, 3) m.
 
-    crossing: whether walls run through each other: `contains` is then asked at points of a lattice in the box around
+    crossing: whether walls run through each other: `contains` is then evaluated on a lattice in the box around
     the largest shell, so that what is sunk into the floor does not count below it. Right within some 0.3 %.
     """
     shells = Shells.of(vertices, triangles)
@@ -126,7 +126,7 @@ def enclosed_volume(
 
 
 def held_by_rooms(vertices: Floats, triangles: Ints, points: Floats) -> tuple[NDArray[np.bool_], bool] | None:
-    """Return which points (n, 3), m, are in an odd number of nearly closed shells, and whether all these are closed.
+    """Return mask of points (n, 3), m, in an odd number of nearly closed shells, and whether all these are closed.
 
     Sheets and shells with large holes do not count. None if none of the others reaches over all of the mesh.
     """

@@ -69,7 +69,7 @@ class Faces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
-    """Where a motion leaves a room or meets a wall, in the words of the error: rule, but NAME event at PLACE hint."""
+    """Contact of a motion with a wall, with the parts of the error "rule, but NAME event at PLACE hint"."""
 
     index: int  # of the position
     rule: str  # what is asked for: "must stay inside the room"
@@ -92,7 +92,7 @@ class Mount:
         return Mount(wall, sign * faces.normals[wall], sign * float(faces.offsets[wall]), max(NEAREST, _FINEST * size))
 
     def height(self, positions: Floats) -> Floats:
-        """Return how far in front of the wall positions (n, 3) are, (n,) m."""
+        """Return distances (n,) of positions (n, 3) in front of the wall, m."""
         return np.asarray(positions @ self.normal - self.offset)
 
     def lifted(self, positions: Floats, steps: float = 1.0) -> Floats:
@@ -100,11 +100,11 @@ class Mount:
         return np.asarray(positions + (steps * self.step - self.height(positions))[:, None] * self.normal)
 
     def clearance(self, positions: Floats) -> Floats:
-        """Return how far positions (n, 3) may go off the plane of the wall, (n,) m; 0 or less where they are off it."""
+        """Return distances (n,) that positions (n, 3) may leave the wall's plane, m; at most 0 off it."""
         return np.asarray(NEAREST - np.abs(self.height(positions)))
 
     def first_off(self, positions: Floats) -> Contact | None:
-        """Return where positions (n, 3) first are off the plane of the wall."""
+        """Return index of the first of positions (n, 3) off the wall's plane."""
         off = np.flatnonzero(self.clearance(positions) <= 0.0)
         rule = f"must stay in the plane of the wall that it is flush with, within {NEAREST:g} m"
         return Contact(int(off[0]), rule, "is") if len(off) else None

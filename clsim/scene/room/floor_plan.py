@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def extruded_plan(
     outline: ArrayLike, height: float, pillars: Sequence[ArrayLike]
 ) -> tuple[Floats, NDArray[np.int64], list[str]]:
-    """Return the triangles of a room over a plan, and what each belongs to.
+    """Return triangles of a room over a floor plan, and the label of each.
 
     Shapes: outline (n, 2) m; pillars (n, 2) m; result (V, 3) m, (T, 3).
 

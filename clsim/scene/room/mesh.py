@@ -369,7 +369,7 @@ class MeshRoom:
         return self.faces.reflections(frequency)
 
     def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) lie inside: most rays from them meet the walls an odd number of times.
+        """Return a mask (n,) of positions (n, 3) inside: most rays from them meet the walls an odd number of times.
 
         Of use for watertight rooms only.
 
@@ -390,7 +390,7 @@ class MeshRoom:
         return np.asarray(inside)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) have walls to all sides, as in a room whose walls are solids: by six rays.
+        """Return a mask (n,) of positions (n, 3) with walls on all sides, as between solid walls: by six rays.
 
         Parameters
         ----------
@@ -406,7 +406,7 @@ class MeshRoom:
         return np.asarray(np.all([self._met(x, sign * ray) > 0 for ray in _RAYS for sign in (1.0, -1.0)], axis=0))
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
-        """Return how far positions (n, 3) surely are away from every wall, (n,) m; see `Room.clearance`.
+        """Return lower bounds (n,) of the distance of positions (n, 3) from all walls, m; see `Room.clearance`.
 
         What is in a wall is on one.
 
@@ -434,7 +434,7 @@ class MeshRoom:
         return found
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
-        """Return where a motion first is on a wall, goes through one, or leaves the wall that it is in.
+        """Return the first contact of a motion: on a wall, through a wall, or off its own wall.
 
         Parameters
         ----------
@@ -515,7 +515,7 @@ class MeshRoom:
         return self
 
     def describe(self) -> list[str]:
-        r"""Return what the mesh is like, a line each: size, walls, shells, holes, winding, repairs.
+        r"""Return a description of the mesh, a line each: size, walls, shells, holes, winding, repairs.
 
         Returns
         -------
@@ -533,7 +533,7 @@ class MeshRoom:
         return describe_mesh(self.vertices, self.triangles, self.walls.plane, self.shape, self.notes)
 
     def _met(self, x: Floats, ray: Floats) -> NDArray[np.int64]:
-        """Return how often rays from positions (n, 3) meet the walls."""
+        """Return number of walls (n,) hit by a ray from each of positions (n, 3)."""
         count, walls = np.zeros(len(x), dtype=int), self.walls
         for w in range(len(walls)):
             away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
@@ -573,7 +573,7 @@ def _per_triangle(name: str, materials: object, count: int) -> list[Material]:
 
 
 def _by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str, Material]:
-    """Return the material of each group of what is called `name`."""
+    """Return the material of each group of the mesh `name`."""
     if isinstance(materials, Material):
         return dict.fromkeys(groups, materials)
     if not isinstance(materials, Mapping) or not materials:

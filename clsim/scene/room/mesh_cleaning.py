@@ -28,7 +28,7 @@ _HOLES_LISTED = 5
 def outward_sides(
     corners: Floats, triangles: Ints, neighbours: Ints, of_triangle: Ints, normal: Floats, crossing: Ints, level: Ints
 ) -> tuple[Ints, Ints]:
-    """Return the shell that each wall belongs to, and on which side of it the outside of this shell is.
+    """Return the shell of each wall, and the side of the wall on which the outside of this shell lies.
 
     Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); of_triangle (T,); normal (W, 3); crossing (m, 2);
     level (k, 2); result (W,), (W,).
@@ -101,7 +101,7 @@ def panels_below(
 def _panels(
     vertices: Floats, triangles: NDArray[np.int64]
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Floats, float]]:
-    """Yield the triangles of every shell, and what `_side` says of them."""
+    """Yield the triangles of every shell, and the result of `_side` for them."""
     _, part = clusters(len(vertices), triangles[:, [0, 1, 1, 2]].reshape(-1, 2))
     shell, area = part[triangles[:, 0]], np.linalg.norm(cross_products(vertices[triangles]), axis=1)
     for one in np.unique(shell):
@@ -110,9 +110,9 @@ def _panels(
 
 
 def _side(corners: Floats, area: Floats) -> tuple[NDArray[np.int64], Floats, float]:
-    """Return the triangles (n,) of one side of a panel, how to move them to its middle, and its thickness, m.
+    """Return triangles (n,) of one side of a panel, the shift (3,) to its middle, m, and its thickness, m.
 
-    The thickness is 0 of what is flat already, or no panel.
+    The thickness is 0 for a flat shell, or one that is no panel.
     """
     largest = corners[np.argmax(area)]
     normal = np.cross(largest[1] - largest[0], largest[2] - largest[0])
@@ -177,7 +177,7 @@ def _weld(points: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def clusters(count: int, pairs: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
-    """Return how many clusters `count` things form that are joined by pairs (n, 2), and the cluster of each."""
+    """Return number of clusters that pairs (n, 2) form among `count` items, and the cluster of each item."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -188,7 +188,7 @@ def clusters(count: int, pairs: NDArray[np.int64]) -> tuple[int, NDArray[np.int6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshShape:
-    """How the triangles of a mesh hang together."""
+    """Connectivity of the triangles of a mesh."""
 
     open_edges: Floats  # (n, 2, 3) edges of one triangle only, m
     crowded_edges: int  # edges of three triangles or more
@@ -202,7 +202,7 @@ class MeshShape:
 
 
 def mesh_shape(vertices: Floats, triangles: NDArray[np.int64]) -> MeshShape:
-    """Return how triangles on welded vertices hang together."""
+    """Return connectivity of triangles on welded vertices."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, _, which = unique_rows(np.sort(directed, axis=1))
     uses = np.bincount(which)
@@ -220,7 +220,7 @@ def describe_mesh(
     shape: MeshShape,
     notes: tuple[str, ...],
 ) -> list[str]:
-    """Return what a mesh is like, a line each; see `MeshRoom.describe`.
+    """Return description of a mesh, a line per fact; see `MeshRoom.describe`.
 
     Shapes: vertices, triangles (V, 3) m.
     """
@@ -242,7 +242,7 @@ def describe_mesh(
 
 
 def _shells(triangles: NDArray[np.int64]) -> tuple[int, int]:
-    """Return how many parts a mesh has that share no vertex, and how many of those are watertight."""
+    """Return number of parts of a mesh that share no vertex, and the number of watertight ones."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
     count, part = clusters(int(triangles.max()) + 1, edges)
@@ -250,7 +250,7 @@ def _shells(triangles: NDArray[np.int64]) -> tuple[int, int]:
 
 
 def _openings(edges: Floats) -> list[str]:
-    """Return where a mesh is open, from its open edges (n, 2, 3)."""
+    """Return description of the holes of a mesh from its open edges (n, 2, 3)."""
     holes = _holes(edges)
     around = f"{len(holes)} hole{'s' if len(holes) > 1 else ''}"
     lines = [f"open: {len(edges)} edges are not shared by two triangles, around {around}"]

@@ -40,7 +40,7 @@ _TO_Z_UP = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshFile:
-    """What a mesh file holds, neither welded nor cleaned.
+    """Content of a mesh file, neither welded nor cleaned.
 
     Shapes: vertices (V, 3) m; triangles (T, 3); group (T,).
 

@@ -19,7 +19,7 @@ _MOST_POINTS = LARGEST_BINARY // 16  # points in the arrays of a glTF file
 
 
 def load_by_trimesh(file: Path) -> Any:
-    """Return what a file holds as a scene of trimesh's."""
+    """Return content of a file as a trimesh scene."""
     import trimesh
 
     known = ", ".join(KNOWN_FORMATS)
@@ -39,7 +39,7 @@ def load_by_trimesh(file: Path) -> Any:
 
 
 def _check_unpacked(file: Path, kind: str) -> None:
-    """Refuse a file that says of itself that it takes more memory than anyone needs."""
+    """Refuse a file whose header declares more memory than allowed."""
     if kind == "3mf":
         with open_file(file, LARGEST_BINARY) as stream:
             check_archive(stream)
@@ -70,7 +70,7 @@ def _check_nodes(file: Path, header: dict[str, Any]) -> None:
 
 
 def _beside(file: Path) -> Any:
-    """Return what finds the files that a mesh file names; they are regular ones of bounded size too."""
+    """Return resolver of the files that a mesh file names: regular files of bounded size."""
     from trimesh.resolvers import FilePathResolver
 
     class Beside(FilePathResolver):

@@ -51,24 +51,24 @@ class Room(Protocol):
 
     @property
     def is_convex(self) -> bool:
-        """Whether `clearance` above 0 is all that being in the room asks for, at two positions as between them."""
+        """Whether `clearance` above 0 at two positions places the whole segment between them in the room."""
         ...
 
     @property
     def is_closed(self) -> bool:
-        """Whether the walls part an inside from an outside, so that `contains` means something."""
+        """Whether the walls separate an inside from an outside, so that `contains` is defined."""
         ...
 
     def contains(self, positions: Floats) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) in m lie inside, (n,)."""
+        """Return mask (n,) of positions (n, 3), m, that lie inside."""
         ...
 
     def surrounds(self, positions: Floats) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) in m have walls to all sides, inside or not, (n,)."""
+        """Return mask (n,) of positions (n, 3), m, with walls on all sides, inside or not."""
         ...
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
-        """Return how far ends may surely move before there is a contact.
+        """Return lower bounds of the distance that sources and receivers can move before a contact.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class Room(Protocol):
         ...
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
-        """Return where a motion first leaves the room or meets a wall.
+        """Return the first contact of a motion: where it leaves the room or meets a wall.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class Room(Protocol):
         ...
 
     def edges(self) -> Edges:
-        """Return the edges at which sound turns round corners."""
+        """Return the diffracting edges."""
         ...
 
     def as_mesh(self) -> MeshRoom:
@@ -114,7 +114,7 @@ class Room(Protocol):
         ...
 
     def describe(self) -> list[str]:
-        """Return what the room is like, a line each."""
+        """Return description of the room, a line per fact."""
         ...
 
 
@@ -122,7 +122,7 @@ ROOM_MEMBERS = tuple(sorted(name for name in vars(Room) if not name.startswith("
 
 
 def is_room(value: Any) -> TypeGuard[Room]:
-    """Return whether a value has all that a room has."""
+    """Whether a value has all members of `Room`."""
     return not isinstance(value, type) and all(hasattr(value, name) for name in ROOM_MEMBERS)
 
 

@@ -48,12 +48,12 @@ class ConvexRoom(ABC):
         return None
 
     def _heights(self, positions: ArrayLike) -> Floats:
-        """Return how far positions (..., 3) are in front of the nearest wall, (...) m."""
+        """Return distances (...) of positions (..., 3) in front of the nearest wall, m."""
         faces = self.faces
         return np.asarray((np.asarray(positions, dtype=np.float64) @ faces.normals.T - faces.offsets).min(axis=-1))
 
     def contains(self, positions: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Return which positions lie inside the room, strictly.
+        """Return a mask of positions strictly inside the room.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class ConvexRoom(ABC):
         return np.asarray(self._heights(positions) > margin)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) have walls to all sides: those inside.
+        """Return a mask (n,) of positions (n, 3) with walls on all sides: those inside.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class ConvexRoom(ABC):
         return self.contains(positions)
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
-        """Return how far positions (n, 3) are inside the room, (n,) m; see `Room.clearance`.
+        """Return distances (n,) of positions (n, 3) from the nearest wall, positive inside, m; see `Room.clearance`.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class ConvexRoom(ABC):
         return np.minimum(mount.clearance(positions), self._heights(mount.lifted(positions)))
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
-        """Return where positions (n, 3) first are outside the room, or off the wall they sit in.
+        """Return the first contact: positions (n, 3) outside the room, or off their own wall.
 
         Parameters
         ----------

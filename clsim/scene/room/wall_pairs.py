@@ -78,7 +78,7 @@ def _widths(normal: Floats, hull: Floats, first_hull: Ints) -> Floats:
 
 
 def firsts_of(of: Ints) -> Ints:
-    """Return where each value of a sorted array, which has all from 0 on, begins."""
+    """Return first index of each value of a sorted array that contains all values from 0."""
     return np.flatnonzero(np.concatenate([[True], of[1:] != of[:-1]]))
 
 
@@ -102,7 +102,7 @@ def straddling(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, p
 
 
 def meeting(normal: Floats, offset: Floats, lines: tuple[list[Floats], list[Floats]], size: float) -> Floats:
-    """Return the parts (n, 2, 3) of two planes' common line on pieces of two walls, which are told by their lines."""
+    """Return segments (n, 2, 3) of the planes' common line on convex pieces of two walls, given by their side lines."""
     along = np.cross(normal[0], normal[1])
     along /= np.linalg.norm(along)
     point = np.linalg.solve(np.stack([normal[0], normal[1], along]), [offset[0], offset[1], 0.0])
@@ -200,7 +200,7 @@ class WallTree:
         """
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:
-            """Return which boxes reach to the inner side of all planes of their row."""
+            """Return mask of boxes that reach to the inner side of all planes of their row."""
             inside = np.ones(len(row), dtype=bool)
             for p in range(planes.shape[1]):
                 plane = planes[:, p][row]
@@ -225,7 +225,7 @@ class WallTree:
         reach = np.abs(along) + slack
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:
-            """Return which boxes, by middles and half sizes, touch the segment of their row, by separating axes."""
+            """Return mask of boxes that touch the segment of their row, by separating axes; centres and half sizes."""
             apart, length, away = along[row], reach[row], middle - centre[row]
             near = np.all(np.abs(away) <= half + length, axis=1)
             for i, j in ((1, 2), (2, 0), (0, 1)):  # an axis apart from both: the cross product of segment and axis
@@ -240,7 +240,7 @@ class WallTree:
         centre, reach = 0.5 * (low + high), 0.5 * (high - low)
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:
-            """Return which boxes overlap the box of their row."""
+            """Return mask of boxes that overlap the box of their row."""
             return np.asarray(np.all(np.abs(middle - centre[row]) <= half + reach[row], axis=1))
 
         return self._from_top(len(low), meets)
@@ -270,7 +270,7 @@ class WallTree:
 
 
 def _octave(extent: Floats) -> Ints:
-    """Return about how often walls of an extent (n, 3) fit into the largest one, as a power of two, (n,)."""
+    """Return size class (n,) of walls of an extent (n, 3): octaves below the largest wall."""
     length = extent.max(axis=1)
     share = np.maximum(length / max(float(length.max()), 1e-300), 2.0**-_OCTAVES)
     return np.asarray(np.floor(np.log2(share)).astype(np.int64))

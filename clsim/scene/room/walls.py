@@ -54,7 +54,7 @@ def hulls(vertices: Floats, triangles: Ints, of_triangle: Ints, normal: Floats) 
 
 
 def _ring(flat: Floats) -> list[int]:
-    """Return which points (n, 2) are corners of their convex hull, counterclockwise."""
+    """Return indices of points (n, 2) that are corners of their convex hull, counterclockwise."""
     sweep = np.lexsort((flat[:, 1], flat[:, 0])).tolist()
     points = flat.tolist()
     ring: list[int] = []
@@ -142,7 +142,7 @@ def _lines(ring: Floats, following: Ints, normal: Floats) -> Floats:
 
 
 def _filled(lines: Floats, first_line: Ints, edge: Floats, first_edge: Ints, size: float) -> NDArray[np.bool_]:
-    """Return which walls fill their hulls: each of their edges lies on a side of it."""
+    """Return mask of walls that fill their hulls: each of their edges lies on a side of the hull."""
     count = np.diff(first_edge)
     wall = np.repeat(np.arange(len(count)), count)
     of, line = spread(first_line, wall)
@@ -210,7 +210,7 @@ class Walls:
         return self.edge[self.first_edge[wall] : self.first_edge[wall + 1]]
 
     def holds(self, wall: int, points: Floats) -> NDArray[np.bool_]:
-        """Return which points (n, 3) of a wall's plane lie on the wall, (n,)."""
+        # Points (n, 3) of the wall's plane; the mask is (n,).
         first, last = self.first_piece[wall], self.first_piece[wall + 1]
         lines = self.line[self.first_line[first] : self.first_line[last]]
         inside = points @ lines[:, :3].T - lines[:, 3] >= -INSIDE * self.size
@@ -366,7 +366,7 @@ def _contact(walls: Walls, wall: int, positions: Floats) -> int | None:
 
 
 def _near(walls: Walls, wall: int, positions: Floats) -> NDArray[np.bool_]:
-    """Return which positions lie over a wall, or beside it by less than the nearest distance."""
+    """Return mask of positions over a wall, or beside it by less than `NEAREST`."""
     over = walls.holds(wall, positions)
     edges = walls.edges_of(wall)
     along = edges[:, 1] - edges[:, 0]

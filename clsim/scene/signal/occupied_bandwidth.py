@@ -24,7 +24,7 @@ CELLS = 64  # of a band, by which a signal's importance is given
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShortTimeSpectra:
-    """A signal's energy by window of some 40 ms and frequency, relative to that of what sounds about the window."""
+    """A signal's energy by window of some 40 ms and frequency, relative to the total energy around the window."""
 
     frequencies: Floats  # (F,) evenly spaced from 0 to half the sampling rate, Hz
     energy: Floats  # (W, F) see `Signal.short_time_spectra`
@@ -70,8 +70,8 @@ class ShortTimeSpectra:
         """Return the weights (CELLS,) of errors in equal cells from 0 Hz to `high` Hz.
 
         Where errors times weights stay below a bound, their root mean square over the spectrum of any window, relative
-        to what is heard of it, is at most 3 dB above it: whole for what sounds loudest, little for skirts of onsets.
-        `loudness` (W,) is the inverse of the energy that is heard of each window.
+        to its audible energy, is at most 3 dB above it: 1 for the strongest components, small for skirts of onsets.
+        `loudness` (W,) is the inverse of the audible energy of each window.
         """
         cell = (self.frequencies * (CELLS / high)).astype(np.int64)
         bins = np.flatnonzero(cell < CELLS)
@@ -81,15 +81,15 @@ class ShortTimeSpectra:
         return np.asarray(np.max([np.roll(np.pad(weight, 1), k)[1:-1] for k in (-1, 0, 1)], axis=0))
 
     def swiftness(self) -> float:
-        """Return the largest root mean square frequency of any window, Hz: that by which an error of delay is heard."""
+        """Return the largest root mean square frequency of any window, Hz: errors of delays weigh by it."""
         return math.sqrt(float((self.energy @ self.frequencies**2).max(initial=0.0)))
 
 
 def spectra(signal: Signal) -> tuple[ShortTimeSpectra, Callable[[], tuple[Floats, Floats]]]:
-    """Return a signal's short-time spectra, of silence without a window, and what returns its energy spectrum.
+    """Return a signal's short-time spectra (without a window for silence) and a function for its energy spectrum.
 
-    That is frequencies (n,), Hz, and energy (n,) as of `Signal.energy_spectrum`. Where both have windows of the same
-    length they are worked out together; else it is worked out when it is first asked for.
+    The function gives frequencies (n,), Hz, and energy (n,) as `Signal.energy_spectrum`. Both are computed together
+    where their windows have the same length; otherwise the function computes it when first called.
     """
     frequencies, energy, weights, whole = signal.short_time_spectra()
     found = ShortTimeSpectra(frequencies, energy, weights)

@@ -62,7 +62,7 @@ def shaped_count(chips: int, chip_rate: float, sampling_rate: float) -> int:
 
 
 def most_repeats(chips: int, chip_rate: float, sampling_rate: float) -> int:
-    """Return how many periods of a sequence can be kept, 1 at least."""
+    """Return number of periods of a sequence that can be kept, at least 1."""
     if shaped_count(chips, chip_rate, sampling_rate) > _MOST_SAMPLES:
         raise InputError(
             "chip_rate",

@@ -76,14 +76,14 @@ class Signal:
 
     @property
     def pulse_times(self) -> Floats:
-        """When the pulses of a train begin (n,), s; 0 for any other signal."""
+        """Onsets (n,) of the pulses of a train, s; 0 for any other signal."""
         if not isinstance(self.waveform, Pulses):
             return np.zeros(1)
         return np.asarray(np.arange(self.waveform.repetitions) * self.waveform.period)
 
     @property
     def pulse(self) -> Signal:
-        """What a train repeats; any other signal itself."""
+        """The repeated pulse of a train; any other signal itself."""
         if not isinstance(self.waveform, Pulses):
             return self
         return Signal(self.waveform.pulse, self.waveform.pulse_rate)

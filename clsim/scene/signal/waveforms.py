@@ -60,11 +60,9 @@ class Tone:
 
     @property
     def centre_frequency(self) -> float:
-        """Its frequency, Hz."""
         return self.frequency
 
     def count(self, sampling_rate: float) -> int:
-        """Return the number of samples."""
         return _count(self.duration, sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
@@ -87,7 +85,6 @@ class Tone:
         return np.asarray(out)
 
     def at_rate(self, old: float, new: float) -> Tone:
-        """Return itself, if the frequency fits."""
         _fits("frequency", self.frequency, new)
         return self
 
@@ -105,15 +102,12 @@ class Chirp:
 
     @property
     def centre_frequency(self) -> float:
-        """Mean of start and stop, Hz."""
         return 0.5 * (self.start + self.stop)
 
     def count(self, sampling_rate: float) -> int:
-        """Return the number of samples."""
         return _count(self.duration, sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        """Return samples."""
         t = np.arange(first, last, dtype=np.float64) / sampling_rate
         if self.method == "linear" or self.start == self.stop:
             cycles = t * (self.start + 0.5 * (self.stop - self.start) / self.duration * t)
@@ -126,7 +120,6 @@ class Chirp:
         return np.asarray(out)
 
     def at_rate(self, old: float, new: float) -> Chirp:
-        """Return itself, if its frequencies fit."""
         _fits("start", self.start, new)
         _fits("stop", self.stop, new)
         return self
@@ -143,15 +136,12 @@ class Pulses:
 
     @property
     def centre_frequency(self) -> float | None:
-        """That of the pulse, Hz."""
         return self.pulse.centre_frequency
 
     def count(self, sampling_rate: float) -> int:
-        """Return the number of samples: the last pulse ends the train."""
         return (self.repetitions - 1) * self._step(sampling_rate) + self.pulse.count(sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        """Return samples."""
         out = np.zeros(last - first)
         step, length = self._step(sampling_rate), self.pulse.count(sampling_rate)
         heard = range(max(0, (first - length) // step + 1), min(self.repetitions - 1, (last - 1) // step) + 1)
@@ -166,7 +156,6 @@ class Pulses:
         return out
 
     def at_rate(self, old: float, new: float) -> Pulses:
-        """Return the train of the pulse at the new rate."""
         return Pulses(self.pulse.at_rate(old, new), new, self.period, self.repetitions).checked(new)
 
     def checked(self, sampling_rate: float) -> Pulses:
@@ -197,15 +186,12 @@ class Noise:
 
     @property
     def centre_frequency(self) -> float | None:
-        """Middle of the band, Hz."""
         return None if self.band is None else 0.5 * (self.band[0] + self.band[1])
 
     def count(self, sampling_rate: float) -> int:
-        """Return the number of samples."""
         return _count(self.duration, sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        """Return samples."""
         out = self._steady(first, last, sampling_rate)
         if self.fade > 0.0:
             _taper(out, first, sampling_rate, self.duration, self.fade)
@@ -250,19 +236,15 @@ class Sequence:
 
     @property
     def centre_frequency(self) -> float:
-        """The carrier, Hz."""
         return self.carrier
 
     def count(self, sampling_rate: float) -> int:
-        """Return the number of samples."""
         return len(self._samples(sampling_rate))
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        """Return samples."""
         return self.amplitude * self._samples(sampling_rate)[first:last]
 
     def at_rate(self, old: float, new: float) -> Sequence:
-        """Return itself, if its band fits."""
         _fits("carrier", self.carrier + 0.5 * self.chip_rate * (1.0 + self.rolloff), new)
         return self
 
@@ -283,11 +265,9 @@ class Samples:
     __repr__ = short_repr
 
     def count(self, sampling_rate: float) -> int:
-        """Return the number of samples."""
         return self._resampler(sampling_rate).count(len(self.values))
 
     def read(self, first: int, last: int, sampling_rate: float) -> NDArray[Any]:
-        """Return samples."""
         if sampling_rate == self.recorded:
             return self.values[first:last]
         return self._resampler(sampling_rate).read(self.values, first, last)

@@ -197,7 +197,7 @@ class Electronics:
                 as_number(name, getattr(self, name), below=0.5 * sampling_rate, unit="Hz")
 
     def describe(self, unit: str) -> str:
-        """Return what is done, in a line.
+        """Return a description of the processing in one line.
 
         Parameters
         ----------

@@ -30,7 +30,7 @@ _CACHED = 64  # blocks kept
 
 
 class Response(Protocol):
-    """Anything with an impulse response at every sampling rate."""
+    """Protocol of filters with an impulse response at every sampling rate."""
 
     def impulse_response(self, sampling_rate: float) -> Floats:
         """Return the causal impulse response, (n,)."""
@@ -46,17 +46,14 @@ class Filtered:
     centre_frequency: float | None
 
     def count(self, sampling_rate: float) -> int:
-        """Return the number of samples."""
         return self.waveform.count(sampling_rate) + len(self.response.impulse_response(sampling_rate)) - 1
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        """Return samples."""
         start = first // _BLOCK
         blocks = [_filtered_block(self, k, sampling_rate) for k in range(start, -(-last // _BLOCK))]
         return np.concatenate(blocks)[first - start * _BLOCK : last - start * _BLOCK]
 
     def at_rate(self, old: float, new: float) -> Filtered:
-        """Return the waveform at the new rate after the filter at the new rate."""
         return Filtered(self.waveform.at_rate(old, new), self.response, self.centre_frequency)
 
 
@@ -132,7 +129,6 @@ class Resonance:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Known at all frequencies."""
         return 0.0, math.inf
 
     def taps(self, sampling_rate: float) -> Floats:
@@ -170,12 +166,10 @@ class ResponseTable:
 
     @property
     def peak(self) -> float:
-        """Largest magnitude."""
         return float(self.magnitudes.max())
 
     @property
     def band(self) -> tuple[float, float]:
-        """Frequencies (low, high) in Hz that it covers: those of the table, or all by name."""
         if self.outside is not None:
             return 0.0, math.inf
         return float(self.frequencies[0]), float(self.frequencies[-1])
@@ -223,16 +217,14 @@ class ImpulseResponse:
 
     @property
     def peak(self) -> float:
-        """Largest magnitude."""
         return float(np.abs(np.fft.rfft(self.samples, 4 * max(len(self.samples), 256))).max())
 
     @property
     def band(self) -> tuple[float, float]:
-        """Frequencies (low, high) in Hz that it covers: up to half the rate at which it was recorded."""
         return 0.0, 0.5 * self.recorded
 
     def taps(self, sampling_rate: float) -> Floats:
-        """Return the samples, or what they are at another rate."""
+        """Return the samples, resampled for another rate."""
         if sampling_rate == self.recorded:
             return self.samples
         resampler = Resampler.between(self.recorded, sampling_rate)
@@ -244,7 +236,7 @@ class ImpulseResponse:
 
 
 def _settled(make: Callable[[Floats], Floats], sampling_rate: float, *, acausal: bool = False) -> Floats:
-    """Return taps from a spectrum that is fine enough for them to die away, cut where they have."""
+    """Return taps from a spectrum fine enough for them to decay, truncated after the decay."""
     size = _SHORTEST
     while True:
         frequencies = np.asarray(np.arange(size // 2 + 1) * (sampling_rate / size), dtype=np.float64)
@@ -272,7 +264,7 @@ def _causal(taps: Floats, field: str, advice: str, before: int | None = None) ->
 
 
 def _cut(taps: Floats) -> Floats:
-    """Return taps up to where nothing that matters follows."""
+    """Return taps without their negligible end."""
     rest = np.cumsum(np.square(taps[::-1]))[::-1]
     return taps[: max(1, int(np.count_nonzero(rest > _REST * rest[0])))]
 
