@@ -9,7 +9,7 @@ import sys
 import traceback
 from importlib import import_module
 from itertools import takewhile
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from clsim.commands import COMMANDS
 from clsim.errors import ClsimError, InputError, meant, not_one_of
@@ -69,6 +69,10 @@ class _Parser(argparse.ArgumentParser):
         if choice:
             raise InputError(choice[1], not_one_of(choice[2], re.findall(r"[\w-]+", choice[3])))
         raise InputError("", message.removeprefix("argument "))
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Print help or the version; argparse's own method hides that it failed."""
+        print(message, end="", file=file, flush=True)
 
 
 def _options(arguments: list[str]) -> argparse.Namespace:

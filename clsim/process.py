@@ -119,8 +119,8 @@ def open_streams() -> None:
     """See that all three standard streams are there, take every text, and that messages never fail a command.
 
     A closed stream is replaced by one of the null device: else the next file that is opened takes its number, and gets
-    what drivers print. Names that are not UTF-8 are written as the bytes that they are; what else the encoding of the
-    stream does not know, as an escape.
+    what drivers print. Names that are not UTF-8 are written as the bytes that they are, on terminals as escapes; what
+    else the encoding of the stream does not know, as an escape.
     """
     for number in range(3):
         try:
@@ -131,7 +131,7 @@ def open_streams() -> None:
     if sys.stdout is None:
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
     if sys.stdout.isatty():
-        sys.stdout = _Terminal(sys.stdout.buffer, sys.stdout.encoding, "clsim-escape", line_buffering=True)
+        sys.stdout = _Terminal(sys.stdout.buffer, sys.stdout.encoding, "backslashreplace", line_buffering=True)
     elif isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="clsim-escape")
     encoding = getattr(sys.stderr, "encoding", None) or "utf-8"

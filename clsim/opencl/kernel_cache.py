@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _TOO_LARGE = "this process may not write files as large as kernels are"
+_SHARED = Path("/tmp/pocl/kcache")  # PoCL's choice where no variable names a folder
 _ROOM = 2**20  # bytes: about what the kernels of one scene take
 
 
@@ -42,7 +43,8 @@ def prepare() -> str:
         if "pyopencl" in sys.modules:
             vars(sys.modules["pyopencl"])["_PYOPENCL_NO_CACHE"] = True
     folder = pocl_folder()
-    trouble = _trouble(folder)
+    # Any user can make the shared folder first, and whoever made it can replace what is in it.
+    trouble = "HOME is not set, and all users share it" if folder == _SHARED else _trouble(folder)
     if not trouble:
         return ""
     trouble = f"the cache of built kernels, {folder}, cannot be used: {trouble}"
@@ -62,7 +64,7 @@ def pocl_folder() -> Path:
     for name, below in (("POCL_CACHE_DIR", ""), ("XDG_CACHE_HOME", "pocl/kcache"), ("HOME", ".cache/pocl/kcache")):
         if os.environ.get(name):
             return Path(os.environ[name], below)
-    return Path("/tmp/pocl/kcache")
+    return _SHARED
 
 
 def _pyopencl_folder() -> Path:

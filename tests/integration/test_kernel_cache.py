@@ -46,6 +46,20 @@ def test_a_cache_that_cannot_be_written_is_replaced(fresh: pytest.MonkeyPatch, v
     assert not folder.exists()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="PoCL has no such folder there")
+def test_the_folder_that_all_users_share_is_not_used(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setenv("HOME", "")
+    looked: list[Path] = []
+    trouble = cache._trouble
+    fresh.setattr(cache, "_trouble", lambda folder: looked.append(folder) or trouble(folder))
+    with pytest.warns(clsim.ClsimWarning, match=r"HOME is not set, .*; kernels are built anew"):
+        assert cache.prepare() == ""
+    folder = cache.pocl_folder()
+    assert folder.stat().st_mode & 0o77 == 0
+    assert Path("/tmp/pocl") not in {parent for path in (folder, *looked) for parent in path.parents}
+    cache._remove(folder, os.getpid())
+
+
 @pytest.mark.parametrize("trouble", ["No space left on device", "it is mounted noexec"])
 def test_without_any_folder_it_is_one_line(fresh: pytest.MonkeyPatch, capsys, trouble: str) -> None:
     fresh.setattr(cache, "_trouble", lambda folder: trouble)

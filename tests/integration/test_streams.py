@@ -63,9 +63,24 @@ def test_an_error_keeps_its_status(folder: Path, redirected: str) -> None:
 
 
 def test_what_cannot_be_printed_is_an_error(folder: Path) -> None:
-    done = ran(folder, ">/dev/full", "materials")
-    assert done.returncode == 2
-    assert done.stderr.decode() == "clsim: error: [Errno 28] No space left on device\n"
+    for argument in ("materials", "--version"):
+        done = ran(folder, ">/dev/full", argument)
+        assert done.returncode == 2
+        assert done.stderr.decode() == "clsim: error: [Errno 28] No space left on device\n"
+
+
+def test_names_give_a_terminal_no_commands(folder: Path) -> None:
+    """The escape that begins commands, and a byte that does so on terminals of eight bits, are printed as escapes."""
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    line = [sys.executable, "-m", "clsim", "new", os.fsencode(folder) + b"/q\x1b[31m\x9b.toml"]
+    try:
+        done = subprocess.run(line, env=ENVIRONMENT, stdout=theirs, stderr=subprocess.PIPE)
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert os.read(ours, 1000).rstrip() == os.fsencode(folder) + rb"/q\x1b[31m\udc9b.toml"
+    finally:
+        os.close(ours)
+        os.close(theirs)
 
 
 def test_a_stream_of_few_letters_gets_escapes(folder: Path, capsys) -> None:

@@ -224,10 +224,10 @@ def float64_device(engine: str, name: str | None) -> tuple[DeviceInfo, Any] | No
             if info.fp64:
                 return info, chosen
             reason = f"{info.name} has no float64"
-        except DeviceError:
+        except DeviceError as error:
             if name is not None:
                 raise
-            reason = "there is no OpenCL device"
+            reason = str(error)
         warn(f"{reason}: paths are validated by NumPy, which is slow")
     return None
 

@@ -90,3 +90,26 @@ def test_lengths_that_nobody_knew_and_padding_are_no_cuts(tmp_path: Path) -> Non
     data = path.read_bytes()
     path.write_bytes(data[:-1] if len(data) % 2 == 0 else data)
     assert clsim.Signal.from_wav(path).count == 1001
+
+
+@pytest.mark.parametrize(
+    ("form", "subtype", "cuts"),
+    [
+        ("W64", "PCM_16", (1, 2, 3)), ("RF64", "FLOAT", (1, 2)), ("CAF", "FLOAT", (1, 2)), ("CAF", "PCM_16", (1, 5)),
+        ("OGG", "VORBIS", (1, 2, 300)), ("WAV", "PCM_16", (1,)), ("AIFF", "PCM_16", (1,)), ("FLAC", "PCM_16", (1,)),
+    ],
+)  # fmt: skip
+def test_a_cut_of_a_byte_is_one(
+    form: str, subtype: str, cuts: tuple[int, ...], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Of the last sample, or of the last page, some bytes are missing; a byte that was never wanted is no cut."""
+    path = tmp_path / "sound"
+    soundfile.write(path, rng.uniform(-0.5, 0.5, COUNT), RATE, format=form, subtype=subtype)
+    data = path.read_bytes()
+    for more in (b"", b"\0"):
+        path.write_bytes(data + more)
+        assert clsim.Signal.from_wav(path).count == COUNT
+    for cut in cuts:
+        path.write_bytes(data[:-cut])
+        with pytest.raises(InputError, match=r"^path: must be"):
+            clsim.Signal.from_wav(path)

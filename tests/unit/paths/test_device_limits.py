@@ -1,6 +1,7 @@
 """Limits of devices in the search for paths, by a description that is set: each holds, or it is said what to do."""
 
 import dataclasses
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -155,3 +156,10 @@ def test_without_float64_paths_are_searched_for_by_numpy(described, watched) -> 
     assert not watched[1]
     for one, other in zip(got, wanted, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_after_a_fork_paths_are_searched_for_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The warning names the fork, and the way to start processes that keeps the device."""
+    monkeypatch.setattr("clsim.opencl.device._openers", [os.getpid() + 1])  # as in a child
+    with pytest.warns(clsim.ClsimWarning, match='forked from .* "spawn" .*: paths are validated by NumPy'):
+        clsim.find_paths(SCENES["an L"][0], 1)
