@@ -131,6 +131,7 @@ class Compiler:
                     cl.Kernel(built, program)
                 except cl.Error as error:
                     failed = error
+                    _log.info("%s: not built as it stands, tried otherwise: %s", program, str(error)[:500])
                 else:
                     return built
         device = self.context.devices[0].name.strip()

@@ -390,7 +390,8 @@ def hand(name: str, trajectory: Trajectory, length: float = 0.19, opening: Array
     if not isinstance(trajectory, Trajectory):
         raise InputError("trajectory", f"must be a Trajectory, but is {trajectory!r:.80}")
     times, shares = _opening(opening)
-    if trajectory.is_static and not trajectory.turns and len(times) == 1:
+    resting = trajectory.is_static and (not trajectory.turns or math.isinf(trajectory.end))  # in one orientation
+    if resting and len(times) == 1:
         instants = np.zeros(1)
     elif math.isinf(trajectory.end):
         instants = pose_times(min(float(times[0]), 0.0), max(float(times[-1]), 0.0))

@@ -19,5 +19,6 @@ double BUILTIN atan2(double, double);
 double BUILTIN fabs(double);
 double BUILTIN fmin(double, double);
 double BUILTIN fmax(double, double);
+double4 BUILTIN fmax(double4, double4);
 int __attribute__((overloadable)) atomic_inc(volatile __global int*);
 void __attribute__((overloadable, convergent)) barrier(cl_mem_fence_flags);

@@ -24,7 +24,7 @@ static reals edge_step(const trajectory* path, __global const edge_view* edge, c
     locate(path, RETARDED ? time - a->delay : time, a);
     const triples from = seen_at(edge->source_turn, edge->source_shift, cubics(a->knot, a->u)), to = receiver->position;
     const triples velocity = turned(edge->source_turn, cubic_rates(a->knot, a->u));
-    const double least = ON_LINE * ON_LINE;  // see `off_line`
+    const reals least = (reals)(ON_LINE * ON_LINE);  // see `off_line`
     const reals s2 = fmax(from.x * from.x + from.y * from.y, least), r2 = fmax(to.x * to.x + to.y * to.y, least);
     const reals s = inverse_root(s2), r = inverse_root(r2);  // of the distances from the edge
     reals length, inward, outward, rising, leaving;  // what of the way goes off the edge or towards it, and along it

@@ -70,3 +70,13 @@ def test_a_gesture_on_a_hand_that_moves_and_turns() -> None:
 def test_what_is_no_hand(given: dict[str, Any], message: str) -> None:
     with pytest.raises(clsim.InputError, match=message):
         clsim.hand("h", **{"trajectory": clsim.Trajectory.fixed((1.0, 1.0, 1.0))} | given)
+
+
+def test_a_hand_that_is_turned_and_rests_has_parts_at_rest() -> None:
+    turned = clsim.Trajectory.fixed((1.0, 2.0, 1.0), orientation=(0.5, 0.5, 0.5, 0.5))
+    parts = clsim.hand("h", turned)
+    assert all(part.trajectory.is_static for part in parts)
+    upright = {part.name: part for part in clsim.hand("h", clsim.Trajectory.fixed((1.0, 2.0, 1.0)))}
+    for part in parts[1:]:
+        expected = rotate(np.array([0.5, 0.5, 0.5, 0.5]), ends_of(upright[part.name], 0.0) - (1.0, 2.0, 1.0))
+        np.testing.assert_allclose(ends_of(part, 0.0) - (1.0, 2.0, 1.0), expected, atol=1e-12)
