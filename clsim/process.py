@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import _thread
 import codecs
 import io
 import os
 import signal
 import sys
+import time
 
 TYPE_CHECKING = False  # of typing, which takes a while to import
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ INTERRUPTED = 130  # exit status
 _MESSAGE = b"clsim: interrupted; nothing half-written was left\n"
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 _AGAIN = 0.02  # s after which an interrupt is tried again that came during an import or in a callback
+_SWALLOWED = 0.25  # s after which it is raised again, unless it is being handled: some libraries catch everything
 _IMPORTS = "<frozen importlib._bootstrap>"  # file of the frames that import
 
 
@@ -68,15 +71,18 @@ def _raise(number: int, frame: FrameType | None) -> None:
             _raise_later()
             return
         frame = frame.f_back
+    _raise_later(_SWALLOWED)
     raise KeyboardInterrupt
 
 
-def _raise_later() -> None:
-    import threading
+def _raise_later(seconds: float = _AGAIN) -> None:
+    # Not threading.Timer: the interrupted code may hold a lock that starting a Timer takes.
+    _thread.start_new_thread(_interrupt, (seconds,))
 
-    timer = threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT))
-    timer.daemon = True
-    timer.start()
+
+def _interrupt(seconds: float) -> None:
+    time.sleep(seconds)
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 def _raise_again(found: sys.UnraisableHookArgs) -> None:

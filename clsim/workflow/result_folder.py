@@ -6,10 +6,12 @@ what will be moved. So whatever moment a process dies at, each file is clsim's b
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
 import shutil
+import time
 import zipfile
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
@@ -31,6 +33,7 @@ State = dict[str, "NDArray[Any]"]
 _LOCK, _JOURNAL, _CONTENTS = "lock", "journal.npz", "contents.json"
 _STORE_FILE = re.compile(r"(\w+/)?zarr\.json|\w+/c(/\d+)*|.*\.[0-9a-f]{32}\.partial")  # of a Zarr store
 _STORE_FOLDER = re.compile(r"\w+(/c(/\d+)*)?")
+_STILL_WRITING = 2.0  # s in which threads of an interrupted process finish their writes
 
 
 class Journal:
@@ -289,6 +292,18 @@ class ResultFolder:
         for path in sorted(self.work.iterdir(), key=lambda path: (path.name == _LOCK, path.name == _CONTENTS)):
             if path.name in ours or is_temporary(path.name):
                 if path.is_dir() and not path.is_symlink():
-                    shutil.rmtree(path)
+                    _remove_folder(path)
                 else:
                     path.unlink(missing_ok=True)
+
+
+def _remove_folder(path: Path) -> None:
+    """Delete a folder; after an interrupt, threads of Zarr may still be writing into it for a moment."""
+    deadline = time.monotonic() + _STILL_WRITING
+    while path.exists():
+        try:
+            shutil.rmtree(path)
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT) or time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)

@@ -4,12 +4,15 @@ Three interrupts at every change, fifteen in the exhaustive tests; `make kills` 
 """
 
 import contextlib
+import itertools
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from made_studies import ENVIRONMENT, write, write_scene
 from test_kills import RECEIVER, SCENE
 
 from clsim.files.atomic import is_temporary
+from clsim.workflow.result_folder import _remove_folder
 
 INTERRUPTS = int(os.environ.get("CLSIM_INTERRUPTS", "15"))
 FIRST = 0.45  # share of those within the first second
@@ -126,3 +130,50 @@ def test_an_interrupt_is_one_line(number: int, folder: Path, rng: np.random.Gene
     assert [line for line in lines if line.startswith(MESSAGE)] == lines[-1:]
     assert len(lines) == 1
     assert not temporary(folder)
+
+
+SWALLOWED = """
+import os, signal, time
+from clsim import process
+process.end_on_interrupt()
+process.raise_on_interrupt()
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(9.0)
+except KeyboardInterrupt:
+    pass  # as a library does that catches everything
+try:
+    time.sleep(9.0)
+except KeyboardInterrupt:
+    time.sleep(0.4)  # what cleans up is not interrupted
+    print("interrupted again")
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="this system sends no signals")
+def test_an_interrupt_that_a_library_swallows_comes_again() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED], env=ENVIRONMENT, capture_output=True, text=True, timeout=60,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted again\n", "")
+
+
+def test_a_folder_that_is_still_written_into_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a thread of Zarr, which goes on for a moment after the process was interrupted."""
+    folder, rmdir, late = tmp_path / "store", os.rmdir, iter(["first", "second"])
+    folder.mkdir()
+    (folder / "early").touch()
+
+    def remove(*arguments: Any, **more: Any) -> None:
+        """Remove a folder into which a file came meanwhile."""
+        for name in itertools.islice(late, 1):
+            (folder / name).touch()
+        rmdir(*arguments, **more)
+
+    monkeypatch.setattr(os, "rmdir", remove)
+    with pytest.raises(OSError, match="not empty"):
+        shutil.rmtree(folder)
+    _remove_folder(folder)
+    assert not folder.exists()
+    assert next(late, None) is None
