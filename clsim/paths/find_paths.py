@@ -20,7 +20,7 @@ from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
 from clsim.paths.specular.cross_talk import direct_levels, with_direct
 from clsim.paths.specular.mesh import FINDERS, mesh_paths, report
 from clsim.paths.specular.shoebox import shoebox_paths
-from clsim.paths.without_edges import warn_of_small_faces
+from clsim.paths.without_edges import warn_without_edges
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
@@ -150,7 +150,7 @@ def find_paths(
         found = (*found, *_scattered(scene, search))
     paths = PathSet(scene, with_direct(found, levels))
     if not edges:
-        warn_of_small_faces(paths)
+        warn_without_edges(paths)
     return paths
 
 

@@ -25,13 +25,29 @@ _MOST_ROWS = 16  # paths by small faces of a pair that are looked at
 _MOST_FACES = 4  # of which it is found out whether they have edges that diffract
 _MOST_EVENTS = 64  # beginnings and ends of paths of a pair that are looked at
 _SOFTEST_DB = -40.0  # re the free direct sound
-_LEAST_JUMP_DB = -60.0  # re the strongest path
+_LEAST_JUMP_DB, _LOUD_JUMP_DB = -60.0, -40.0  # re the strongest path: of what is reported, and warned of
+_MOST_RECEIVERS = 8
 _FARTHEST = 100.0  # m, of paths whose Fresnel zones matter
 _SAME_EVENT = 1e-5  # s
 
 
-def warn_of_small_faces(paths: PathSet) -> None:
-    """Warn once of the loudest reflection by a face that is smaller than the Fresnel zone of the path over it.
+def warn_without_edges(paths: PathSet) -> None:
+    """Warn once of what is missing without edges: of a face that is too small, or else of jumps at edges.
+
+    Jumps are looked for at the first receivers only, so that many cost no more.
+    """
+    if _warn_of_small_faces(paths):
+        return
+    jump = largest_jump_db(paths, _MOST_RECEIVERS)
+    if jump is not None and jump > _LOUD_JUMP_DB:
+        warn(
+            f"paths begin and end at edges: the pressure jumps by up to {jump:.0f} dB of the strongest path, and behind "
+            "edges there is silence, without paths over edges (diffraction=1)"
+        )
+
+
+def _warn_of_small_faces(paths: PathSet) -> bool:
+    """Warn of the loudest reflection by a face that is smaller than the Fresnel zone of the path over it.
 
     The radius of the first Fresnel zone is ``√(λ d₁ d₂ / (d₁ + d₂))`` for the lengths d₁ and d₂ of the path before and
     after the face (M. Born and E. Wolf, "Principles of Optics", section 8.2), at the centre frequency of the signal. A
@@ -48,16 +64,17 @@ def warn_of_small_faces(paths: PathSet) -> None:
             f"reflection, {level:.0f} dB re the free direct sound, is wrong by several dB without edges "
             "(diffraction=1)"
         )
-        return
+        return True
+    return False
 
 
-def largest_jump_db(paths: PathSet) -> float | None:
-    """Find the largest jump of the pressure where paths begin and end, dB re the strongest path.
+def largest_jump_db(paths: PathSet, most: int | None = None) -> float | None:
+    """Find the largest jump of the pressure where paths to the first receivers begin and end, dB re the strongest.
 
     Paths that take over from each other, such as by the same walls in another order, cancel. None stands for less than
     -60 dB.
     """
-    jumps = [jump for receiver in range(len(paths.scene.receivers)) for jump in _jumps(paths.heard_by(receiver))]
+    jumps = [jump for receiver in range(len(paths.scene.receivers))[:most] for jump in _jumps(paths.heard_by(receiver))]
     worst = 20.0 * np.log10(max(jumps, default=0.0) + 1e-300)
     return float(worst) if worst > _LEAST_JUMP_DB else None
 

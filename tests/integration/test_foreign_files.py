@@ -103,7 +103,7 @@ def test_a_damaged_chunk_is_one_line(finished: Path, tmp_path: Path, number: int
     try:
         clsim.load_recording(out)
     except clsim.InputError as error:
-        assert str(error).startswith(("folder: must hold the sound", "path: must be a store"))
+        assert str(error).startswith(("folder: must hold the sound", "folder: must be a store"))
     else:
         assert number >= 4, "the sound itself was damaged"
     assert main(["score", str(out)]) in (0, 1, 2)  # and raises nothing

@@ -160,6 +160,7 @@ def every_sequence(search: BodySearch, order: int) -> Any:
     return np.array(found, dtype=np.int32)
 
 
+@pytest.mark.filterwarnings("ignore:.*Fresnel zone")
 @pytest.mark.parametrize("seed", few([2, 5, 9]))
 def test_drawn_scenes_at_every_sample(seed: int) -> None:
     """All sequences of one mirror and those that were found, at each sample of 16 kHz: nothing that lasts is missed."""
