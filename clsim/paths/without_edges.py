@@ -41,8 +41,8 @@ def warn_without_edges(paths: PathSet) -> None:
     jump = largest_jump_db(paths, _MOST_RECEIVERS)
     if jump is not None and jump > _LOUD_JUMP_DB:
         warn(
-            f"paths begin and end at edges: the pressure jumps by up to {jump:.0f} dB of the strongest path, and behind "
-            "edges there is silence, without paths over edges (diffraction=1)"
+            f"paths begin and end at edges: the pressure jumps by up to {jump:.0f} dB of the strongest path, and "
+            "behind edges there is silence, without paths over edges (diffraction=1)"
         )
 
 
