@@ -45,8 +45,7 @@ def raise_on_interrupt() -> None:
 
 def ignore_interrupts() -> None:
     """Ignore Ctrl-C from now on: the exit status is known, and the process ends."""
-    if signal.getsignal(signal.SIGINT) is _raise:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whichever handler a library left: exit callbacks would show a traceback
 
 
 def _end(number: int, frame: FrameType | None) -> None:
