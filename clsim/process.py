@@ -45,7 +45,7 @@ def raise_on_interrupt() -> None:
 
 def ignore_interrupts() -> None:
     """Ignore Ctrl-C from now on: the exit status is known, and the process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whichever handler a library left: exit callbacks would show a traceback
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whichever handler a library has left
 
 
 def _end(number: int, frame: FrameType | None) -> None:
