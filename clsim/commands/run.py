@@ -9,7 +9,7 @@ from clsim.cluster.workers import Workers
 from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import safe_path
-from clsim.output.stores import STORES, check_store
+from clsim.output.stores import check_store, store_kinds
 from clsim.output.table import check_table, write_ground_truth, write_table
 from clsim.packages import check_packages
 from clsim.scene_file import load_scene
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="go on with a run that was killed, if there is one")
     parser.add_argument(
         "--store",
-        choices=tuple(STORES),
+        choices=tuple(store_kinds()),
         default="wav",
         help="format of the sound: WAV files, Zarr or HDF5 (default: wav)",
     )
@@ -87,7 +87,7 @@ def _workers(options: argparse.Namespace) -> Workers | None:
         return None
     workers = Workers(options.workers, options.scheduler)
     field = "--scheduler" if options.scheduler else "--workers"
-    by_regions = [name for name, store in STORES.items() if store.by_regions]
+    by_regions = [name for name, store in store_kinds().items() if store.by_regions]
     if options.store not in by_regions:
         raise InputError(
             "--store", f"must be {' or '.join(by_regions)} for {field}, written by regions, but is {options.store}"
@@ -111,7 +111,7 @@ def _fill(
     times = table_times(plan, options.table_rate, "--table-rate")
     identity = run_identity(planned) | {"options": {"store": options.store, "table_rate": options.table_rate}}
     sound = planned.stored_sound(results.folder)
-    store = STORES[options.store](results.work, sound, outputs.receivers)
+    store = store_kinds()[options.store](results.work, sound, outputs.receivers)
     results.begin(identity)
     made = render_sound(results, plan, store, identity, workers)
     changing = bool((paths.start > times[0]).any() or (paths.end <= times[-1]).any())

@@ -21,6 +21,8 @@ from clsim.output.hdf5_file import CHECKSUM_BYTES, LARGEST_CHUNK, chunk_places, 
 from clsim.output.raw_rows import RawRows
 from clsim.output.zarr_chunks import ALL_CHUNKS
 from clsim.packages import check_packages
+from clsim.plugins import STORES as STORE_PLUGINS
+from clsim.plugins import with_plugins
 from clsim.recording import sound_attributes, sound_coordinates
 
 if TYPE_CHECKING:
@@ -77,7 +79,7 @@ class StoredSound:
 
 
 class SoundStore(ABC):
-    """One kind of store; `STORES` lists them.
+    """One kind of store; `store_kinds` lists them.
 
     Attributes
     ----------
@@ -359,11 +361,16 @@ class _ArrayRow:
 STORES: dict[str, type[SoundStore]] = {"wav": _WavStore, "zarr": _ZarrStore, "hdf5": _Hdf5Store}
 
 
+def store_kinds() -> dict[str, type[SoundStore]]:
+    """Join the classes of stores, by name; those of plugins are last."""
+    return with_plugins(STORES, STORE_PLUGINS)
+
+
 def check_store(kind: str, receiver_names: Sequence[str]) -> None:
     """See that a store of a kind can be written, before there is anything to write."""
-    check_packages("--store", kind, "store", *STORES[kind].packages)
+    check_packages("--store", kind, "store", *store_kinds()[kind].packages)
     for i, name in enumerate(receiver_names):
-        problem = STORES[kind].problem_of(name)
+        problem = store_kinds()[kind].problem_of(name)
         if problem:
             raise InputError(f"receivers[{i}]", problem)
 

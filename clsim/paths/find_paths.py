@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
@@ -21,6 +20,7 @@ from clsim.paths.specular.cross_talk import direct_levels, with_direct
 from clsim.paths.specular.mesh import FINDERS, mesh_paths, report
 from clsim.paths.specular.shoebox import shoebox_paths
 from clsim.paths.without_edges import warn_without_edges
+from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
@@ -135,9 +135,10 @@ def find_paths(
     search = PathSearch(
         max_order, edges, diffraction_model, legs, by_bodies, step, limit, finder, resolution, engine, device, tell
     )
-    steps = len(FAMILY_FINDERS) + edges
+    finders = with_plugins(FAMILY_FINDERS, PATH_FAMILIES)
+    steps = len(finders) + edges
     parts = _parts(search, steps + (steps + 1 if scene.bodies else 0))
-    found = tuple(find(scene, next(parts)) for find in FAMILY_FINDERS.values())
+    found = tuple(find(scene, next(parts)) for find in finders.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
         found = (*found, kind(scene, next(parts), found))
     if scene.bodies:
@@ -152,23 +153,6 @@ def find_paths(
     if not edges:
         warn_without_edges(paths)
     return paths
-
-
-@contextmanager
-def registered_family(name: str, finder: FamilyFinder) -> Iterator[None]:
-    """Let `find_paths` find another kind of paths as well, within a ``with`` block.
-
-    name: of the kind; a kind of the same name, such as "specular", is not looked for meanwhile.
-
-    finder: takes a Scene and a `PathSearch`; returns a `PathFamily`, which may be empty.
-    """
-    before = dict(FAMILY_FINDERS)
-    FAMILY_FINDERS[name] = finder
-    try:
-        yield
-    finally:
-        FAMILY_FINDERS.clear()
-        FAMILY_FINDERS.update(before)
 
 
 def _scattered(scene: Scene, search: PathSearch) -> list[PathFamily]:
@@ -196,9 +180,11 @@ def _parts(search: PathSearch, count: int) -> Iterator[PathSearch]:
 
 def _specular_paths(scene: Scene, search: PathSearch) -> PathFamily:
     """Return the paths that walls reflect, by the finder of the kind of room."""
-    find = next((ROOM_FINDERS[kind] for kind in type(scene.room).__mro__ if kind in ROOM_FINDERS), None)
+    rooms: dict[str, Any] = with_plugins({}, ROOMS)
+    finders: dict[type, RoomFinder] = ROOM_FINDERS | {kind: kind.find_paths for kind in rooms.values()}
+    find = next((finders[kind] for kind in type(scene.room).__mro__ if kind in finders), None)
     if find is None:
-        kinds = " or ".join(kind.__name__ for kind in ROOM_FINDERS)
+        kinds = " or ".join(kind.__name__ for kind in finders)
         raise InputError("scene.room", f"must be a {kinds} to find paths, but is {scene.room!r:.80}")
     return find(scene, scene.room, search)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from clsim.errors import InputError
 from clsim.numerics.resampling import Upsampler
+from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.blas_threads import with_blas_threads
 from clsim.render.diffuse_tail import diffuse_tail
@@ -106,7 +107,7 @@ def plan_tracks(
     chunk = chunk_of(tracks, options, samples, heard_at, segment)
     allocation = allocation.with_tails(tails.of_sources, tails.told)
     return Plan(
-        options, tracks, allocation, filters, heard_at, samples, chunk, segment, blocks, BUILDERS, left_out=left_out
+        options, tracks, allocation, filters, heard_at, samples, chunk, segment, blocks, _builders(), left_out=left_out
     )
 
 
@@ -115,7 +116,12 @@ def on_device(plan: Plan, device: str | None) -> Plan:
     if device is None or plan.options.device is not None:
         return plan
     allocation = moved_to(plan.allocation, device)
-    return replace(plan, options=replace(plan.options, device=device), allocation=allocation, builders=BUILDERS)
+    return replace(plan, options=replace(plan.options, device=device), allocation=allocation, builders=_builders())
+
+
+def _builders() -> list[Callable[[Plan], Contribution | None]]:
+    """Builders of all contributions, those of plugins last."""
+    return [*BUILDERS, *with_plugins({}, METHODS).values()]
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from clsim.files.names import file_names
-from clsim.output.stores import STORES
+from clsim.output.stores import store_kinds
 
 if TYPE_CHECKING:
     from clsim.scene_file.scene import SceneFile
@@ -31,7 +31,7 @@ class RunOutputs:
         """Return the outputs of a scene file for a kind of store and of table ("none" for no table)."""
         names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
         file_of_table = "" if table == "none" else f"paths.{table}"
-        return cls(names, STORES[store].names(names), file_of_table, names[:MOST_DRAWN] if pictures else [])
+        return cls(names, store_kinds()[store].names(names), file_of_table, names[:MOST_DRAWN] if pictures else [])
 
     def beside_sound(self, changing: bool = True) -> list[str]:
         """Return the files made after the sound, the completed scene last; `changing`: paths come and go."""

@@ -1,150 +1,38 @@
-"""A kind of paths that is told in one file: one straight edge, on the host, beside the images of a room on the device.
+"""The path family of the example package of plugins: one straight edge, on the host, beside images on the device.
 
-The law is a toy (delays by the shortest way over the edge, spreading times a constant); what is tested is that such a
-file and its registration are all that a search, both engines, tables, pages, responses and resumed runs need.
+A plugin's file is all that a search, both engines, tables, pages, responses and resumed runs need.
 """
 
 import ast
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, ClassVar
 
+import clsim_barn.ridge
 import numpy as np
 import pytest
+from clsim_barn.ridge import GAIN
 from scipy.optimize import minimize_scalar
 
 import clsim
-from clsim.arrays import Floats
-from clsim.paths.arrivals import Arrivals
-from clsim.paths.family import DIFFRACTION, PathFamily, Rows
-from clsim.paths.find_paths import FAMILY_FINDERS, registered_family
+from clsim.paths import find_paths
 from clsim.paths.path_set import PathSet
-from clsim.paths.propagation import arrivals_by, straight
-from clsim.paths.response import SceneResponse
-from clsim.paths.search import PathSearch
+from clsim.plugins import _plugins
 
-SEAMS = {"arrivals", "family", "find_paths", "path_set", "propagation", "response", "search"}  # of clsim.paths
-GAIN = 0.3
+SEAMS = {"arrivals", "family", "propagation", "response", "search"}  # of clsim.paths
 RATE = 192e3
 CHUNK = 18432
 
 
-# --- the kind of paths, and how it is found ---------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WedgePaths(PathFamily):
-    """Paths over one straight edge through a point (3,), along a unit vector (3,)."""
-
-    point: Floats
-    along: Floats
-    gain: float
-
-    object_names: ClassVar[tuple[str, ...]] = ("ridge",)
-
-    def apex(self, source: Floats, receiver: Floats) -> Floats:
-        """Return where the shortest ways between places (..., 3) meet the edge."""
-        (z_s, r_s), (z_r, r_r) = (self._cylindrical(x) for x in (source, receiver))
-        return self.point + ((z_s * r_r + z_r * r_s) / (r_s + r_r))[..., None] * self.along
-
-    def arrivals(
-        self, rows: Rows, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
-    ) -> Arrivals:
-        source, receiver = (end.trajectory for end in self.ends(rows))
-        times = np.asarray(times, dtype=np.float64)
-        count = len(self.source[rows])
-        return arrivals_by(
-            lambda heard_at: WaysOver(self, count, heard_at),
-            self.medium(0),
-            (source, receiver),
-            times,
-            motion,
-            amplitude,
-        )
-
-    def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Any:
-        response = self.gain * at.air(found) * (found.mach_factor / found.length)[..., None]
-        at.apply_directivities(response, self.ends(rows), found, times)
-        return response
-
-    def vertices(self, rows: Rows, time: float, motion: str = "retarded") -> Floats:
-        source, receiver = (end.trajectory for end in self.ends(rows))
-        found = self.arrivals(rows, np.array([time]), motion)
-        emitted_at = source.position(found.emission_time[:, 0])
-        heard_at = np.broadcast_to(receiver.position(np.array([time])), emitted_at.shape)
-        return np.stack([emitted_at, self.apex(emitted_at, heard_at), heard_at], axis=1)
-
-    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        apex = self.apex(source, receiver)
-        return straight(source, apex)[0] + straight(apex, receiver)[0]
-
-    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
-        return np.full((len(self.source[rows]), len(at.frequencies)), self.gain)
-
-    def _cylindrical(self, place: Floats) -> tuple[Floats, Floats]:
-        z = (place - self.point) @ self.along
-        return z, np.linalg.norm(place - self.point - z[..., None] * self.along, axis=-1)
-
-
-@dataclass(frozen=True, slots=True)
-class WaysOver:
-    """Ways over the edge to a receiver at places (T, 3), the same for all paths."""
-
-    paths: WedgePaths
-    count: int
-    heard_at: Floats
-
-    def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        heard_at = np.broadcast_to(self.heard_at, (self.count, *self.heard_at.shape))[p, t]
-        start = np.broadcast_to(start, heard_at.shape)
-        apex = self.paths.apex(start, heard_at)
-        (first, direction), (second, _) = straight(start, apex), straight(apex, heard_at)
-        return first + second, direction
-
-    def arrive(self, start: Floats) -> Floats:
-        heard_at = np.broadcast_to(self.heard_at, start.shape)
-        return straight(self.paths.apex(start, heard_at), heard_at)[1]
-
-    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        raise NotImplementedError  # the air is the same everywhere
-
-    def seen(self) -> Floats:
-        raise NotImplementedError  # and still
-
-
-def find_wedge(scene: clsim.Scene, search: PathSearch) -> WedgePaths:
-    """Return one path over the edge for every source and receiver."""
-    source, receiver = np.divmod(np.arange(len(scene.sources) * len(scene.receivers)), len(scene.receivers))
-    count = len(source)
-    return WedgePaths(
-        scene=scene,
-        source=source.astype(np.int32),
-        receiver=receiver.astype(np.int32),
-        order=np.ones(count, dtype=np.int32),
-        start=np.full(count, -np.inf),
-        end=np.full(count, np.inf),
-        interactions=np.full((count, 1), DIFFRACTION, dtype=np.int8),
-        objects=np.zeros((count, 1), dtype=np.int8),
-        point=np.array([4.0, 3.0, 2.0]),
-        along=np.array([0.6, 0.8, 0.0]),
-        gain=GAIN,
-    )
-
-
-# --- what it needs ----------------------------------------------------------------------------------------------------
-
-
 def test_the_file_needs_nothing_but_seams() -> None:
-    tree = ast.parse(Path(__file__).read_text("utf-8"))
+    tree = ast.parse(Path(clsim_barn.ridge.__file__).read_text("utf-8"))
     found = {node.module for node in tree.body if isinstance(node, ast.ImportFrom) and node.module.startswith("clsim.")}
     assert found <= {"clsim.arrays", *(f"clsim.paths.{name}" for name in SEAMS)}
 
-
-# --- what it then has -------------------------------------------------------------------------------------------------
 
 SCENE = """
 format = 1
@@ -185,23 +73,17 @@ def scene_of() -> clsim.Scene:
 
 
 @pytest.fixture(scope="module")
-def registered() -> Iterator[None]:
-    with registered_family("wedge", find_wedge):
+def registered(installed_plugins: Path) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(installed_plugins)
+        _plugins.cache_clear()
         yield
+    _plugins.cache_clear()
 
 
 @pytest.fixture(scope="module")
 def paths(registered: None) -> PathSet:
     return clsim.find_paths(scene_of(), 1)
-
-
-def test_nothing_stays_registered() -> None:
-    with registered_family("another wedge", find_wedge):
-        assert len(clsim.find_paths(scene_of(), 0).families) >= 2
-    with registered_family("specular", find_wedge):
-        assert isinstance(clsim.find_paths(scene_of(), 0).families[0], WedgePaths)
-    assert "another wedge" not in str([type(f) for f in clsim.find_paths(scene_of(), 0).families])
-    assert not isinstance(clsim.find_paths(scene_of(), 0).families[0], WedgePaths)
 
 
 def test_columns_join_those_of_the_images(paths: PathSet) -> None:
@@ -280,7 +162,7 @@ def test_images_on_the_device_and_edges_on_the_host_add_up(paths: PathSet, devic
     plan = clsim.plan_render(paths, RATE, duration=0.1)
     engine = OpenclEngine(plan)
     kinds = {type(pair.family).__name__: type(engine.maker(i)) for i, pair in enumerate(plan.tracks.pair_paths)}
-    assert kinds["WedgePaths"] is HostTracks
+    assert kinds["RidgePaths"] is HostTracks
     assert kinds["SpecularPaths"] in (DeviceTracks, HostTracks)  # by whether the device has float64
     both = clsim.render(paths, RATE, duration=0.1).pressure
     parts = [clsim.render(PathSet(paths.scene, (f,)), RATE, duration=0.1).pressure for f in paths.families]
@@ -325,12 +207,7 @@ def test_any_change_of_any_column_changes_the_digest(paths: PathSet) -> None:
 
 
 RUN = """
-import importlib.util, os, signal, sys
-name, path, *arguments = sys.argv[1:]  # classes of paths are known by their modules' names
-spec = importlib.util.spec_from_file_location(name, path)
-wedge = importlib.util.module_from_spec(spec)
-sys.modules[name] = wedge
-spec.loader.exec_module(wedge)
+import os, signal, sys
 from clsim.cli import main
 from clsim.workflow import checkpoint
 from clsim.workflow.result_folder import Journal
@@ -342,13 +219,14 @@ def killing(self, *arguments):
     if left[0] == 0:
         os.kill(os.getpid(), signal.SIGKILL)
 Journal.save = killing
-with wedge.registered_family("wedge", wedge.find_wedge):
-    sys.exit(main(arguments))
+sys.exit(main(sys.argv[1:]))
 """
 
 
 @pytest.mark.exhaustive
-def test_a_killed_run_goes_on_with_it_and_not_without(tmp_path: Path, device: None, capsys, monkeypatch) -> None:
+def test_a_killed_run_goes_on_with_it_and_not_without(
+    tmp_path: Path, registered: None, installed_plugins: Path, device: None, capsys, monkeypatch
+) -> None:
     from clsim.cli import main
 
     (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
@@ -356,14 +234,15 @@ def test_a_killed_run_goes_on_with_it_and_not_without(tmp_path: Path, device: No
     def command(out: str) -> list[str]:
         return ["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / out), "--no-plots", "--resume"]
 
-    process = [sys.executable, "-c", RUN, __name__, __file__, *command("out")]
-    killed = subprocess.run(process, capture_output=True, text=True, check=False)
+    process = [sys.executable, "-c", RUN, *command("out")]
+    path = os.pathsep.join([str(installed_plugins), *sys.path])
+    killed = subprocess.run(process, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": path})
     assert killed.returncode == -signal.SIGKILL, killed.stderr
-    monkeypatch.delitem(FAMILY_FINDERS, "wedge", raising=False)  # other tests of this file have it registered
-    assert main(command("out")) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr(find_paths, "PATH_FAMILIES", "clsim.nothing")
+        assert main(command("out")) == 2
     assert "paths was" in capsys.readouterr().err  # of other paths
-    with registered_family("wedge", find_wedge):
-        assert main(command("whole")) == 0
-        assert main(command("out")) == 0
+    assert main(command("whole")) == 0
+    assert main(command("out")) == 0
     for name in ("wall.wav", "cart.wav"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

@@ -21,7 +21,7 @@ class Room(Protocol):
     """A room: flat walls, and what is inside.
 
     `Shoebox` and `MeshRoom` are rooms; a class of one's own needs no base, and a convex one finds most of this in
-    `ConvexRoom`. How the paths in a room are found is registered by its class, see `find_paths`.
+    `ConvexRoom`. Its package names the class by an entry point of `clsim.rooms`.
     """
 
     @property

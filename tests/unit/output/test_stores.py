@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from clsim_barn.columns import Columns
 
 from clsim.cli import main
 from clsim.output import stores
@@ -30,37 +31,14 @@ engine = "reference"
 """
 
 
-class Columns(stores.SoundStore):
-    """A NumPy file whose columns are receivers."""
+class Named(Columns):
+    """A store that refuses a name."""
 
     packages = ("numpy",)
 
     @staticmethod
-    def names(receivers):
-        return ["sound.npy"]
-
-    @staticmethod
     def problem_of(receiver: str) -> str:
         return "must not be called nobody" if receiver == "nobody" else ""
-
-    def create(self) -> None:
-        shape = (self._sound.samples, len(self._sound.receiver_names))
-        np.lib.format.open_memmap(self.paths[0], "w+", np.float32, shape).flush()
-
-    def open(self) -> None:
-        self._array = np.lib.format.open_memmap(self.paths[0], "r+")
-
-    def write(self, start: int, samples) -> None:
-        self._array[start : start + samples.shape[1]] = samples.T
-
-    def to_disk(self) -> None:
-        self._array.flush()
-
-    def close(self) -> None:
-        del self._array
-
-    def row(self, folder: Path, receiver: int):
-        return np.load(folder / "sound.npy", mmap_mode="r")[:, receiver]
 
 
 def test_a_store_is_a_class_and_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
@@ -69,7 +47,7 @@ def test_a_store_is_a_class_and_its_name(tmp_path: Path, monkeypatch: pytest.Mon
     assert main(["run", str(scene), "-o", str(tmp_path / "wav"), "--no-plots"]) == 0
     assert main(["run", str(scene), "-o", str(tmp_path / "npy"), "--store", "columns"]) == 2
     assert '--store: must be one of "wav", "zarr", "hdf5", but is' in capsys.readouterr().err
-    monkeypatch.setitem(stores.STORES, "columns", Columns)
+    monkeypatch.setitem(stores.STORES, "columns", Named)
     assert main(["run", str(scene), "-o", str(tmp_path / "npy"), "--store", "columns", "--no-plots"]) == 0
     for row, name in zip(np.load(tmp_path / "npy" / "sound.npy").T, ("left", "right"), strict=True):
         np.testing.assert_array_equal(row, soundfile.read(tmp_path / "wav" / f"{name}.wav", dtype="float32")[0])

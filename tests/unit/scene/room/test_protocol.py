@@ -4,16 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from clsim_barn.half_space import HalfSpace
 
 import clsim
 from clsim.output.response_files import _is_box
 from clsim.paths.find_paths import ROOM_FINDERS
-from clsim.paths.search import PathSearch
-from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.view import viewed
 from clsim.scene.flush import find_mount
-from clsim.scene.room.edges import Edges
-from clsim.scene.room.faces import Contact, Faces
+from clsim.scene.room.faces import Faces
 from clsim.scene.room.protocol import ROOM_MEMBERS, Room, is_room
 from clsim.scene.room.shoebox import ConvexRoom
 from clsim.scene.scene import viewed_walls
@@ -21,44 +19,6 @@ from clsim.scene.scene import viewed_walls
 WALL = clsim.Material.from_reflection(0.9)
 TONE = clsim.Signal.tone(40e3, 0.01, 192e3, fade=1e-3)
 UP = np.array([0.0, 0.0, 1.0])
-
-
-class HalfSpace:
-    """What is above a floor; 20 m of it are drawn. It has no base class and nothing of clsim's rooms."""
-
-    faces = Faces(UP[None], np.zeros(1), ("floor",), (WALL,))
-    extent = (np.array([-10.0, -10.0, 0.0]), np.array([10.0, 10.0, 10.0]))
-    volume = None
-    surface_area = 400.0
-    scale = None
-    is_convex = True
-    is_closed = False
-
-    def contains(self, positions):
-        return np.asarray(positions)[:, 2] > 0.0
-
-    surrounds = contains
-
-    def clearance(self, positions, mount=None):
-        height = positions[:, 2] if mount is None else mount.lifted(positions)[:, 2]
-        return height if mount is None else np.minimum(height, mount.clearance(positions))
-
-    def first_contact(self, positions, mount=None):
-        refused = np.flatnonzero(self.clearance(positions, mount) <= 0.0)
-        return Contact(int(refused[0]), "must stay above the floor", "is", "!") if len(refused) else None
-
-    def walls_at(self, position):
-        return np.flatnonzero(np.abs(position[2:]) < 1e-6)
-
-    def edges(self):
-        return Edges.none()
-
-    def as_mesh(self):
-        corners = [(-10, -10, 0), (10, -10, 0), (10, 10, 0), (-10, 10, 0)]
-        return clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], WALL, labels=["floor"] * 2)
-
-    def describe(self):
-        return ["room: all that is above a floor"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,18 +84,8 @@ def test_a_room_of_ones_own_is_a_room_of_a_scene(room: Room) -> None:
         clsim.find_paths(held, 1)
 
 
-def above_the_floor(scene: clsim.Scene, room: HalfSpace, search: PathSearch) -> SpecularPaths:
-    """Return the direct sound and what the floor sends back, of one source and one receiver."""
-    two = np.zeros(2, dtype=np.int32)
-    return SpecularPaths(
-        scene=scene, source=two, receiver=two, order=np.arange(2, dtype=np.int32), start=np.full(2, -np.inf),
-        end=np.full(2, np.inf), objects=np.array([[-1], [0]], dtype=np.int32),
-        image_matrix=np.stack([np.eye(3), np.diag([1.0, 1.0, -1.0])]), image_offset=np.zeros((2, 3)),
-    )  # fmt: skip
-
-
 def test_with_a_finder_its_paths_are_rendered_and_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(ROOM_FINDERS, HalfSpace, above_the_floor)
+    monkeypatch.setitem(ROOM_FINDERS, HalfSpace, HalfSpace.find_paths)
     paths = clsim.find_paths(scene(HalfSpace(), (0.0, 0.0, 0.5)), 1)
     table, c = paths.table([0.0]), paths.scene.air.speed_of_sound
     np.testing.assert_allclose(table.delay[:, 0] * c, [np.sqrt(2.25), np.sqrt(4.25)], rtol=1e-14)

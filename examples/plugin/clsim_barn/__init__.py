@@ -1,0 +1,1 @@
+"""An example of plugins for clsim, one module for each kind."""
