@@ -45,8 +45,11 @@ _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
 
 
 def as_scale(value: Any) -> float:
-    """Return the value of full scale, or raise an InputError for the field ``scale``."""
-    return as_number("scale", value, at_least=-LOUDEST, at_most=LOUDEST)
+    """Convert to the value of full scale; 0 is refused, since it silences every sample."""
+    scale = as_number("scale", value, at_least=-LOUDEST, at_most=LOUDEST)
+    if scale == 0.0:
+        raise InputError("scale", "must not be 0: all samples would be 0")
+    return scale
 
 
 def missing_bytes(log: str) -> int:

@@ -143,6 +143,8 @@ def direct_path(
     -----
     What is emitted at ``t_e`` is received at the solution of ``t - delay(t) = t_e``.
 
+    Times beyond the ends of a trajectory are taken as `render` takes them: 0.05 s beyond an end it comes to rest.
+
     Examples
     --------
     >>> import clsim

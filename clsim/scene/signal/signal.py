@@ -251,6 +251,11 @@ class Signal:
         InputError
             If a value is out of these bounds.
 
+        Warns
+        -----
+        ClsimWarning
+            Above 160 dB SPL.
+
         Examples
         --------
         >>> Signal.tone(1e3, duration=0.01, sampling_rate=8e3).read(0, 3)
@@ -304,6 +309,11 @@ class Signal:
         ------
         InputError
             If a value is out of these bounds.
+
+        Warns
+        -----
+        ClsimWarning
+            Above 160 dB SPL.
 
         Notes
         -----
@@ -403,6 +413,11 @@ class Signal:
         InputError
             If a value is out of these bounds.
 
+        Warns
+        -----
+        ClsimWarning
+            Above 160 dB SPL.
+
         Notes
         -----
         The band's ends are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
@@ -424,7 +439,7 @@ class Signal:
         return cls(
             Noise(
                 duration, as_count("seed", seed, at_least=0, at_most=2**64 - 1), ends,
-                as_number("rms", rms, at_least=0.0, at_most=LOUDEST, unit="Pa"), _fade(fade, duration),
+                _rms(rms), _fade(fade, duration),
             ),
             rate,
         )  # fmt: skip
@@ -471,6 +486,11 @@ class Signal:
         ------
         InputError
             If a value is out of these bounds, or the band leaves 0 to half the sampling rate.
+
+        Warns
+        -----
+        ClsimWarning
+            Above 160 dB SPL.
 
         Examples
         --------
@@ -526,6 +546,8 @@ class Signal:
         """
         rate, pressure = _rate(sampling_rate), as_floats("samples", samples, (None,), within=LOUDEST, unit="Pa")
         kind = np.asarray(samples).dtype
+        if kind == np.bool_:
+            raise InputError("samples", "must be numbers, but are true and false: give samples.astype(float)")
         if scale is not None:
             pressure = as_floats("samples", pressure * as_scale(scale), (None,), within=LOUDEST, unit="Pa")
         elif np.issubdtype(kind, np.integer):
@@ -597,13 +619,17 @@ def _hann(length: int) -> Floats:
 
 
 def _question_level(field: str, pressure: NDArray[Any]) -> None:
-    """Warn of samples above 160 dB SPL: of a converter's steps, or of another unit."""
+    """Warn of samples above 160 dB SPL: of a converter's steps, or of another unit.
+
+    A signal does not know whether it drives a transducer, so the message names both units.
+    """
     peak = float(np.abs(pressure).max())
     level = 20.0 * math.log10(max(peak, _REFERENCE) / (math.sqrt(2.0) * _REFERENCE))
     if level > _LOUD:
+        remedy = "scale is the value of a sample of 1" if field in ("samples", "scale") else "it may be in another unit"
         warn(
-            f"{field}: gives samples of up to {peak:.5g} Pa, as loud as a tone of {level:.0f} dB SPL at 1 m; "
-            "scale is the pressure of a sample of 1, in Pa"
+            f"{field}: gives samples of up to {peak:.5g}: without a transducer Pa, a tone of {level:.0f} dB SPL at "
+            f"1 m, with one the volts that drive it; {remedy}"
         )
 
 
@@ -619,7 +645,15 @@ def _rate(sampling_rate: float) -> float:
 
 
 def _amplitude(amplitude: float) -> float:
-    return as_number("amplitude", amplitude, at_least=-LOUDEST, at_most=LOUDEST, unit="Pa")
+    amplitude = as_number("amplitude", amplitude, at_least=-LOUDEST, at_most=LOUDEST, unit="Pa")
+    _question_level("amplitude", np.array(amplitude))
+    return amplitude
+
+
+def _rms(rms: float) -> float:
+    rms = as_number("rms", rms, at_least=0.0, at_most=LOUDEST, unit="Pa")
+    _question_level("rms", np.array(math.sqrt(2.0) * rms))  # a tone of this peak is as loud
+    return rms
 
 
 def _duration(duration: float, rate: float) -> float:

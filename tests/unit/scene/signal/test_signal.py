@@ -1,6 +1,7 @@
 """Signals: random access, exactness after long times, and bad input."""
 
 import tracemalloc
+from collections.abc import Callable
 from decimal import Decimal, localcontext
 from fractions import Fraction
 from pathlib import Path
@@ -371,16 +372,45 @@ def test_faded_noise_stays_in_its_band() -> None:
 
 def test_loud_samples_are_questioned(tmp_path: Path) -> None:
     loud = np.array([0.0, 3000.0, -3000.0])  # 160.5 dB SPL as a tone of that peak
-    with pytest.warns(ClsimWarning, match=r"^samples: gives samples of up to 3000 Pa, .* 161 dB SPL at 1 m"):
+    with pytest.warns(
+        ClsimWarning,
+        match=r"^samples: gives samples of up to 3000: without a transducer Pa, .* 161 dB SPL at 1 m, with one the volts",
+    ):
         Signal.from_array(loud, RATE)
     Signal.from_array(0.9 * loud, RATE)  # 159.6 dB; warnings are errors
     steps = np.array([0, 16384, -32768], dtype=np.int16)
     np.testing.assert_array_equal(Signal.from_array(steps, RATE, scale=2.0**-15).read(0, 3), [0.0, 0.5, -1.0])
-    with pytest.warns(ClsimWarning, match="^samples: gives samples of up to 32768 Pa"):
+    with pytest.warns(ClsimWarning, match="^samples: gives samples of up to 32768: "):
         Signal.from_array(steps, RATE, scale=1.0)
     soundfile.write(tmp_path / "a.wav", np.array([0.0, 0.5]), 48000, subtype="FLOAT")
-    with pytest.warns(ClsimWarning, match="^scale: gives samples of up to 16384 Pa"):
+    with pytest.warns(ClsimWarning, match="^scale: gives samples of up to 16384: "):
         Signal.from_wav(tmp_path / "a.wav", scale=32768.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "make"),
+    [
+        ("amplitude", lambda level: Signal.tone(1e3, 0.01, RATE, amplitude=-level)),
+        ("amplitude", lambda level: Signal.chirp(1e3, 2e3, 0.01, RATE, amplitude=level)),
+        (
+            "amplitude",
+            lambda level: Signal.sequence(carrier=4e3, chip_rate=1e3, sampling_rate=RATE, bits=5, amplitude=level),
+        ),
+        ("rms", lambda level: Signal.noise(0.01, RATE, seed=1, rms=level / np.sqrt(2.0))),
+    ],
+)
+def test_loud_amplitudes_are_questioned(field: str, make: Callable[[float], Signal]) -> None:
+    """160 dB SPL is a root mean square of 2000 Pa."""
+    with pytest.warns(ClsimWarning, match=f"^{field}: .* 160 dB SPL at 1 m"):
+        make(2829.0)
+    make(2828.0)  # warnings are errors
+
+
+def test_samples_that_are_no_levels_are_refused() -> None:
+    with pytest.raises(InputError, match=r"^samples: must be numbers, but are true and false"):
+        Signal.from_array(np.array([True, False]), RATE)
+    with pytest.raises(InputError, match=r"^scale: must not be 0"):
+        Signal.from_array(np.array([0.0, 1.0]), RATE, scale=0.0)
 
 
 def test_complex_samples_are_refused_rather_than_halved() -> None:
