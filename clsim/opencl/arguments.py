@@ -13,6 +13,8 @@ class Argument:
     # Of a buffer, outermost first, in constants and in the names of other arguments or of words; empty for a number.
     shape: str = ""
     access: str = ""  # how a buffer is used; empty for a number
+    # Of a structure by value: its numbers by name, wide ones first. Launches are given these by name, too.
+    numbers: tuple[tuple[str, Argument], ...] = ()
 
 
 def taken(kind: str, shape: str) -> Argument:
@@ -30,6 +32,11 @@ def changed(kind: str, shape: str) -> Argument:
     return Argument(kind, shape, "in out")
 
 
+def structure(kind: str, **numbers: Argument) -> Argument:
+    """Argument of a structure by value, whose declaration the manifest writes; a shape makes a number an array."""
+    return Argument(kind, numbers=tuple(numbers.items()))
+
+
 INT, FLOAT, DOUBLE = Argument("int"), Argument("float"), Argument("double")
 
 IMAGES = {
@@ -38,13 +45,14 @@ IMAGES = {
     "receiver_of": taken("int", "slots"),
 }
 VIEWS = {"views": taken("view", "slots")}
-TRAJECTORY = {
+MOTION = {
+    "motion": structure(
+        "motion_numbers", first_knot=DOUBLE, knot_rate=DOUBLE, first_pose=DOUBLE, pose_rate=DOUBLE, start=DOUBLE,
+        speed_of_sound=DOUBLE, wind=Argument("double", "3"), knot_count=INT, pose_count=INT,
+    ),
     "knots": taken("double", "knot_count, KNOT_COLUMNS"),
-    "knot_count": INT, "first_knot": DOUBLE, "knot_rate": DOUBLE,
-}  # fmt: skip
-POSES = {
-    "poses": taken("double", "knots, numbers of the kind"), "pose_cells": taken("int", "things, pose_count + 1"),
-    "pose_count": INT, "first_pose": DOUBLE, "pose_rate": DOUBLE,
+    "poses": taken("double", "knots, numbers of the kind"),
+    "pose_cells": taken("int", "things, pose_count + 1"),
 }  # fmt: skip
 MEDIUM = {"speed_of_sound": DOUBLE, "wind": taken("double", "3")}
 PATHS_HEARD = {
@@ -55,34 +63,30 @@ PATHS_HEARD = {
     "heard_until": taken("int", "slots"),
 }  # fmt: skip
 BASIS = {
-    "nepers": taken("bins", "AIR_TERMS, BIN_VECTORS"),
-    "lead": taken("bins", "AIR_TERMS, BIN_VECTORS"),
-    "projection": taken("gains", "PARTS, FREQUENCIES, GAIN_VECTORS"),
-    "functions": taken("bins", "function_count, PARTS, BIN_VECTORS"),
-    "weight": taken("bins", "BIN_VECTORS"),
-    "strengths": taken("gains", "GAIN_VECTORS"),
-    "function_count": INT, "angular": INT,
-}  # fmt: skip
+    "air_and_functions": taken("bins", "2 AIR_TERMS + 1 + function_count PARTS, BIN_VECTORS"),
+    "projection": taken("gains", "PARTS FREQUENCIES + 1, GAIN_VECTORS"),
+}
 TABLES = {
     "wall_tables": taken("bins", "materials, CELLS, 4, PARTS, BIN_VECTORS"),
     "source_directivity": taken("bins", "a table"),
     "receiver_directivities": taken("bins", "tables"),
     "directivity_of": taken("int", "receivers"),
-    "blocks": INT, "block_samples": INT, "walk_blocks": INT,
-    "subblock_samples": INT, "subblock_share": FLOAT,
-}  # fmt: skip
+}
 NODES_MADE = {
     "delay": made("int", "blocks, slots"),
     "polynomials": made("float", "blocks, slots, terms"),
     "found": made("float4", "walks, slots"),
     "unheld": made("float", "walks, slots"),
-    "following": taken("int", "cells"),
-    "preceding": taken("int", "cells"),
-    "cells": INT,
+    "active_cells": taken("int", "2, cells"),
+    "activity": made("int", "blocks, slots"),
+}
+BLOCK_NUMBERS = {
+    "subblock_share": FLOAT, "function_count": INT, "angular": INT, "nodes": INT, "blocks": INT, "block_samples": INT,
+    "walk_blocks": INT, "subblock_samples": INT, "cells": INT,
 }  # fmt: skip
-EDGE_TABLES = {
-    "transition": taken("bins", "CELLS, 4, PARTS, BIN_VECTORS"), "faces": taken("bins", "slots, 2, PARTS, BIN_VECTORS"),
-    "waves": taken("bins", "BIN_VECTORS"), "middle": DOUBLE,
+FIELD_TABLES = {
+    "field_tables": taken("bins", "1 + CELLS 4 PARTS, BIN_VECTORS"),
+    "faces": taken("bins", "slots, 2, PARTS, BIN_VECTORS"),
     "modes": taken("double", "spheres: FREQUENCIES, then modes, 4, FREQUENCIES"),
 }  # fmt: skip
 BRANCHES = {"branches": taken("float", "rows, stride"), "stride": INT, "lead": INT}

@@ -8,36 +8,40 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from clsim.errors import ClsimError
 from clsim.opencl.arguments import (
     BASIS,
+    BLOCK_NUMBERS,
     BLOCKS,
     BRANCHES,
     CROSSINGS,
     DOUBLE,
     EDGE_INTERVALS,
-    EDGE_TABLES,
     ENVELOPE,
     FADES,
+    FIELD_TABLES,
     FLOAT,
     IMAGES,
     INT,
     INTERVALS,
-    MEDIUM,
     MEETINGS,
+    MOTION,
     NODES_MADE,
     PATHS_HEARD,
-    POSES,
     PRESSURE,
     TABLES,
-    TRAJECTORY,
     VIEWS,
     Argument,
     changed,
     made,
+    structure,
     taken,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,15 +121,12 @@ PROGRAMS = {
     "coarse_delays": Program(
         (*_PROPAGATION, *_WAYS, "nodes/coarse_delays.cl"),
         {
+            **MOTION,
             **IMAGES,
             **VIEWS,
             "receivers": taken("receiver_node", "receivers, ends"),
             "ends": INT,
-            **TRAJECTORY,
-            **POSES,
-            "start": DOUBLE,
             "walk_time": DOUBLE,
-            **MEDIUM,
             "delays": made("double", "ends, 2, slots"),
             "more": made("double", "ends, MORE, slots"),
         },
@@ -140,32 +141,22 @@ PROGRAMS = {
             "nodes/cell.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
+            **MOTION,
+            "run": structure(
+                "run_numbers", sampling_rate=DOUBLE, delay_samples=DOUBLE, emitted_first=DOUBLE, emitted_last=DOUBLE,
+                origin=DOUBLE, max_rate=DOUBLE, middle=DOUBLE, angular_frequency=FLOAT, smooth=FLOAT, first_walk=INT,
+                oversampling=INT, **BLOCK_NUMBERS,
+            ),
             **IMAGES,
             **VIEWS,
             **PATHS_HEARD,
             "receivers": taken("receiver_node", "receivers, nodes"),
-            "nodes": INT,
             "coarse_delays": taken("double", "ends of walks, 2, slots"),
             "coarse_more": taken("double", "ends of walks, MORE, slots"),
-            "first_walk": INT,
-            **TRAJECTORY,
-            **POSES,
-            "start": DOUBLE,
-            "sampling_rate": DOUBLE,
-            **MEDIUM,
             **BASIS,
-            "delay_samples": DOUBLE,
-            "emitted_first": DOUBLE,
-            "emitted_last": DOUBLE,
-            "angular_frequency": FLOAT,
-            "smooth": FLOAT,
             **TABLES,
-            "oversampling": INT,
             **NODES_MADE,
-            "origin": DOUBLE,
-            "max_rate": DOUBLE,
-            "activity": made("int", "blocks, slots"),
-            **EDGE_TABLES,
+            **FIELD_TABLES,
         },
         frozenset(_DELAY_CONSTANTS | _NODE_CONSTANTS | _KINDS | _OF_GAINS),
     ),
@@ -176,26 +167,21 @@ PROGRAMS = {
             *_MASK, "nodes/activity.h", "nodes/pair_tracks.cl",
         ),
         {
+            "run": structure(
+                "pair_run_numbers", knot_rate=FLOAT, speed_of_sound=FLOAT, emitted_first=FLOAT, emitted_last=FLOAT,
+                angular_frequency=FLOAT, origin=FLOAT, max_rate=FLOAT, knot_count=INT, **BLOCK_NUMBERS,
+            ),
             "image_matrix": taken("float2", "9, slots"),
             "image_offset": taken("float2", "3, slots"),
             "receiver_of": taken("int", "slots"),
             **PATHS_HEARD,
             "receivers": taken("pair_receiver", "receivers, nodes"),
-            "nodes": INT,
             "knots": taken("float", "knot_count, KNOT_COLUMNS"),
             "rests": taken("float", "knot_count, CUBIC_COLUMNS"),
-            "knot_count": INT, "knot_rate": FLOAT,
             "numbers": taken("float2", "6"),
-            "speed_of_sound": FLOAT,
             **BASIS,
-            "emitted_first": FLOAT,
-            "emitted_last": FLOAT,
-            "angular_frequency": FLOAT,
             **TABLES,
             **NODES_MADE,
-            "origin": FLOAT,
-            "max_rate": FLOAT,
-            "activity": made("int", "blocks, slots"),
         },
         frozenset(_NODE_CONSTANTS | {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}),
     ),
@@ -319,7 +305,15 @@ def declarations() -> str:
 
 @cache
 def kernel_source(program: str) -> str:
-    """Return the text of a program: its files in order, each behind a ``#line`` that names it."""
+    """Text of a program: its files in order, each behind a ``#line`` that names it; structures before the last one."""
     folder = kernel_folder()
-    files = PROGRAMS[program].files
-    return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text("utf-8")}' for name in files)
+    *files, last = (f'#line 1 "{n}"\n{(folder / n).read_text("utf-8")}' for n in PROGRAMS[program].files)
+    return "\n".join([*files, *_structures(PROGRAMS[program]), last])
+
+
+def _structures(program: Program) -> Iterator[str]:
+    """Yield declarations of the structures that a program takes by value."""
+    for argument in program.arguments.values():
+        if argument.numbers:
+            fields = (f"{a.type} {n}{f'[{a.shape}]' if a.shape else ''};" for n, a in argument.numbers)
+            yield f"typedef struct {{ {' '.join(fields)} }} {argument.type};"

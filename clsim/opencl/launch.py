@@ -27,23 +27,31 @@ class Launch:
     """A kernel that is launched with arguments by name."""
 
     def __init__(self, name: str, kernel: Callable[..., Any], arguments: Mapping[str, Argument]) -> None:
-        self._name, self._kernel, self._arguments = name, kernel, arguments
-        self._ordered = itemgetter(*arguments)
-        places = list(enumerate(arguments.values()))
+        self._name, self._kernel = name, kernel
+        structures = [a for a in arguments.values() if a.numbers]
+        direct = {n: a for n, a in arguments.items() if not a.numbers}
+        self._arguments = direct | {n: number for a in structures for n, number in a.numbers}
+        self._ordered = itemgetter(*direct)
+        self._structures = [
+            (i, itemgetter(*(n for n, _ in a.numbers)), layout(a))
+            for i, a in enumerate(arguments.values()) if a.numbers
+        ]  # fmt: skip
+        places = list(enumerate(direct.values()))
         self._numbers = [(i, NUMBERS[a.type]) for i, a in places if not a.shape]
         self._read = [(i, NUMBERS.get(a.type.rstrip("0123456789"))) for i, a in places if a.access == "in"]
 
     def __call__(self, queue: Any, items: WorkItems, /, **arguments: Any) -> Any:
         """Launch it; return the event.
 
-        **arguments: numbers and buffers. An array for a buffer that is only read is uploaded; None is a buffer that is
-        not used.
+        **arguments: buffers and numbers, those of structures too. An array for a buffer that is only read is uploaded;
+            None is a buffer that is not used.
         """
         try:
             taken = list(self._ordered(arguments))
+            values = [(i, np.array(tuple(of(arguments)), kind)) for i, of, kind in self._structures]
         except KeyError:
             raise self._refusal(arguments) from None
-        if len(arguments) != len(taken):
+        if len(arguments) != len(self._arguments):
             raise self._refusal(arguments)
         for i, number in self._numbers:
             taken[i] = number(taken[i])
@@ -51,6 +59,8 @@ class Launch:
             for i, element in self._read:
                 if isinstance(taken[i], np.ndarray):
                     taken[i] = upload(queue.context, _elements(taken[i], element))
+        for i, value in values:
+            taken.insert(i, value)
         return self._kernel(queue, *items, *taken)
 
     def _refusal(self, arguments: Mapping[str, Any]) -> ClsimError:
@@ -62,6 +72,14 @@ class Launch:
 def _elements(array: NDArray[Any], element: type[np.generic] | None) -> NDArray[Any]:
     """Return an array in the type of a buffer's elements; structures are as they are."""
     return array if element is None else array.astype(element, casting="same_kind", copy=False)
+
+
+def layout(structure: Argument) -> np.dtype[np.void]:
+    """Type of a structure that kernels take by value, laid out as in C."""
+    fields = [
+        (n, NUMBERS[a.type], int(a.shape or 1)) if a.shape else (n, NUMBERS[a.type]) for n, a in structure.numbers
+    ]
+    return np.dtype(fields, align=True)
 
 
 def upload(context: Any, array: NDArray[Any]) -> Any:

@@ -1,19 +1,18 @@
 // Delays and their rates at both ends of every walk, by the receiver's clock, from which those between are predicted.
 // Work-item: dimension 0 counts slots (paths), dimension 1 NODES_AT_ONCE ends of walks, the first one walk before the run.
 
-__kernel void coarse_delays(__global const double* image_matrix, __global const double* image_offset,  // as in tracks.cl
-                            __global const int* receiver_of, __global const view* views,
+__kernel void coarse_delays(const motion_numbers motion, __global const double* knots, __global const double* poses,  // as in tracks.cl
+                            __global const int* pose_cells, __global const double* image_matrix,
+                            __global const double* image_offset, __global const int* receiver_of, __global const view* views,
                             __global const receiver_node* receivers,  // [receivers][ends, 1 if STATIC_RECEIVERS]
                             int ends,                                 // a multiple of NODES_AT_ONCE
-                            __global const double* knots, int knot_count, double first_knot, double knot_rate,
-                            __global const double* poses, __global const int* pose_cells, int pose_count, double first_pose,
-                            double pose_rate, double start,
-                            double walk_time, double speed_of_sound, __global const double* wind,  // [3], m/s
+                            double walk_time,
                             __global double* delays,  // [ends][2][slots]
                             __global double* more)    // [ends][MORE][slots]: what else there is to predict
 {
     const int slot = get_global_id(0), slots = get_global_size(0), end = get_global_id(1) * NODES_AT_ONCE;
-    const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
+    const trajectory path = trajectory_of(knots, motion.knot_count, motion.first_knot, motion.knot_rate,
+                                          motion.speed_of_sound, motion.wind);
     const receivers_in_image receiver =
         receivers_at(&path, image_matrix, slots, slot, image_offset_of(image_offset, slots, slot),
                      views + slot,
@@ -23,11 +22,12 @@ __kernel void coarse_delays(__global const double* image_matrix, __global const 
     arrivals a;
     a.delay = 0.0;
 #if MORE
-    const pose_table things = {poses, pose_cells, pose_count, first_pose, pose_rate};
+    const pose_table things = {poses, pose_cells, motion.pose_count, motion.first_pose, motion.pose_rate};
     found_more b[1];
     begin_more(receiver.ear.position, b);
 #endif
-    SOLVE_ANEW(&path, &things, views + slot, &receiver.ear, start + walk * walk_time + receiver.clock_error, CONVERGED, &a, b);
+    SOLVE_ANEW(&path, &things, views + slot, &receiver.ear, motion.start + walk * walk_time + receiver.clock_error, CONVERGED,
+               &a, b);
     const reals late = a.delay - receiver.clock_error, rate = a.rate * receiver.clock_rate - (receiver.clock_rate - 1.0);
     for (int i = 0; i < NODES_AT_ONCE; i++) {
         delays[2 * (end + i) * (long)slots + slot] = OF_NODE(late, i);

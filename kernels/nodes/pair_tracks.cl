@@ -25,37 +25,29 @@ static int write_delay(const pair* delay, const float* rate, __global const pair
     return (int)whole;
 }
 
-__kernel void pair_tracks(__global const float2* image_matrix,  // [9][slots]
+__kernel void pair_tracks(const pair_run_numbers run,         // as in tracks.cl, times from the first knot
+                          __global const float2* image_matrix,  // [9][slots]
                           __global const float2* image_offset,  // [3][slots]
                           __global const int* receiver_of,    // [slots]
                           __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                           __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                           __global const pair_receiver* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
-                          int nodes,
-                          __global const float* knots, __global const float* rests, int knot_count, float knot_rate,
+                          __global const float* knots, __global const float* rests,
                           __global const float2* numbers,  // [6], see above; s from the first knot, s, s/m, 1/s, samples, samples
-                          float speed_of_sound,
-                          __global const bins* nepers, __global const bins* lead,
-                          __global const gains* projection, __global const bins* functions,
-                          __global const bins* weight, __global const gains* strengths, int function_count, int angular,
-                          float emitted_first, float emitted_last,  // s from the first knot, outside of which nothing sounds
-                          float angular_frequency,
+                          __global const bins* air_and_functions, __global const gains* projection,
                           __global const bins* wall_tables, __global const bins* source_directivity,
                           __global const bins* receiver_directivities, __global const int* directivity_of,
-                          int blocks, int block_samples, int walk_blocks, int subblock_samples, float subblock_share,
                           __global int* delay, __global float* polynomials, __global float4* found, __global float* unheld,
-                          __global const int* following, __global const int* preceding, int cells, float origin,
-                          float max_rate, __global int* activity)  // as in tracks.cl
+                          __global const int* active_cells, __global int* activity)  // as in tracks.cl
 {
     const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
-    const int first = walk * walk_blocks, apart = BESIDE;
-    const int last = first + walk_blocks < blocks ? first + walk_blocks : blocks;
-    const pair_trajectory path = {knots, rests, knot_count, knot_rate, numbers[SLOWNESS]};
-    __global const pair_receiver* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
-    const surroundings around = {nepers,     lead,        projection, functions, weight, strengths,
-                                 reflection, wall_tables, wall_of,   normal, source_directivity,
-                                 receiver_directivities + directivity_of[receiver_of[slot]],
-                                 function_count, angular};
+    const int first = walk * run.walk_blocks, apart = BESIDE;
+    const int last = first + run.walk_blocks < run.blocks ? first + run.walk_blocks : run.blocks;
+    const pair_trajectory path = {knots, rests, run.knot_count, run.knot_rate, numbers[SLOWNESS]};
+    __global const pair_receiver* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : run.nodes);
+    const surroundings around = surroundings_of(air_and_functions, projection, reflection, wall_tables, wall_of, normal,
+                                                source_directivity, receiver_directivities + directivity_of[receiver_of[slot]],
+                                                run.function_count, run.angular);
     const float block_time = numbers[BLOCK_TIME].x;
     const int from = heard_from[slot], until = heard_until[slot];
     pair_receiver_in_image receiver;
@@ -72,14 +64,14 @@ __kernel void pair_tracks(__global const float2* image_matrix,  // [9][slots]
     SOLVE(first + 1);
     const pair begin = minus(a.delay, receiver.clock_error);
 #if SPARSE
-    const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
+    const activity_mask mask = {active_cells, active_cells + run.cells, run.cells, run.origin, run.block_samples, run.subblock_samples};
     SOLVE(last + 1);
-    const float per_second = numbers[PER_SECOND].x, drift = max_rate * per_second, added = numbers[DELAY_SAMPLES].x;
+    const float per_second = numbers[PER_SECOND].x, drift = run.max_rate * per_second, added = numbers[DELAY_SAMPLES].x;
     const float late0 = begin.x * per_second + added, late1 = (a.delay.x - receiver.clock_error.x) * per_second + added;
 #endif
     int solved = first - 1, in_row = 0;  // last node in the window, and how many up to it follow each other
     for (int block = first; block < last; block++) {
-        const int heard = from < (block + 1) * block_samples && until > block * block_samples;
+        const int heard = from < (block + 1) * run.block_samples && until > block * run.block_samples;
 #if SPARSE
         if (!heard) continue;
         const float since = (block - first) * block_time, left = (last - block) * block_time;
@@ -108,7 +100,7 @@ __kernel void pair_tracks(__global const float2* image_matrix,  // [9][slots]
             late[3] = minus(a.delay, receiver.clock_error);
             w.delay[3] = minus(late[3], begin).x;  // what is looked at are differences
             w.rate[3] = a.rate + (a.rate - 1.0f) * receiver.clock_drift;
-            const float length = a.delay.x * speed_of_sound;
+            const float length = a.delay.x * run.speed_of_sound;
             const arrival here = {length, length, a.mach_factor, a.departure, a.departure, a.knot, a.u};
             w.strength[3] = path_gains(&here, &around, slots, slot, receiver.frame, 0, w.gain[3], &left_over);
         }
@@ -118,23 +110,23 @@ __kernel void pair_tracks(__global const float2* image_matrix,  // [9][slots]
             shortest = late[i].x < shortest ? late[i].x : shortest;
             longest = late[i].x > longest ? late[i].x : longest;
         }
-        __global float* c = polynomials + place_of(block, slot, function_count, slots);
+        __global float* c = polynomials + place_of(block, slot, run.function_count, slots);
         delay[block * (long)slots + slot] = write_delay(late, w.rate, numbers, apart, c);
-        write_terms(powers, heard, function_count, apart, c);
+        write_terms(powers, heard, run.function_count, apart, c);
         if (!heard) continue;
 #if SPARSE
         const float p1 = late[1].x * per_second + added, p2 = late[2].x * per_second + added;
-        const float r1 = w.rate[1] - (p2 - p1) / block_samples, r2 = w.rate[2] - (p2 - p1) / block_samples;
-        const float bulge = 0.25f * block_samples * ((r1 < 0.0f ? -r1 : r1) + (r2 < 0.0f ? -r2 : r2)) + 4.0f;  // of the cubic
+        const float r1 = w.rate[1] - (p2 - p1) / run.block_samples, r2 = w.rate[2] - (p2 - p1) / run.block_samples;
+        const float bulge = 0.25f * run.block_samples * ((r1 < 0.0f ? -r1 : r1) + (r2 < 0.0f ? -r2 : r2)) + 4.0f;  // of the cubic
         activity[block * (long)slots + slot] =
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
         strength = w.strength[3] > strength ? w.strength[3] : strength;
         rest = left_over > rest ? left_over : rest;
         const float time = TIME_OF(block + 3).x;
-        if (time - late[3].x >= emitted_first && time - 3.0f * block_time - late[0].x <= emitted_last) {
-            const float squared = delay_error_squared(&w, angular_frequency, block_time, subblock_share) +
-                                  left_out_squared(powers, strengths, subblock_share) + gain_error_squared(&w, strengths);
+        if (time - late[3].x >= run.emitted_first && time - 3.0f * block_time - late[0].x <= run.emitted_last) {
+            const float squared = delay_error_squared(&w, run.angular_frequency, block_time, run.subblock_share) +
+                                  left_out_squared(powers, around.sizes, run.subblock_share) + gain_error_squared(&w, around.sizes);
             error = squared > error ? squared : error;
         }
     }

@@ -17,6 +17,20 @@ typedef struct {
     int function_count, angular;         // how many, and of how many walls at most the factor depends on the angle
 } surroundings;
 
+static surroundings surroundings_of(__global const bins* air_and_functions,  // nepers, lead, weight, functions
+                                    __global const gains* projection,        // and then sizes
+                                    __global const bins* reflection, __global const bins* walls, __global const int* wall_of,
+                                    __global const float* normal, __global const bins* source_directivity,
+                                    __global const bins* receiver_directivity, int function_count, int angular)
+{
+    __global const bins* lead = air_and_functions + (AIR_TERMS > 0 ? AIR_TERMS : 1) * BIN_VECTORS;
+    __global const bins* weight = lead + (AIR_TERMS > 0 ? AIR_TERMS : 1) * BIN_VECTORS;
+    const surroundings out = {air_and_functions, lead, projection, weight + BIN_VECTORS, weight,
+                              projection + PARTS * FREQUENCIES * GAIN_VECTORS, reflection, walls, wall_of, normal,
+                              source_directivity, receiver_directivity, function_count, angular};
+    return out;
+}
+
 // What of an arrival gains depend on.
 typedef struct {
     float through, length;      // m of air, and over which pressure falls

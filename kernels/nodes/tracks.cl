@@ -3,68 +3,62 @@
 // depends on which others are solved: where signals pause (SPARSE), blocks in which nothing sounds are left out.
 // Node n is one block before the start of block n; the slope of a block's gain needs the node before and after its own.
 
-__kernel void tracks(__global const double* image_matrix,  // [9][slots]
+// Numbers come in structures that clsim/opencl/arguments.py declares. Of `motion`: `start` is the time of the run's first
+// sample, s. Of `run`: `nodes` are those of whole walks and some more, the first one before the run; `first_walk` is one walk
+// before the run's first sample; `delay_samples` are added to the delay; nothing sounds outside of `emitted_first` and
+// `emitted_last`, s; `angular_frequency` is the largest of the signal, rad/s; `smooth` is the square of the allowed relative
+// error of gains of smooth.h; `angular` is the largest number of walls of a path whose factor depends on the angle;
+// `function_count` is at most FUNCTIONS; `subblock_share` is a subblock's share of a block, or 0 where subblocks take all terms
+// of the cubics; `oversampling` is the number of samples of the branches in one of the run; `max_rate` bounds a delay's rate.
+
+__kernel void tracks(const motion_numbers motion, __global const double* knots, __global const double* poses,
+                     __global const int* pose_cells, const run_numbers run,
+                     __global const double* image_matrix,  // [9][slots]
                      __global const double* image_offset,  // [3][slots]
                      __global const int* receiver_of, __global const view* views,  // [slots]; as in views.h
                      __global const bins* reflection, __global const int* wall_of, __global const float* normal,
                      __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
                      __global const receiver_node* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
-                     int nodes,                            // those of whole walks and some more, the first one before the run
                      __global const double* coarse_delays, __global const double* coarse_more,  // as in coarse_delays.cl
-                     int first_walk,                       // one walk before the run's first sample
-                     __global const double* knots, int knot_count, double first_knot, double knot_rate,
-                     __global const double* poses, __global const int* pose_cells, int pose_count, double first_pose, double pose_rate,
-                     double start,                         // time of the run's first sample, s
-                     double sampling_rate, double speed_of_sound, __global const double* wind,  // [3], m/s
-                     __global const bins* nepers, __global const bins* lead,
-                     __global const gains* projection, __global const bins* functions,
-                     __global const bins* weight, __global const gains* strengths,
-                     int function_count, int angular,      // at most FUNCTIONS; most walls of a path whose factor depends on the angle
-                     double delay_samples,                 // added to the delay
-                     double emitted_first, double emitted_last,  // s, outside of which nothing sounds
-                     float angular_frequency,              // largest of the signal, rad/s
-                     float smooth,                         // square of what gains of smooth.h may be wrong by, relative
+                     __global const bins* air_and_functions, __global const gains* projection,  // as in response.h
                      __global const bins* wall_tables, __global const bins* source_directivity,
                      __global const bins* receiver_directivities,  // of every kind that is there
                      __global const int* directivity_of,   // [receivers], bands from the first
-                     int blocks, int block_samples, int walk_blocks, int subblock_samples,
-                     float subblock_share,                 // of a block; 0 where subblocks take all terms of the cubics
-                     int oversampling,                     // samples of the branches in one of the run
                      __global int* delay,                  // [blocks][slots]
                      __global float* polynomials,          // as in polynomials.h
                      __global float4* found,               // [walks][slots]: error squared, strength, delays
                      __global float* unheld,               // [walks][slots]: mean square of what no function holds
-                     __global const int* following, __global const int* preceding, int cells, double origin,  // in activity.h
-                     double max_rate,                      // bound of how fast a delay changes
+                     __global const int* active_cells,         // [2][cells], in activity.h
                      __global int* activity,               // [blocks][slots]: subblocks in which it sounds, see activity.h
-                     __global const bins* transition, __global const bins* faces, __global const bins* waves, double middle, __global const double* modes)
+                     __global const bins* field_tables, __global const bins* faces, __global const double* modes)
                                                            // these in transition_table.h
 {
-    const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1), first = walk * walk_blocks;
-    const int last = first + walk_blocks < blocks ? first + walk_blocks : blocks;
-    const trajectory path = trajectory_of(knots, knot_count, first_knot, knot_rate, speed_of_sound, wind);
+    const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1), first = walk * run.walk_blocks;
+    const int last = first + run.walk_blocks < run.blocks ? first + run.walk_blocks : run.blocks;
+    const trajectory path = trajectory_of(knots, motion.knot_count, motion.first_knot, motion.knot_rate,
+                                          motion.speed_of_sound, motion.wind);
     const triple offset = image_offset_of(image_offset, slots, slot);
-    __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : nodes);
-    const surroundings around = {nepers, lead, projection, functions, weight, strengths, reflection, wall_tables, wall_of, normal,
-                                 source_directivity, receiver_directivities + directivity_of[receiver_of[slot]],
-                                 function_count, angular};
-    const double block_time = (double)block_samples / sampling_rate, walk_time = walk_blocks * block_time;
-    const double branch_rate = oversampling * sampling_rate, half_block = 0.5 * oversampling * block_samples;
+    __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : run.nodes);
+    const surroundings around = surroundings_of(air_and_functions, projection, reflection, wall_tables, wall_of, normal,
+                                                source_directivity, receiver_directivities + directivity_of[receiver_of[slot]],
+                                                run.function_count, run.angular);
+    const double block_time = (double)run.block_samples / run.sampling_rate, walk_time = run.walk_blocks * block_time;
+    const double branch_rate = run.oversampling * run.sampling_rate, half_block = 0.5 * run.oversampling * run.block_samples;
     double ends[4], predicted[8];
-    predict(coarse_delays + 2 * (first_walk + walk) * (long)slots + slot, slots, walk_time, ends, predicted);
+    predict(coarse_delays + 2 * (run.first_walk + walk) * (long)slots + slot, slots, walk_time, ends, predicted);
     const int from = heard_from[slot], until = heard_until[slot];
 #if SPARSE
-    const activity_mask mask = {following, preceding, cells, origin, block_samples, subblock_samples};
+    const activity_mask mask = {active_cells, active_cells + run.cells, run.cells, run.origin, run.block_samples, run.subblock_samples};
 #endif
-    const pose_table things = {poses, pose_cells, pose_count, first_pose, pose_rate};
+    const pose_table things = {poses, pose_cells, motion.pose_count, motion.first_pose, motion.pose_rate};
     double expected[8 + 4 * MORE];
 #if MORE
-    predict_more(coarse_more + MORE * (first_walk + walk) * (long)slots + slot, slots, walk_time, expected);
+    predict_more(coarse_more + MORE * (run.first_walk + walk) * (long)slots + slot, slots, walk_time, expected);
 #endif
     path_nodes nodes_of_path = {&path, image_matrix, offset, slots, slot, views + slot, &things,
-                                rows + (STATIC_RECEIVERS ? 0 : first), start + first * block_time, block_time,
-                                2.0 / walk_blocks, predicted, expected, -1,
-                                {transition, faces, waves, middle, modes}};
+                                rows + (STATIC_RECEIVERS ? 0 : first), motion.start + first * block_time, block_time,
+                                2.0 / run.walk_blocks, predicted, expected, -1,
+                                {field_tables + BIN_VECTORS, faces, field_tables, run.middle, modes}};
 #if STATIC_RECEIVERS
     nodes_of_path.receiver[0] = receivers_at(&path, image_matrix, slots, slot, offset, views + slot, rows);
 #endif
@@ -73,9 +67,9 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     slow.stretch = slow.cell = -1;
 #endif
 #if CELL_AT_ONCE
-    const cell_blocks of_cells = {slots, slot, function_count, block_samples, start, block_time, half_block, branch_rate,
-                                  delay_samples, emitted_first, emitted_last, angular_frequency, subblock_share, strengths,
-                                  polynomials, delay};
+    const cell_blocks of_cells = {slots, slot, run.function_count, run.block_samples, motion.start, block_time, half_block,
+                                  branch_rate, run.delay_samples, run.emitted_first, run.emitted_last,
+                                  run.angular_frequency, run.subblock_share, around.sizes, polynomials, delay};
 #endif
     gains powers[4][GAIN_VECTORS];
     window w;
@@ -83,18 +77,21 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
     float gain_error, left_over = 0.0f;
     walk_found f = {0.0f, 0.0f, 0.0f, 1e30f, -1e30f};
     for (int block = first; block < last; block++) {
-        const int heard = from < (block + 1) * block_samples && until > block * block_samples;
+        const int heard = from < (block + 1) * run.block_samples && until > block * run.block_samples;
 #if SPARSE
         if (!heard) continue;
-        const int sounding = next_heard(&mask, block, first, last, walk_blocks, delay_samples + sampling_rate * ends[1],
-                                        delay_samples + sampling_rate * ends[2], sampling_rate * max_rate * block_time);
+        const int sounding = next_heard(&mask, block, first, last, run.walk_blocks,
+                                        run.delay_samples + run.sampling_rate * ends[1],
+                                        run.delay_samples + run.sampling_rate * ends[2],
+                                        run.sampling_rate * run.max_rate * block_time);
         if (sounding > block) {
             block = sounding - 1;
             continue;
         }
 #endif
 #if DELAY_TERMS == 4
-        if (smooth > 0.0f && make_cell(&slow, &nodes_of_path, (block - first) / CELL_BLOCKS, smooth, speed_of_sound, &around)) {
+        if (run.smooth > 0.0f && make_cell(&slow, &nodes_of_path, (block - first) / CELL_BLOCKS, run.smooth,
+                                           motion.speed_of_sound, &around)) {
             solved = first - 1;
 #if CELL_AT_ONCE
             if (write_cell(&slow, &of_cells, block, first, last, from, until, &f)) {
@@ -119,10 +116,10 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
                 }
                 w.delay[3] = delay_of_node(&nodes_of_path, at);
                 w.rate[3] = rate_of_node(&nodes_of_path, at);
-                w.strength[3] = gains_of_node(&nodes_of_path, at, speed_of_sound, &around, w.gain[3], &left_over);
+                w.strength[3] = gains_of_node(&nodes_of_path, at, motion.speed_of_sound, &around, w.gain[3], &left_over);
             }
             terms_between(&w, powers);
-            gain_error = gain_error_squared(&w, strengths);
+            gain_error = gain_error_squared(&w, around.sizes);
             solved = block + 3;
         }
         for (int i = 1; i < 3; i++) {
@@ -130,24 +127,24 @@ __kernel void tracks(__global const double* image_matrix,  // [9][slots]
             f.shortest = delay_now < f.shortest ? delay_now : f.shortest;
             f.longest = delay_now > f.longest ? delay_now : f.longest;
         }
-        __global float* c = polynomials + place_of(block, slot, function_count, slots);
-        delay[block * (long)slots + slot] = write_delay(&w, BESIDE, branch_rate, half_block, delay_samples, c);
-        write_terms(powers, heard, function_count, BESIDE, c);
+        __global float* c = polynomials + place_of(block, slot, run.function_count, slots);
+        delay[block * (long)slots + slot] = write_delay(&w, BESIDE, branch_rate, half_block, run.delay_samples, c);
+        write_terms(powers, heard, run.function_count, BESIDE, c);
         if (!heard) continue;
 #if SPARSE
-        const double p1 = w.delay[1] * sampling_rate + delay_samples, p2 = w.delay[2] * sampling_rate + delay_samples;
-        const double r1 = w.rate[1] - (p2 - p1) / block_samples, r2 = w.rate[2] - (p2 - p1) / block_samples;
-        const double bulge = 0.25 * block_samples * ((r1 < 0.0 ? -r1 : r1) + (r2 < 0.0 ? -r2 : r2)) + 2.0;  // of the cubic
+        const double p1 = w.delay[1] * run.sampling_rate + run.delay_samples, p2 = w.delay[2] * run.sampling_rate + run.delay_samples;
+        const double r1 = w.rate[1] - (p2 - p1) / run.block_samples, r2 = w.rate[2] - (p2 - p1) / run.block_samples;
+        const double bulge = 0.25 * run.block_samples * ((r1 < 0.0 ? -r1 : r1) + (r2 < 0.0 ? -r2 : r2)) + 2.0;  // of the cubic
         activity[block * (long)slots + slot] =
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
         f.strength = w.strength[3] > f.strength ? w.strength[3] : f.strength;
-        const float left_here = left_where_heard(left_over, block * block_samples, GROUP * block_samples, from, until);
+        const float left_here = left_where_heard(left_over, block * run.block_samples, GROUP * run.block_samples, from, until);
         f.rest = left_here > f.rest ? left_here : f.rest;
-        const double time = start + (double)(block + 2) * block_time;
-        if (time - w.delay[3] >= emitted_first && time - 3.0 * block_time - w.delay[0] <= emitted_last) {
-            const float squared = delay_error_squared(&w, angular_frequency, block_time, subblock_share) +
-                                  left_out_squared(powers, strengths, subblock_share) + gain_error;
+        const double time = motion.start + (double)(block + 2) * block_time;
+        if (time - w.delay[3] >= run.emitted_first && time - 3.0 * block_time - w.delay[0] <= run.emitted_last) {
+            const float squared = delay_error_squared(&w, run.angular_frequency, block_time, run.subblock_share) +
+                                  left_out_squared(powers, around.sizes, run.subblock_share) + gain_error;
             f.error = squared > f.error ? squared : f.error;
         }
     }

@@ -13,11 +13,12 @@ typedef struct {
 } trajectory;
 
 static trajectory trajectory_of(__global const double* knots, int count, double first, double rate, double speed_of_sound,
-                                __global const double* wind)
+                                const double* wind)
 {
     trajectory out = {knots, count, first, rate, 1.0 / speed_of_sound};
 #if WIND
-    out.wind = at_row(wind);
+    const triple flow = {wind[0], wind[1], wind[2]};
+    out.wind = flow;
     out.room = speed_of_sound * speed_of_sound - inner(out.wind, out.wind);
     out.inverse_room = 1.0 / out.room;
 #endif

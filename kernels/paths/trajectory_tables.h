@@ -40,8 +40,9 @@ static end_of_path trajectory_at(__global const table_place* places, __global co
 {
     const table_place at = places[row];
     const table_scale scale = scales[row];
+    const double flow[3] = {WIND ? wind[0] : 0.0, WIND ? wind[1] : 0.0, WIND ? wind[2] : 0.0};
     const trajectory path = trajectory_of(knots + at.first_knot * KNOT_COLUMNS, (int)at.knots, scale.first_knot,
-                                          scale.knot_rate, speed_of_sound, wind);
+                                          scale.knot_rate, speed_of_sound, flow);
     const end_of_path out = {path, speeds + at.first_speed, scale.fastest, mounts[row]};
     return out;
 }

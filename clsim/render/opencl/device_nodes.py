@@ -77,7 +77,7 @@ class DeviceTracks:
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
         scene = tracks.scene
-        wind = None if scene.air.wind is None else self._upload(np.array(scene.air.wind))
+        wind = np.zeros(3) if scene.air.wind is None else np.array(scene.air.wind)
         media = (family.medium(source) for source in range(len(scene.sources)))
         self._media = [{"speed_of_sound": medium.speed_of_sound, "wind": wind} for medium in media]
         self._knot_rates = []
@@ -143,7 +143,7 @@ class DeviceTracks:
         coarse = self._coarse_delays(source, batch, paths, start, -(-length // plan.segment) + 3)
         cells = None
         if activity is not None:
-            cells = self._uploaded(following=activity.following, preceding=activity.preceding)
+            cells = self._uploaded(active_cells=np.stack([activity.following, activity.preceding]))
             cells["cells"] = len(activity.cells)
         turn = 0.0
         if around.source_kind != OMNI:
@@ -172,7 +172,7 @@ class DeviceTracks:
 
     def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Return tables of the diffracted or scattered field of paths (slots,); empty for images."""
-        return {"transition": None, "faces": None, "waves": None, "middle": 0.0, "modes": None}
+        return {"field_tables": None, "faces": None, "middle": 0.0, "modes": None}
 
     def _trajectory(self, knots: Floats) -> dict[str, Any]:
         """Return the knots of motion as the program takes them."""
@@ -229,7 +229,7 @@ class DeviceTracks:
         heard_from, heard_until = chunk.bounds.samples_from(start)
         around = self._surroundings[chunk.source]
         activity: Any = None
-        cells: dict[str, Any] = {"following": None, "preceding": None, "cells": 0}
+        cells: dict[str, Any] = {"active_cells": None, "cells": 0}
         if chunk.cells is not None:
             activity, cells = self._scratch.take(("activity", block), 4 * blocks * batch.count), chunk.cells
             cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * batch.count)
@@ -269,7 +269,7 @@ class DeviceTracks:
 
     def _exact_constants(self, source: int) -> dict[str, Any]:
         """Constants of the program in float64."""
-        wind = int(self._media[source]["wind"] is not None)
+        wind = int(self._tracks.scene.air.wind is not None)
         smooth = np.float32(SMOOTH_ERROR)
         return KINDS | self._kinds() | {
             "SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind,

@@ -10,7 +10,7 @@ from clsim.acoustics.diffraction import partner_reflections
 from clsim.paths.diffraction.family import least_angle
 from clsim.paths.diffraction.ways import EdgeView
 from clsim.render.opencl.device_nodes import DeviceTracks
-from clsim.render.opencl.lookup_tables import end_table, transition_table
+from clsim.render.opencl.lookup_tables import end_table, field_tables, transition_table
 from clsim.render.opencl.path_kinds import END_CELLS
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class EdgeTracks(DeviceTracks):
         waves = basis.nodes / self._tracks.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
         both = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
-        return self._uploaded(transition=both, waves=waves.astype(np.float32)) | {"middle": middle, "modes": None}
+        return self._uploaded(field_tables=field_tables(waves, both)) | {"middle": middle, "modes": None}
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         family, around = self._family, self._surroundings[source]

@@ -86,6 +86,11 @@ def transition_table(waves: Floats, parts: int) -> tuple[NDArray[np.float32], fl
     return cubics(place, values, parts), middle
 
 
+def field_tables(waves: Floats, table: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Waves in a metre at the frequencies of a basis, then tables of fields that use them, as kernels take both."""
+    return np.concatenate([waves.astype(np.float32), table.ravel()])
+
+
 def end_table(waves: Floats, parts: int, middle: float, cells: int) -> NDArray[np.float32]:
     """Make the table of the coefficients of `end_transition` at waves in a metre (F,), flat; see ``edge_end.h``."""
     place = np.linspace(0.0, 1.0, cells + 1)

@@ -11,7 +11,7 @@ from clsim.acoustics.sphere import sphere_modes
 from clsim.errors import InputError
 from clsim.paths.pose_cubics import pose_knots, pose_rate
 from clsim.render.opencl.device_nodes import DeviceTracks
-from clsim.render.opencl.lookup_tables import transition_table
+from clsim.render.opencl.lookup_tables import field_tables, transition_table
 from clsim.render.opencl.path_kinds import CAPSULE, ELLIPSOID, NO_WAY, POINT, SPHERE
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class ScattererTracks(DeviceTracks):
             views["modes"][view], views["least"][view] = len(factors), math.ceil(float(modes.ka.max()))
             parts += [modes.ka[None], factors.reshape(-1, len(waves))]
         known = np.concatenate(parts)
-        found = self._uploaded(transition=table, waves=waves.astype(np.float32))
+        found = self._uploaded(field_tables=field_tables(waves, table))
         return found | {"middle": middle, "modes": self._upload(known) if known.size else None}
 
     def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:

@@ -41,12 +41,15 @@ class Surroundings:
         if scene.air.dispersion:
             nepers, lead = air_polynomials(self._responses, mach)
             self.air_terms = len(nepers)
+        air = [nepers, np.broadcast_to(lead / (2.0 * np.pi), nepers.shape)]
         columns = {
-            "nepers": nepers, "lead": lead / (2.0 * np.pi),
-            "projection": np.pad(basis.projection.T, ((0, 0), (0, padding))),
-            "functions": basis.functions, "weight": basis.weight, "strengths": np.pad(basis.strengths, (0, padding)),
-        }  # fmt: skip
-        self.basis = {name: put(column.astype(np.float32)) for name, column in columns.items()}
+            "air_and_functions": [*air, basis.weight, basis.functions],
+            "projection": [np.pad(p, ((0, 0), (0, padding))) for p in (basis.projection.T, basis.strengths[None])],
+        }
+        self.basis = {
+            name: put(np.concatenate([part.astype(np.float32).ravel() for part in parts]))
+            for name, parts in columns.items()
+        }
         directivities = [r.directivity for r in scene.receivers]
         self.source_kind, self.receiver_kind = (
             directivity_kind([scene.sources[source].directivity]),

@@ -7,10 +7,11 @@ import pyopencl as cl
 import pytest
 
 import clsim
+from clsim.opencl.arguments import DOUBLE, FLOAT, INT, Argument, made, structure
 from clsim.opencl.compiler import ALONE, LONG_ALONE, LONG_KERNELS, as_built, compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
-from clsim.opencl.launch import NUMBERS, Launch, upload
+from clsim.opencl.launch import NUMBERS, Launch, layout, upload
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
 from clsim.render.opencl.body_nodes import BODY_VIEW
 from clsim.render.opencl.edge_nodes import EDGE_VIEW
@@ -38,6 +39,12 @@ STRUCTURES = {
     "edge_view": ("tracks", EDGE_VIEW),
     "scatterer_view": ("tracks", SCATTERER_VIEW),
     "body_view": ("tracks", BODY_VIEW),
+    **{
+        argument.type: (name, layout(argument))
+        for name, program in PROGRAMS.items()
+        for argument in program.arguments.values()
+        if argument.numbers
+    },
     "table_scale": ("intervals", np.dtype([("first_knot", "f8"), ("knot_rate", "f8"), ("fastest", "f8")])),
 }
 
@@ -71,7 +78,7 @@ def test_arguments_are_those_of_the_signature(program: str) -> None:
         assert bool(argument.shape) == bool(argument.access), name
         if argument.access:
             assert argument.type.rstrip("248") in {*NUMBERS, *TYPEDEFS, *STRUCTURES, *BY_KIND}, name
-        else:
+        elif not argument.numbers:
             assert argument.type in NUMBERS, name
 
 
@@ -82,6 +89,36 @@ def test_constants_are_those_that_the_sources_do_not_define(program: str) -> Non
     used = set(re.findall(r"\b[A-Z][A-Z_]+\b", text))
     assert used - defined - KNOWN == PROGRAMS[program].constants
     assert not defined & PROGRAMS[program].constants
+
+
+def test_structures_by_value_keep_signatures_short() -> None:
+    assert max(len(program.arguments) for program in PROGRAMS.values()) <= 44
+    assert len(PROGRAMS["tracks"].arguments) <= 32
+
+
+def test_numbers_of_structures_arrive_in_their_own_types(device: None) -> None:
+    """A launch takes them by name among the other arguments; an array within a structure keeps its order."""
+    numbers = structure("numbers", wide=DOUBLE, three=Argument("double", "3"), narrow=FLOAT, count=INT)
+    arguments = {"factor": INT, "numbers": numbers, "out": made("double", "6")}
+    fields = "double wide; double three[3]; float narrow; int count;"
+    source = (
+        f"typedef struct {{ {fields} }} numbers; __kernel void told(int factor, const numbers n, __global double* out)"
+        "{ out[0] = n.wide; for (int i = 0; i < 3; i++) out[1 + i] = n.three[i]; out[4] = n.narrow; out[5] = n.count * factor; }"
+    )
+    context = compiler_of(find_device(None)[1]).context
+    queue, out = cl.CommandQueue(context), np.zeros(6)
+    launch, buffer = (
+        Launch("told", cl.Kernel(cl.Program(context, source).build(), "told"), arguments),
+        upload(context, out),
+    )
+    given = {"count": 3.0, "narrow": 0.1, "three": np.array([5.0, 6.0, 7.0]), "wide": 0.1, "factor": 2, "out": buffer}
+    launch(queue, ((1,), (1,)), **given)
+    cl.enqueue_copy(queue, out, buffer)
+    assert out.tolist() == [0.1, 5.0, 6.0, 7.0, float(np.float32(0.1)), 6.0]
+    with pytest.raises(clsim.ClsimError, match=r"told: it lacks narrow$"):
+        launch(queue, ((1,), (1,)), **{n: given[n] for n in given if n != "narrow"})
+    with pytest.raises(clsim.ClsimError, match=r"told: it has no numbers$"):
+        launch(queue, ((1,), (1,)), **given, numbers=0)
 
 
 def test_every_file_belongs_to_a_program_and_says_what_it_is() -> None:
