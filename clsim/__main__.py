@@ -13,8 +13,8 @@ def run() -> NoReturn:
     from clsim.cli import main
 
     status = None
-    raise_on_interrupt()
     try:
+        raise_on_interrupt()
         status = main()
         ignore_interrupts()
     except KeyboardInterrupt:

@@ -45,7 +45,10 @@ def raise_on_interrupt() -> None:
 
 def ignore_interrupts() -> None:
     """Ignore Ctrl-C from now on: the exit status is known, and the process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whichever handler a library has left
+    sys.unraisablehook = _drop_interrupt
+    if hasattr(signal, "pthread_sigmask"):  # a handler that a library puts back is not called either
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _end(number: int, frame: FrameType | None) -> None:
@@ -89,6 +92,16 @@ def _raise_again(found: sys.UnraisableHookArgs) -> None:
     if isinstance(found.exc_value, KeyboardInterrupt):
         _raise_later()
     else:
+        sys.__unraisablehook__(found)
+
+
+def _drop_interrupt(found: sys.UnraisableHookArgs) -> None:
+    """Report an error that cannot be raised, unless it is an interrupt, which comes too late.
+
+    Python reports with an OSError of no object that a signal came while its handler was replaced.
+    """
+    late = isinstance(found.exc_value, OSError) and found.object is None
+    if not (late or isinstance(found.exc_value, KeyboardInterrupt)):
         sys.__unraisablehook__(found)
 
 

@@ -26,11 +26,16 @@ from clsim.workflow.result_folder import _remove_folder
 
 INTERRUPTS = int(os.environ.get("CLSIM_INTERRUPTS", "15"))
 FIRST = 0.45  # share of those within the first second
-# As the script that pip installs, which tells first that it is there.
+# As the script that pip installs, which tells that clsim is there: before, Python itself reports the interrupt.
 SCRIPT = """
-import os, re, sys
+import os, re, signal, sys
 sys.argv = ["clsim", *sys.argv[1:]]
-os.write(1, b"!")
+def tell(*given):
+    signal.signal = set_handler
+    before = set_handler(*given)
+    os.write(1, b"!")
+    return before
+set_handler, signal.signal = signal.signal, tell
 from clsim.__main__ import run
 run()
 """
@@ -157,6 +162,33 @@ def test_an_interrupt_that_a_library_swallows_comes_again() -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted again\n", "")
+
+
+PUT_BACK = """
+import os, signal, sys
+from clsim import process
+process.end_on_interrupt()
+process.raise_on_interrupt()
+process.ignore_interrupts()
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+    return sum(range(1000))
+for error in (KeyboardInterrupt(), OSError("Signal 2 ignored due to race condition")):
+    sys.unraisablehook(type("", (), {"exc_type": type(error), "exc_value": error, "exc_traceback": None, "err_msg": None, "object": None}))
+interrupt()
+signal.signal(signal.SIGINT, signal.default_int_handler)
+interrupt()
+print("done")
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="this system cannot block signals")
+def test_a_command_that_is_done_is_not_interrupted_by_a_handler_that_comes_back() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PUT_BACK], env=ENVIRONMENT, capture_output=True, text=True, timeout=60,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 
 
 def test_a_folder_that_is_still_written_into_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

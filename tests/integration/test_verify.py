@@ -1,6 +1,7 @@
 """Stored sound in which a bit has changed is refused."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ SCENE: dict[str, Any] = {
     "receivers": [{"name": n, "trajectory": {"kind": "fixed", "position": [3.0, y, 1.0]}} for n, y in (("a", 1.0), ("b", 2.0))],
     "paths": {"max_order": 1}, "render": {"sampling_rate": 48e3},
 }  # fmt: skip
-FLIPS = 10
+FLIPS = int(os.environ.get("CLSIM_FLIPS", "10"))  # of each kind of store
 
 
 def made(folder: Path, store: str, **render: Any) -> Path:
