@@ -256,7 +256,8 @@ def spoil(random: np.random.Generator, content: Any) -> None:
     elif way < 0.12 and isinstance(parent, list):
         parent.append(copy.deepcopy(old))
     elif way < 0.5 and number:
-        new = old * 10.0 ** random.choice([-12, -9, -6, -3, -2, -1, 1, 2, 3, 6, 9, 12]) * random.choice([1.0, -1.0])
+        with np.errstate(over="ignore"):
+            new = old * 10.0 ** random.choice([-12, -9, -6, -3, -2, -1, 1, 2, 3, 6, 9, 12]) * random.choice([1.0, -1.0])
         parent[key] = int(new) if isinstance(old, int) and random.random() < 0.7 else new
     elif way < 0.85 and number:
         parent[key] = float(pick(random, NUMBERS)) if isinstance(old, float) else pick(random, NUMBERS)
