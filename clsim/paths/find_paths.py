@@ -151,7 +151,7 @@ def find_paths(
         found = (*found, *_scattered(scene, search))
     paths = PathSet(scene, with_direct(found, levels))
     if not edges:
-        warn_without_edges(paths)
+        warn_without_edges(paths, search.max_order, partial(find_paths, engine=engine, device=device))
     return paths
 
 

@@ -1,17 +1,20 @@
-"""What reflections alone leave out: faces smaller than Fresnel zones, and jumps where paths begin and end."""
+"""What reflections alone leave out: the field of edges near paths, and jumps where paths begin and end."""
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import warn
-from clsim.paths.family import BODY, SPECULAR
+from clsim.errors import ClsimWarning, InputError, warn
+from clsim.paths.family import BODY, DIFFRACTION, SPECULAR
+from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scene import known_until
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -21,22 +24,36 @@ if TYPE_CHECKING:
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
-_MOST_ROWS = 16  # paths by small faces of a pair that are looked at
-_MOST_FACES = 4  # of which it is found out whether they have edges that diffract
 _MOST_EVENTS = 64  # beginnings and ends of paths of a pair that are looked at
-_SOFTEST_DB = -40.0  # re the free direct sound
 _LEAST_JUMP_DB, _LOUD_JUMP_DB = -60.0, -40.0  # re the strongest path: of what is reported, and warned of
-_MOST_RECEIVERS = 8
+_LEAST_EDGES_DB = -30.0  # likewise, of the field of edges that is warned of
+_INSTANTS = (0.5, 0.1, 0.9)  # of the known time, at which it is looked for
+_MOST_SOURCES, _MOST_LISTENERS, _MOST_RECEIVERS = 2, 4, 8
+_MOST_FACES, _MOST_PAIRINGS = 40, 400  # of a scene whose edges are searched: faces, and edges times faces
+_MOST_ROWS = 16  # paths by small faces of a pair that are looked at
+_MOST_TESTED = 4  # faces of which it is found out whether they have edges that diffract
+_SOFTEST_DB = -40.0  # re the free direct sound
 _FARTHEST = 100.0  # m, of paths whose Fresnel zones matter
 _SAME_EVENT = 1e-5  # s
 
 
-def warn_without_edges(paths: PathSet) -> None:
-    """Warn once of what is missing without edges: of a face that is too small, or else of jumps at edges.
+def warn_without_edges(paths: PathSet, max_order: int, find: Callable[..., PathSet]) -> None:
+    """Warn once of what is missing without edges: of the field of edges near paths, or else of jumps at edges.
 
-    Jumps are looked for at the first receivers only, so that many cost no more.
+    find: `find_paths`, by which the edges' own paths are found.
+
+    Both are looked for at the first receivers only, so that many cost no more. Of scenes with many edges, faces
+    that are smaller than Fresnel zones are looked for in place of the field of edges.
     """
-    if _warn_of_small_faces(paths):
+    searched = _is_searched(paths.scene)
+    level = neglected_db(paths.scene, max_order, find) if searched else None
+    if level is not None:
+        warn(
+            f"edges within or beside the Fresnel zones of paths: the field of edges, which is left out, reaches "
+            f"{level:.0f} dB of the strongest path (diffraction=1 adds it)"
+        )
+        return
+    if not searched and _warn_of_small_faces(paths):
         return
     jump = largest_jump_db(paths, _MOST_RECEIVERS)
     if jump is not None and jump > _LOUD_JUMP_DB:
@@ -56,7 +73,7 @@ def _warn_of_small_faces(paths: PathSet) -> bool:
     widths = _widths(paths.scene)
     reports = [report for _, pair in paths.pairs() for report in _small_faces(pair, widths)] if len(widths) else []
     loudest = {report[-1]: report for report in sorted(reports)}  # of each face the last one
-    for level, name, width, zone, wall in sorted(loudest.values(), reverse=True)[:_MOST_FACES]:
+    for level, name, width, zone, wall in sorted(loudest.values(), reverse=True)[:_MOST_TESTED]:
         if not _diffracts(paths.scene, wall):
             continue
         warn(
@@ -66,6 +83,65 @@ def _warn_of_small_faces(paths: PathSet) -> bool:
         )
         return True
     return False
+
+
+def neglected_db(scene: Scene, max_order: int, find: Callable[..., PathSet]) -> float | None:
+    """Find the largest level of the sum of a pair's edge paths at a few instants, dB re the pair's strongest path.
+
+    Paths have one edge and one reflection at most, at the centre frequency of the signal. None stands for less than
+    -30 dB, which edges far from every Fresnel zone reach.
+    """
+    if not (scene.bodies or len(scene.room.edges())):
+        return None
+    until = known_until([*scene.named_ends(), *scene.named_bodies()])
+    levels = []
+    with warnings.catch_warnings():  # what there is to say of room and signals was said
+        warnings.simplefilter("ignore", ClsimWarning)
+        for time in until * np.array(_INSTANTS if until > 0.0 else _INSTANTS[:1]):
+            try:
+                levels.append(_edges_db(find(_at_rest(scene, float(time)), min(max_order, 1), diffraction=1)))
+            except InputError:  # too many paths, or ends that meet
+                continue
+    worst = max(levels, default=-np.inf)
+    return worst if worst > _LEAST_EDGES_DB else None
+
+
+def _is_searched(scene: Scene) -> bool:
+    """Test whether a scene has so few faces and edges that a search of its edge paths takes a second or so."""
+    faces = len(scene.room.faces.names) + sum(len(body.mesh.faces.names) for body in scene.bodies)
+    if faces > _MOST_FACES:
+        return False
+    edges = len(scene.room.edges()) + sum(len(body.mesh.edges()) for body in scene.bodies)
+    return edges * faces <= _MOST_PAIRINGS
+
+
+def _at_rest(scene: Scene, time: float) -> Scene:
+    """Make a scene of the first ends as they are at a time, s."""
+
+    def still(item: Any) -> Any:
+        trajectory, now = item.trajectory, np.array([time])
+        turn = trajectory.orientation(now)[0] if trajectory.has_orientation else None
+        return replace(item, trajectory=Trajectory.fixed(trajectory.position(now)[0], turn))
+
+    return replace(
+        scene, sources=[still(s) for s in scene.sources[:_MOST_SOURCES]],
+        receivers=[still(r) for r in scene.receivers[:_MOST_LISTENERS]],
+        bodies=[still(b) for b in scene.bodies], scatterers=(),
+    )  # fmt: skip
+
+
+def _edges_db(paths: PathSet) -> float:
+    """Compute the largest level of a pair's edge paths together, dB re its strongest path."""
+    table = paths.table(np.zeros(1))
+    frequency = np.array([source.emitted.centre_frequency for source in paths.scene.sources])[paths.source]
+    phasors = np.nan_to_num(table.gain[:, 0] * np.exp(-2j * np.pi * frequency * table.delay[:, 0]))
+    pair = paths.source * len(paths.scene.receivers) + paths.receiver
+    over_edges = np.any(paths.interactions == DIFFRACTION, axis=1)
+    total: NDArray[Any] = np.zeros(int(pair.max(initial=0)) + 1, np.complex128)
+    strongest = np.zeros(len(total))
+    np.add.at(total, pair[over_edges], phasors[over_edges])
+    np.maximum.at(strongest, pair, np.abs(phasors))
+    return float(20.0 * np.log10(np.max(np.abs(total) / np.maximum(strongest, 1e-300)) + 1e-300))
 
 
 def largest_jump_db(paths: PathSet, most: int | None = None) -> float | None:

@@ -191,10 +191,10 @@ REFUSED = {
 
 @pytest.mark.parametrize("message", REFUSED, ids=range(len(REFUSED)))
 def test_what_cannot_be_is_refused_in_a_line(message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With the field, the name and the time; status 2."""
+    """With the field, the name and the time; status 2. What `find_paths` warns of may stand before it."""
     head = HEAD.replace("diffraction = 1", "diffraction = 0")
     (tmp_path / "scene.toml").write_text(head + REFUSED[message], "utf-8")
     assert main(["check", str(tmp_path / "scene.toml")]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+    said = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("clsim: warning: edges")]
+    assert len(said) == 1
+    assert message in said[0]

@@ -82,12 +82,17 @@ SCENES = {
 }
 
 
+def searched(launches: list, order: int) -> int:
+    """Number of launches for the highest order: those of the warning of edges, of lower orders, are short anyway."""
+    return sum(told.get("ORDER") == order for *_, told in launches)
+
+
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("slow", [False, True], ids=["a laptop's", "the slowest"])
 def test_a_small_gpu_finds_the_same_in_short_launches(name: str, slow: bool, described, watched) -> None:
     of, order = SCENES[name]
     whole = columns(clsim.find_paths(of, order))
-    ever = len(watched[1])
+    ever = searched(watched[1], order)
     watched[0].clear()
     watched[1].clear()
     info = described(**LAPTOP | ({"compute_units": 1, "clock_hz": 1e7} if slow else {}))
@@ -96,7 +101,8 @@ def test_a_small_gpu_finds_the_same_in_short_launches(name: str, slow: bool, des
     sizes, launches = watched
     assert max(sizes) <= GIB // 4
     assert sum(sizes) <= GIB
-    assert not slow or len(launches) > 4 * ever
+    assert not slow or searched(launches, order) > 4 * ever
+    launches = [launch for launch in launches if launch[0] != "edge_intervals"]  # of the warning of edges
     programs = {program for program, *_ in launches}
     assert programs == {"intervals"} | ({"meetings", "crossings"} if name == "a hall" else set())
     for program, (size, group), told in launches:
