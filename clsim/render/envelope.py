@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
-_ROWS = 2048  # samples of envelopes made at a time: what is mixed down then stays in cache
+_LEAST_TRANSFORM = 1024  # samples of envelopes in a transform at least
+_SPANS = 8  # half lengths of the filters in one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,31 +37,54 @@ class Mixer:
     every: int  # samples of the sound in one of the envelope
     turn: Fraction  # part of a turn of the carrier in one sample of the envelope beyond whole ones
     half_length: int  # samples of the envelope that are looked at to either side
-    # (2 half_length, K, 2, every) by sample of the envelope, filter, real and imaginary part, and sample of the sound.
-    taps: Floats
+    taps: Complexes  # (K, L) of each filter about the carrier, of odd length about the middle one
+    count: int  # samples of the envelope in a transform
+    gains: Complexes  # (K, count * every) of the filters at its frequencies, over `every`
+
+    @classmethod
+    def of(cls, taps: Complexes, every: int, turn: Fraction) -> Mixer:
+        """Return the mixer with filters (K, L) that turn sound about the carrier's frequency."""
+        from scipy.fft import ifft, next_fast_len
+
+        half = taps.shape[1] // 2
+        half_length = half // every + 1
+        count = next_fast_len(max(_LEAST_TRANSFORM, _SPANS * half_length))
+        length = count * every
+        placed = np.zeros((len(taps), length), dtype=np.complex128)
+        placed[:, np.arange(-half, half + 1) % length] = taps
+        return cls(every, turn, half_length, taps, count, count * ifft(placed, axis=1))
 
     def __call__(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
         """Return samples `first` to `last` of the envelope through each filter, (K, n).
 
-        `read` returns the samples of the sound from one to another.
+        `read` returns the samples of the sound from one to another. Transforms begin at multiples of their length, so
+        that a sample is the same to the bit in whichever call.
         """
-        pieces = [self._made(read, start, min(start + _ROWS, last)) for start in range(first, last, _ROWS)]
-        return np.concatenate(pieces, axis=1)
-
-    def _made(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
-        count, (span, filters) = last - first, self.taps.shape[:2]
-        sound = read((first - self.half_length) * self.every, (last + self.half_length) * self.every)
-        if not np.any(sound):
-            return np.zeros((filters, count), dtype=np.complex128)
-        parts = self.taps.reshape(-1, self.every) @ sound.reshape(-1, self.every).T
-        parts = parts.reshape(span, filters, 2, -1)
-        sums = np.zeros((filters, 2, count))
-        for j in range(span):
-            sums += parts[j, :, :, j : j + count]
-        out = sums[:, 0] + 1j * sums[:, 1]
+        size = self.count - 2 * self.half_length
+        blocks = range(first // size, -(-last // size))
+        made = np.concatenate([self._made(read, block * size, size) for block in blocks], axis=1)
+        out = made[:, first - blocks[0] * size : last - blocks[0] * size]
         whole = first * self.turn % 1  # exact, however late
-        cycles = float(whole) + float(self.turn) * np.arange(count)
+        cycles = float(whole) + float(self.turn) * np.arange(last - first)
         return np.asarray(out * np.exp(-2j * math.pi * cycles))
+
+    def _made(self, read: Callable[[int, int], Floats], first: int, size: int) -> Complexes:
+        """Return samples of the filtered sound before it is turned, (K, size)."""
+        from scipy.fft import fft, ifft
+
+        begin = (first - self.half_length) * self.every
+        sound = read(begin, begin + self.count * self.every)
+        if not np.any(sound):
+            return np.zeros((len(self.taps), size), dtype=np.complex128)
+        # Every so many-th sample folds the spectrum.
+        spectrum = (fft(sound) * self.gains).reshape(len(self.taps), self.every, self.count).sum(axis=1)
+        out = ifft(spectrum, axis=1)
+        out = out[:, self.half_length : self.half_length + size]
+        if not sound.all():  # what no sound reaches is silent, without the rounding of transforms
+            reached, half = np.cumsum(np.append(0, sound != 0.0)), self.taps.shape[1] // 2
+            middle = (np.arange(size) + self.half_length) * self.every
+            out[:, reached[middle + half + 1] == reached[middle - half]] = 0.0
+        return np.asarray(out)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,10 +211,4 @@ def _mixer(rate: float, every: int, carrier: float, low_pass: Floats, filters: F
     # Twice, for half of a real signal is on the carrier's negative side.
     mixed = 2.0 * low_pass * np.exp(-2j * math.pi * (carrier / rate) * (np.arange(length) - length // 2))
     taps = np.stack([np.convolve(f[::-1], mixed) for f in filters])
-    most = taps.shape[1] // 2
-    half_length = most // every + 1
-    padded = np.zeros((len(taps), 2 * half_length * every), dtype=np.complex128)
-    padded[:, half_length * every - most : half_length * every + most + 1] = taps
-    by_sample = padded.reshape(len(taps), 2 * half_length, every).transpose(1, 0, 2)
-    turn = Fraction(carrier) * every / Fraction(rate) % 1
-    return Mixer(every, turn, half_length, np.stack([by_sample.real, by_sample.imag], axis=2))
+    return Mixer.of(taps, every, Fraction(carrier) * every / Fraction(rate) % 1)
