@@ -87,7 +87,7 @@ TONE = clsim.Signal.tone(40e3, 0.04, RATE)
 BEACONS = clsim.Signal.from_array(
     sum(
         clsim.Signal.tone(f, 0.04, RATE, fade=fade).read(0, 7680)
-        for f, fade in ((25e3, 0.0), (40e3, 0.01), (48e3, 0.0))
+        for f, fade in ((20e3, 0.0), (40e3, 0.01), (60e3, 0.0))
     ),
     RATE,
 )

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
 _RIPPLE_DB = 15.0  # the same of the band-pass: what it leaves of a steady tone is silence
 LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
-_SILENT = 1e-9  # energy of the rest in a window relative to the whole, below which nothing is designed for it
+_SILENT = 3e-11  # energy of the rest in a window relative to the whole, below which nothing is designed for it: -105 dB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +104,7 @@ class Split:
         around = np.max([level[:-2], level[1:-1], level[2:]], axis=0)
         of_cell = around[np.arange(begin, end, CELL) // window - before - 1]
         cells = left.reshape(-1, CELL)
-        cells[np.abs(cells).max(axis=1) <= self.silence * of_cell] = 0.0
+        cells[np.sqrt(np.mean(cells**2, axis=1)) <= self.silence * of_cell] = 0.0
         return left[first - begin : last - begin]
 
     def _leaves_nothing(self, tone: float | None) -> bool:

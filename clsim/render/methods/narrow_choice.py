@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from clsim.scene.signal.signal import Signal
     from clsim.tracks.tracks import SceneTracks, Tracks
 
-_SHARES = (1e-3, 1e-6, 1e-9)  # of the energy to either side of what is passed as it is
+_SHARES = (1e-3, 1e-6, 1e-9, 1e-11)  # of the energy to either side of what is passed as it is
 _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
 _MOST_BANDS = 6
 _BINS = 10.0  # of short-time spectra: what a tone spreads in them
-_LEAST_EVERY = 8  # samples of the sound in one of the envelope
+_LEAST_EVERY = 4  # samples of the sound in one of the envelope
 _WINDOWS, _ENDS = 48, 4  # of short-time spectra that are looked at, and of these at either end
 _COARSE, _FINE = 0.02, 5e-4  # s between places at which ends are looked at
 _LOOKED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at

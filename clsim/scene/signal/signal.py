@@ -420,7 +420,7 @@ class Signal:
 
         Notes
         -----
-        The band's ends are the -6 dB points of a filter that falls to -80 dB within half a hundredth of the
+        The band's ends are the -6 dB points of a filter that falls to -120 dB within half a hundredth of the
         sampling rate; a narrower band than a hundredth becomes as wide as the filter can be. At another sampling
         rate the same seed gives other samples.
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 _TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
-_NOISE_HALF = 256  # taps on either side of the noise's band filter
-_NOISE_SHAPE = 8.0  # of the window
+_NOISE_HALF = 384  # taps on either side of the noise's band filter
+_NOISE_SHAPE = 12.3  # of the window
 
 
 class Waveform(Protocol):

@@ -137,10 +137,19 @@ def test_noise_has_its_level_band_and_seed() -> None:
 def test_band_noise_is_its_filter_applied_to_white_noise() -> None:
     low, high = 30e3, 50e3
     white, band = (Signal.noise(0.1, RATE, seed=5, band=b) for b in (None, (low, high)))
-    taps = firwin(513, [low, high], window=("kaiser", 8.0), pass_zero=False, fs=RATE)
+    taps = firwin(769, [low, high], window=("kaiser", 12.3), pass_zero=False, fs=RATE)
     expected = np.convolve(white.read(0, white.count), taps / np.linalg.norm(taps), mode="valid")
-    # Two ways of summing 513 products of order one in float64.
-    np.testing.assert_allclose(band.read(256, band.count - 256), expected, rtol=0, atol=1e-13)
+    # Two ways of summing 769 products of order one in float64.
+    np.testing.assert_allclose(band.read(384, band.count - 384), expected, rtol=0, atol=1e-13)
+
+
+def test_band_noise_is_120_db_down_beside_its_band() -> None:
+    """Half a hundredth of the sampling rate beside the band; the window leaks -150 dB there."""
+    samples = Signal.noise(0.5, RATE, seed=3, band=(30e3, 50e3)).read(0, 96_000)
+    energy = np.abs(np.fft.rfft(samples * np.kaiser(len(samples), 20.0))) ** 2
+    frequencies = np.fft.rfftfreq(len(samples), 1 / RATE)
+    beside = (frequencies < 29e3) | (frequencies > 51e3)
+    assert energy[beside].max() < 10 ** (-118 / 10) * energy[~beside].max()
 
 
 def test_white_noise_is_white_and_gaussian() -> None:
