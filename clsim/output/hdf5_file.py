@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 CHECKSUM_BYTES = 4
 LARGEST_CHUNK = 2**32 - 1 - CHECKSUM_BYTES  # bytes: its length is a number of 32 bits
 _PAGE = 1 << 14  # bytes
-_BLOCK = 1 << 16  # words: their weighted sums are exact in float64
+_BLOCK = 1 << 12  # words: their weighted sums are exact in float64
+_ROWS = 64  # blocks summed at a time: 2 MB as float64
 
 
 class _Image(io.RawIOBase):
@@ -138,11 +139,15 @@ def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535.
     """
     words = data.view(">u2")
-    total = weighted = 0
-    for begin in range(0, len(words), _BLOCK):
-        block = words[begin : begin + _BLOCK].astype(np.float64)
-        weighted += len(block) * total + int(block @ np.arange(len(block), 0.0, -1.0))
-        total += int(block.sum())
+    # Zeros before the first word change neither sum.
+    words = np.concatenate([np.zeros(-len(words) % _BLOCK, words.dtype), words]).reshape(-1, _BLOCK)
+    weights = np.stack([np.ones(_BLOCK), np.arange(_BLOCK, 0.0, -1.0)], axis=1)
+    parts = (words[i : i + _ROWS].astype(np.float64) @ weights for i in range(0, len(words), _ROWS))
+    sums = np.concatenate([np.empty((0, 2)), *parts])
+    # Exact: below 2^53 in a block, and below 2^63 of remainders over as many blocks as a chunk can have.
+    totals, weighted = (sums % 65535).astype(np.int64).T
+    following = np.arange(len(words))[::-1]
+    first, second = int(totals.sum()), int(weighted.sum()) + _BLOCK * int(following @ totals)
     # Sums with an end-around carry: a multiple of 65535 is 65535, and only zeros have the sum 0.
-    first, second = ((s - 1) % 65535 + 1 if s else 0 for s in (total, weighted))
+    first, second = ((s - 1) % 65535 + 1 if words.any() else 0 for s in (first, second))
     return np.array([second << 16 | first], "<u4").view(np.uint8)
