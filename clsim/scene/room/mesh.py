@@ -502,7 +502,7 @@ class MeshRoom:
         >>> edges.names, edges.n.round(9).tolist(), edges.length.tolist()
         (('edge wall 3 | wall 2',), [1.5], [3.0])
         """
-        return find_edges(self.walls, self.faces, self.contains if self.is_closed else None, wall)
+        return _edges(self, wall)
 
     def as_mesh(self) -> MeshRoom:
         """Return the room itself.
@@ -541,6 +541,11 @@ class MeshRoom:
             if len(forward):
                 count[forward] += walls.holds(w, x[forward] + away[forward, None] * ray)
         return count
+
+
+@lru_cache(maxsize=8)  # every search of paths asks for them several times
+def _edges(room: MeshRoom, wall: int | None) -> Edges:
+    return find_edges(room.walls, room.faces, room.contains if room.is_closed else None, wall)
 
 
 @lru_cache(maxsize=4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 CELLS = 64  # of a band, by which a signal's importance is given
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ShortTimeSpectra:
     """A signal's energy by window of some 40 ms and frequency, relative to the total energy around the window."""
 
@@ -57,10 +57,15 @@ class ShortTimeSpectra:
         onto = csr_array((shares, (bins, places)), shape=(len(self.frequencies), count))
         return np.asarray(self.energy @ onto)
 
+    @cached_property
+    def _cumulative(self) -> tuple[Floats, Floats]:
+        """Largest energy of any window up to each frequency (F,), and from each one on (F,)."""
+        below = np.cumsum(self.energy, axis=1).max(axis=0, initial=0.0)
+        return below, np.cumsum(self.energy[:, ::-1], axis=1).max(axis=0, initial=0.0)[::-1]
+
     def bounds(self, share: float) -> tuple[float, float]:
         """Return the frequencies below and above which no window has more than a share of its energy, Hz."""
-        below = np.cumsum(self.energy, axis=1).max(axis=0, initial=0.0)
-        above = np.cumsum(self.energy[:, ::-1], axis=1).max(axis=0, initial=0.0)[::-1]
+        below, above = self._cumulative
         low = int(np.searchsorted(below, share))
         high = len(above) - 1 - int(np.searchsorted(above[::-1], share))
         last = len(self.frequencies) - 1
