@@ -147,7 +147,7 @@ def _box(motion: tuple[str, Floats, float] | None) -> tuple[Floats, Floats, str]
 
 
 def _mesh_text(options: argparse.Namespace, base: Path) -> str:
-    """Return what the file says of a mesh."""
+    """Lines of the file about a mesh."""
     named = _relative(options.mesh, base)
     walls = "materials = { reflection = 0.9 }   # or by group: { default = { … }, curtain = { … } }; `clsim materials`"
     return f'[room]\nkind = "mesh"\npath = {named}\nscale = {options.scale:g}\nup = "{options.up}"\n{walls}'

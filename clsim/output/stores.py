@@ -57,7 +57,7 @@ class StoredSound:
         return "<f4" if self.carrier is None else "<c8"
 
     def attributes(self) -> dict[str, Any]:
-        """Return what stands at the root of a store."""
+        """Attributes at the root of a store."""
         root = {
             "clsim_store_format": STORE_FORMAT,
             "clsim_version": self.version,
@@ -74,7 +74,7 @@ class StoredSound:
 
     @property
     def sound_attributes(self) -> dict[str, Any]:
-        """Return what stands beside the samples."""
+        """Attributes beside the samples."""
         return sound_attributes(self.units, self.carrier)
 
 
@@ -99,11 +99,11 @@ class SoundStore(ABC):
     @staticmethod
     @abstractmethod
     def names(receivers: Sequence[str]) -> list[str]:
-        """Return what its files or folders are called."""
+        """Names of its files or folders."""
 
     @staticmethod
     def problem_of(receiver: str) -> str:
-        """Return what is wrong with a receiver's name, as users gave it, for this store; nothing is an empty text."""
+        """Objection to a receiver's name, as users gave it, for this store; an empty text for none."""
         del receiver
         return ""
 

@@ -43,7 +43,7 @@ class Arrivals:
     frequency_ratio: Floats  # (P, T) frequency on the way over that emitted: ``1 / (1 - M)``
 
     def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Self:
-        """Return what some of the paths bring at some of the times."""
+        """Arrivals of some of the paths at some of the times."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}
         some: dict[str, Any] = {name: None if x is None else x[rows, times] for name, x in columns.items()}
         return replace(self, **some)

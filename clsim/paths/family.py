@@ -89,7 +89,7 @@ class PathFamily(ABC):
 
     @abstractmethod
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        """Return how long paths (P,) of any pairs are with their ends at rest at places (P, 3), m."""
+        """Lengths of paths (P,) of any pairs with their endpoints at rest at places (P, 3), m."""
 
     def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
         """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
@@ -114,7 +114,7 @@ class PathFamily(ABC):
         return max_delay_rate(self.speed_range, source_speed, receiver_speed)
 
     def medium(self, source: int) -> Medium:
-        """Return what sound of a source travels in: its delays are those of the centre frequency's phase."""
+        """Medium of a source's sound: its delays are those of the centre frequency's phase."""
         return medium_of(self.scene.air, self.scene.sources[source].emitted.centre_frequency)
 
     @property
@@ -245,7 +245,7 @@ class PairPaths:
         return self.response(found, times, SceneResponse(scene, self.source, centre))[..., 0]
 
     def group_lag(self, found: Arrivals, frequency: float | None = None) -> Floats:
-        """Return by how much later than the delays (P, T) what sounds about a frequency arrives, s.
+        """Group delay minus phase delay (P, T) at a frequency, s.
 
         The frequency is the centre of what the source emits where left out. What air does is counted from 1 m on,
         where the emitted pressure is told.

@@ -43,7 +43,7 @@ class Folds:
         self._forth, self._back = (np.take_along_axis(rows[:, :, 2], legs, axis=1) for rows in (forth, back))
 
     def bends(self, p: Any, start: Floats, stop: Floats) -> tuple[Floats, Floats]:
-        """Return where paths are bent between places (..., 3), first and last, in the room.
+        """Bends of paths between places (..., 3), first and last, in the room.
 
         Shapes: start, stop (..., 3) m; result (..., legs + 1).
         """

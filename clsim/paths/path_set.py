@@ -169,7 +169,7 @@ class PathSet:
         return hashlib.sha256(" ".join(family.digest() for family in self.families).encode()).hexdigest()
 
     def table(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> PathTable:
-        """Return what every path does at the given times.
+        """Table of every path at the given times.
 
         Parameters
         ----------
@@ -220,7 +220,7 @@ class PathSet:
         )  # fmt: skip
 
     def to_dataframe(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
-        """Return what every path does at the given times as a pandas DataFrame, a row per path and time.
+        """Table of every path at the given times as a pandas DataFrame, a row per path and time.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class PathSet:
         return self.table(times, motion, amplitude).to_dataframe()
 
     def to_xarray(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
-        """Return what every path does at the given times as an xarray Dataset.
+        """Table of every path at the given times as an xarray Dataset.
 
         Parameters
         ----------
@@ -425,12 +425,12 @@ class PathSet:
         return html_table(title, ("order", "intervals", "heard"), rows, notes)
 
     def _seconds(self, rows: NDArray[np.bool_]) -> str:
-        """Return how long intervals are together, as a text."""
+        """Total length of intervals, as a text."""
         total = float(np.sum(self.end[rows] - self.start[rows]))
         return f"{total:.4g} s" if np.isfinite(total) else "always"
 
     def vertices(self, time: float, motion: str = "retarded") -> Floats:
-        """Return where every path leaves, meets something and arrives, as it is heard at a time.
+        """Points where every path received at a time leaves, meets something and arrives.
 
         Parameters
         ----------

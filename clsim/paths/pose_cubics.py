@@ -92,7 +92,7 @@ def _cubics(values: Floats, after: Floats, before: Floats) -> list[Floats]:
 
 
 def _is_right(motion: Motion, radius: float, end: float, rate: float, tolerance: float) -> bool:
-    """Return whether cubics are right within a tolerance, m, in the middle of all pieces."""
+    """Test if cubics are right within a tolerance, m, in the middle of all pieces."""
     if motion.is_static and not motion.turns:
         return True
     last = math.ceil(end * rate) + 1

@@ -59,7 +59,7 @@ class Passage:
     through: Floats  # (...) length of the air that sound passes, m
 
     def growth(self, direction: Floats, velocity: Floats) -> Floats:
-        """Return by how much the time grows per second as the receiver moves, or falls as the source does.
+        """Rate of the travel time as the receiver moves, or its negative as the source does, s/s.
 
         Shapes: direction (..., 3); velocity (..., 3) m/s.
         """
@@ -67,7 +67,7 @@ class Passage:
         return np.asarray(growth if self.carried is None else growth + np.sum(self.carried * velocity, axis=-1))
 
     def slowness(self, direction: Floats) -> Floats:
-        """Return by how much the time grows as the receiver goes on (..., 3), s/m, where ways run in a direction."""
+        """Gradient of the travel time by the receiver's position (..., 3), s/m, for paths that run in a direction."""
         along = direction / np.asarray(self.speed)[..., None]
         return np.asarray(along if self.carried is None else along + self.carried)
 
@@ -104,7 +104,7 @@ class Ways(Protocol):
         ...
 
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        """Return where ways bend, arguments as for `leave`: shares (..., K) from 0 to 1, and heights (..., K), m."""
+        """Bends of paths, arguments as for `leave`: shares (..., K) from 0 to 1, and heights (..., K), m."""
         ...
 
 
@@ -135,7 +135,7 @@ class Medium(SpeedBounds, Protocol):
         ...
 
     def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
-        """Return how sound passes ways.
+        """Propagation of sound along paths.
 
         Parameters
         ----------
@@ -230,7 +230,7 @@ class SpeedRange:
 
 @lru_cache(maxsize=256)
 def medium_of(air: Air, frequency: float) -> UniformAir | LayeredAir:
-    """Return what sound of a frequency, Hz, travels in, of the air of a scene."""
+    """Medium of a scene's air for sound of a frequency, Hz."""
     if not air.layers:
         return UniformAir(air.speed_at(frequency), air.wind, air.fluctuation)
     assert air.extent is not None
@@ -248,7 +248,7 @@ def medium_of(air: Air, frequency: float) -> UniformAir | LayeredAir:
 
 
 def mean_medium_of(air: Air, frequency: float) -> UniformAir:
-    """Return what it travels in where heights and noise do not count: to tell when a path is there."""
+    """Medium without heights and noise, by which the validity of paths is determined."""
     return UniformAir(air.speed_at(frequency), air.wind)
 
 
@@ -289,7 +289,7 @@ def arrivals_by(
     ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats, motion: str,
     amplitude: str,
 ) -> Arrivals:  # fmt: skip
-    """Return what ways between one source and one receiver bring.
+    """Arrivals of paths between one source and one receiver.
 
     Shapes: times (T,) s.
 
@@ -302,7 +302,7 @@ def arrivals_by(
     ways, whole = ways_to(heard_at), (slice(None), slice(None))
 
     def passage(p: Any, t: Any, start: Floats) -> tuple[Floats, Passage, Floats | None]:
-        """Return how sound leaves `start` (m): direction, what the medium does on the way, its means along it."""
+        """Departure of sound from `start` (m): direction, effect of the medium on the path, its means along it."""
         length, direction = ways.leave(p, t, start)
         means = medium.means(ways, p, t, start)
         return direction, medium.passage(length, heard_at[t] - start, means), means
@@ -342,7 +342,7 @@ def arrivals_by(
 def _noise(
     ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats
 ) -> tuple[Floats, Floats] | None:
-    """Return what noise adds to delays (P, T), s, and to their rates, with both ends as at reception; or None."""
+    """Noise of delays (P, T), s, and of their rates, with both endpoints as at reception; or None."""
     if medium.fluctuation is None:
         return None
     source, receiver = ends
@@ -355,7 +355,7 @@ def _noise(
 def _growth_by_means(
     medium: Medium, length: Floats, apart: Floats, means: Callable[[Floats], Floats | None], velocity: Floats
 ) -> Floats:
-    """Return by how much the time grows per second as an end moves on ways as long, by what is met on them.
+    """Rate of the travel time as an endpoint moves, by path lengths and the medium along them, s/s.
 
     `means` takes by how much the end is displaced (..., 3), m.
     """

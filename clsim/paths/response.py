@@ -77,7 +77,7 @@ class SceneResponse:
                 )
 
     def air(self, found: Arrivals) -> Floats | Complexes:
-        """Return what the air leaves (P, T, F) of 1, relative to 1 m of it; if it disperses, of what it meets."""
+        """Transmission of the air (P, T, F) relative to 1 m of it, with its dispersion if it has one."""
         beyond, ratio = (found.through - 1.0)[..., None], found.frequency_ratio[..., None]
         if not self.disperses:
             nepers = self.nepers if found.means is None else found.means @ self._by_height
@@ -159,7 +159,7 @@ class SceneResponse:
 
 
 def is_complex(scene: Scene) -> bool:
-    """Return whether any wall or directivity of a scene has a phase."""
+    """Test if any wall or directivity of a scene has a phase."""
     directivities = [
         *(source.directivity for source in scene.sources),
         *(receiver.directivity for receiver in scene.receivers),

@@ -104,7 +104,7 @@ class TrajectoryTables:
         return centre, float(np.linalg.norm(hull - centre, axis=1).max()) + self._lift(row, hull)
 
     def _lift(self, row: int, hull: Floats) -> float:
-        """Return how far an end may be lifted off its wall, m."""
+        """Largest distance by which an endpoint may be lifted off its wall, m."""
         normal, offset = self.mounts[row, :3], self.mounts[row, 3]
         return float(np.abs(offset - hull @ normal).max())
 

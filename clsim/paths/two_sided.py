@@ -61,18 +61,18 @@ class TwoSidedPaths(PathFamily, ABC):
         return found
 
     def image(self, side: str, index: NDArray[np.int64], places: Floats) -> Floats:
-        """Return where ends (P, [T,] 3) are seen by the place of each path, "before" it or "after" it."""
+        """Positions of endpoints (P, [T,] 3) as seen from the place of each path, "before" it or "after" it."""
         offset = (self.before_offset if side == "before" else self.after_offset)[index]
         return self.turned(side, index, places) + offset.reshape(len(index), *[1] * (places.ndim - 2), 3)
 
     def turned(self, side: str, index: NDArray[np.int64], vectors: Floats) -> Floats:
-        """Return how vectors (P, [T,] 3) are seen by the place of each path."""
+        """Vectors (P, [T,] 3) as seen from the place of each path."""
         matrix = (self.before_matrix if side == "before" else self.after_matrix)[index]
         vectors = np.broadcast_to(vectors, (len(index), *vectors.shape[1:]))
         return np.asarray(np.einsum("pij,p...j->p...i", matrix, vectors))
 
     def turned_back(self, side: str, index: NDArray[np.int64], vectors: Floats) -> Floats:
-        """Return how vectors (P, T, 3) that the place of each path sees run at the end itself."""
+        """Vectors (P, T, 3) at the endpoint itself, from those seen from the place of each path."""
         matrix = (self.before_matrix if side == "before" else self.after_matrix)[index]
         return np.asarray(np.einsum("pji,ptj->pti", matrix, vectors))
 

@@ -56,7 +56,7 @@ class Viewable(Protocol):
         ...
 
     def table(self, times: Floats, motion: str, amplitude: str) -> PathTable:
-        """Return what every path does."""
+        """Table of every path."""
         ...
 
     def vertices(self, time: float, motion: str) -> Floats:
@@ -128,12 +128,12 @@ def viewed(
 
 
 def _alike(one: Floats, other: Floats) -> bool:
-    """Return whether points are where others are, as far as the page shows."""
+    """Test if points coincide with others, as far as the page shows."""
     return bool(np.all(np.abs(one - other) < _SEEN))
 
 
 def _same(one: ViewedPaths, other: ViewedPaths) -> bool:
-    """Return whether two frames show the same paths."""
+    """Test if two frames show the same paths."""
     return one.labels == other.labels and all(map(_alike, one.vertices, other.vertices))
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @keywords_of(RenderOptions)
 def render(paths: PathSet, options: RenderOptions) -> Recording:
-    """Return what every receiver of a scene hears.
+    """Render the sound at every receiver of a scene.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def render_tracks(
     starts: Sequence[float] | None = None,
     **options: Any,
 ) -> Recording:
-    """Return what is heard of signals along tracks, whoever computed these.
+    """Render signals along tracks, whoever computed these.
 
     Parameters
     ----------

@@ -87,7 +87,7 @@ class Index:
 
     @property
     def untouched(self) -> bool:
-        """True if no member has a result."""
+        """Test if no member has a result."""
         return all(row.status == "waiting" for row in self.rows.values())
 
     def _take(self, row: dict[str, Any]) -> MemberRow:

@@ -93,7 +93,7 @@ class Tracks(ABC):
         """
 
     def costly(self, pair: int) -> bool:
-        """Return whether the gains of a pair's paths cost much, see `PathFamily`.
+        """Test if the gains of a pair's paths cost much, see `PathFamily`.
 
         Parameters
         ----------

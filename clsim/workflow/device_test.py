@@ -51,7 +51,7 @@ class DeviceReport:
 
     @property
     def passed(self) -> bool:
-        """True if every scene is within the promised error at default settings."""
+        """Test if every scene is within the promised error at default settings."""
         return max(self.apart_db.values()) < PROMISED_DB
 
     def line(self) -> str:

@@ -40,7 +40,7 @@ class FaceLegs:
         self._footprint = cache(self._find_footprint)
 
     def hindered(self, rows: Rows) -> Bools:
-        """Return which candidates (n,) have something standing between their edges."""
+        """Mask of candidates (n,) with an obstacle between their edges."""
         pairs = np.column_stack([x[rows] for x in (self._visibility.candidates.edge, self._visibility.candidates.face)])
         kinds, which = np.unique(pairs, axis=0, return_inverse=True)
         found = [kind[2] >= 0 and len(self._footprint(*kind[:3].tolist())) > 0 for kind in kinds]
@@ -100,7 +100,7 @@ def _cut(outline: Floats, of_wall: Floats, normal: Floats, height: float) -> Flo
 
 
 def _enters(line: Floats, hull: Floats, within: float) -> bool:
-    """Return whether a line (2, 2) has a part inside a convex outline of half-planes (n, 3), m off it at least."""
+    """Test if a line (2, 2) has a part inside a convex outline of half-planes (n, 3), m off it at least."""
     first, last = 0.0, 1.0
     for a, b in (line @ hull[:, :2].T + hull[:, 2]).T + within:  # negative inside
         if a > 0.0 and b > 0.0:
@@ -112,7 +112,7 @@ def _enters(line: Floats, hull: Floats, within: float) -> bool:
 
 
 def _lines_apart(way: Floats, lines: Floats) -> tuple[Bools, Floats]:
-    """Return whether a way (2, 2) crosses lines (n, 2, 2), and the least distance of any end to the other line, m."""
+    """Mask of lines (n, 2, 2) that a segment (2, 2) crosses, and the least distance of any end to the other line, m."""
 
     def turn(a: Floats, b: Floats, c: Floats) -> Floats:
         u, v = b - a, c - a

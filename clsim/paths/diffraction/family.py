@@ -168,15 +168,15 @@ class EdgePaths(TwoSidedPaths):
         return self.after_matrix[index], self.after_offset[index]
 
     def _view(self, side: str, index: NDArray[np.int64]) -> EdgeView:
-        """Return how the edges of paths see an end."""
+        """View of an endpoint from the edges of paths."""
         return EdgeView.of(*self._isometry(side, index), self.frame[index])
 
     def _beyond(self, index: NDArray[np.int64]) -> tuple[RolledOut, RolledOut] | None:
-        """Return how two edges of paths see what is beyond each other, or None for paths over one."""
+        """Return the views from two edges of paths beyond each other, or None for paths over one."""
         return None
 
     def _apexes(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
-        """Return where ways between places (P, 3) meet their first edge, and their last, (P, 3) m."""
+        """Points (P, 3), m, where paths between places (P, 3) meet their first edge, and their last."""
         ends = (
             self._view(side, index).places(x[:, None])[..., 0] for side, x in (("before", source), ("after", receiver))
         )
@@ -299,7 +299,7 @@ def cylindrical(n: Floats, seen: Floats, beside: NDArray[np.int8]) -> tuple[Floa
 
 
 def least_angle(n: Floats, beside: NDArray[np.int8]) -> Floats:
-    """Return where the turn of angles about edges (P,) begins.
+    """Origin of the angles about edges (P,).
 
     In the middle of the wedge; of ends that go on beyond the 0-face, -1, or beyond the n-face, 1, a quarter of the air
     before or after that: in the middle of a sheet they would jump at its very plane.

@@ -159,7 +159,7 @@ def _sequences(walls: Walls, sphere: tuple[Floats, float], edges: Edges, spheres
 def _may_reach(
     walls: Walls, sphere: tuple[Floats, float], edges: Edges, edge: int, sequence: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """Return which sequences (n, N) may lead to an edge: not from inside its wedge, nor by walls that it lies in.
+    """Mask of sequences (n, N) that may lead to an edge: not from inside its wedge, nor by walls that it lies in.
 
     As seen from the last walls of a sequence the edge may lie in the plane of an earlier one: such a path would meet
     that wall at the edge's image, at its very end.
@@ -177,7 +177,7 @@ def _may_reach(
 
 
 def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return which walls of sequences (n, N) a place (3,) lies in the plane of, seen by the walls behind each."""
+    """Mask of walls of sequences (n, N) in whose plane a place (3,) lies, as seen by the walls behind each."""
     found, seen = np.zeros(sequence.shape, dtype=bool), np.tile(place, (len(sequence), 1))
     for k in range(sequence.shape[1] - 1, -1, -1):
         wall = sequence[:, k]
@@ -294,7 +294,7 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, partners: _Partn
 
 
 def _instead(edges: Edges, asked: EdgeCandidates, row: int, term: int) -> list[int]:
-    """Return what the partner of a term has in place of the edges: faces in turn, or the other one of two edges."""
+    """Interactions of a term's partner in place of the edges: faces in turn, or the other one of two edges."""
     one, other = asked.edge[row].tolist()
     if asked.face[row, 0] >= 0:
         return [-1 - (other if term < TERMS else one)]

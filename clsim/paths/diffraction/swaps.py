@@ -92,7 +92,7 @@ def _same_events(
 
 
 def _among(pair: Rows, times: Floats, other_pair: Rows, others: Floats) -> NDArray[np.bool_]:
-    """Return which times of pairs are, to the last bit, among others of the same pair."""
+    """Mask of times of pairs that are, to the last bit, among others of the same pair."""
     known = set(zip(other_pair.tolist(), others.tolist(), strict=True))
     return np.array([moment in known for moment in zip(pair.tolist(), times.tolist(), strict=True)], dtype=bool)
 

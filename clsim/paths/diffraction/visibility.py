@@ -84,7 +84,7 @@ class EdgeVisibility:
     candidates: EdgeCandidates  # what is asked about
 
     def stance(self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats) -> EdgeStance:
-        """Return where candidates `which` (n,) run at times (n,), with what their ends move within `half`, s."""
+        """Course of candidates `which` (n,) at times (n,), with the motion of their endpoints within `half`, s."""
         asked, tables, edges = self.candidates, query.trajectory_tables, self.edges
         row, source = asked.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
         (one, other), (face, other_face), end = asked.edge[which].T, asked.face[which].T, asked.end[which]
@@ -182,14 +182,14 @@ class EdgeVisibility:
         )
 
     def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
-        """Return how far the place on the first or second edge may move along it, (n,) m."""
+        """Largest motion of the point on the first or second edge along it, (n,) m."""
         across, reach = stance.distances[edge] + stance.across[edge], stance.reach
         room = across - 2.0 * reach
         sliding = reach * (stance.ways[edge].length + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
         return np.where(end >= 0, 0.0, np.where(room > 0.0, sliding, FAR * size))
 
     def _margins(self, stance: EdgeStance, which: Rows) -> Floats:
-        """Return how far images are in the air of their wedges and beyond edges, and apexes on these, (6, n) m."""
+        """Clearances (6, n), m, of images in the air of their wedges and beyond edges, and of apexes on these."""
         end, found = self.candidates.end[which], [*stance.across]
         for edge, angle, r, place in zip(
             self.candidates.edge[which].T, stance.angles, stance.distances, stance.places, strict=True

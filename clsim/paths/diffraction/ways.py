@@ -148,7 +148,7 @@ def edge_ways(
 def _met(
     emitted_at: Floats, heard_at: Floats, beyond: tuple[RolledOut, RolledOut] | None
 ) -> tuple[tuple[Floats, Floats], Floats]:
-    """Return where the shortest ways meet the first and the last edge, and their lengths, each (P, T) m."""
+    """Points where the shortest paths meet the first and the last edge, and their lengths, each (P, T) m."""
     source, receiver = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in (emitted_at, heard_at))
     if beyond is None:
         way = edge_way(*source, *receiver)

@@ -42,7 +42,7 @@ class WaysOver:
         return np.asarray(np.einsum("pji,ptj->pti", self._paths.before_matrix[self._index], apart))
 
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        """Return where ways bend, see `Ways`."""
+        """Bends of paths, see `Ways`."""
         apex, first, second = self._parts(p, t, start)
         one, other = straight(first, apex)[0][..., None], straight(apex, second)[0][..., None]
         before, low = self._folds[0].bends(p, start, apex)
@@ -55,7 +55,7 @@ class WaysOver:
         return straight(first, apex), straight(apex, second)
 
     def _parts(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return where ways meet the edges, and both ends as these see them."""
+        """Points where paths meet the edges, and both endpoints as seen from these."""
         index, heard_at = self._index[p], self._heard_at[p, t]
         edges = index[:, None] if heard_at.ndim == 3 else index  # all times of a path, or one each
         emitted_at = self._paths.image("before", index, np.broadcast_to(start, heard_at.shape))

@@ -155,7 +155,7 @@ class _Mirrored:
 
 
 def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium: UniformAir, there: Bools) -> Drift:
-    """Return how fast the lines of paths change.
+    """Rates of the lines of paths.
 
     Shapes: there (n,).
 
@@ -188,7 +188,7 @@ def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium:
 def _motions(
     mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, there: Bools, c: float, wind: float
 ) -> _Mirrored:
-    """Return how mirrors move: on a body's faces as its points do, else as far off as mirrors are continued."""
+    """Motion of mirrors: on a body's faces as its points, else as far off as mirrors are continued."""
     owner = mirrors.owner[walls]
     moving, body = owner != ROOM, np.maximum(owner, 0)
     middles = [middle_of(b) for b in mirrors.bodies]

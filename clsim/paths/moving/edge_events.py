@@ -94,7 +94,7 @@ class EdgeSolver:
     rounds: int = _ROUNDS  # of the search for events at mirrors, at the most
 
     def find(self, chains: Chains, times: Floats) -> EdgeEvents:
-        """Return how sound that is received at times (T,) or (P, T) goes over edges, s.
+        """Events at edges of sound that is received at times (T,) or (P, T), s.
 
         As the edge sees it, both images rest, and the shortest way over the line of the edge meets it where `edge_way`
         says; where the images lie changes with that place only as mirrors, source and edge move meanwhile, so that each

@@ -114,7 +114,7 @@ class MovingEdgePaths(MovingPaths):
         return Chains(self.before[index], self.after[index], self.edge[index], self.over_end[index])
 
     def events(self, rows: Rows, times: Floats, motion: str = "retarded") -> EdgeEvents:
-        """Return where and when paths between one source and one receiver are diffracted, and reflected.
+        """Events of diffraction and reflection of paths between one source and one receiver.
 
         Shapes: rows (P,); times (T,) s.
         """

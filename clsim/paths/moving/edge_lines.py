@@ -66,7 +66,7 @@ class EdgeLines:
         return len(self.names)
 
     def placed(self, edge: Integers, along: Floats, times: Floats) -> Floats:
-        """Return where points at places (P, T) along edges (P,), m, are at times (P, T), s: (P, T, 3) m."""
+        """Positions (P, T, 3), m, at times (P, T), s, of points at places (P, T) along edges (P,), m."""
         own = self.frames[edge, None, 0] + along[..., None] * self.frames[edge, None, 3]
         for body, rows in self._of_bodies(edge):
             own[rows] = self.bodies[body].placed(own[rows], times[rows])
@@ -96,7 +96,7 @@ class EdgeLines:
         return across, out, along
 
     def in_planes(self, mirrors: Mirrors, size: float) -> NDArray[np.bool_]:
-        """Return which mirrors hold which edges whatever moves, (E, W): those of the same thing."""
+        """Mask (E, W) of mirrors that hold edges whatever moves: those of the same object."""
         ends = np.stack([self.frames[:, 0], self.frames[:, 0] + self.length[:, None] * self.frames[:, 3]], axis=1)
         height = np.abs(ends @ mirrors.normal.T - mirrors.offset).max(axis=1)
         return np.asarray((height <= _ON * size) & (self.owner[:, None] == mirrors.owner))

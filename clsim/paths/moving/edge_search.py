@@ -100,7 +100,7 @@ class _EdgeFinder:
         return _with_joined_ends(columns)
 
     def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> Chains:
-        """Return what paths may meet within a stretch of time."""
+        """Objects that paths may meet within an interval of time."""
         width, owner = max(self._order, 1), self._mirrors.owner
         from_source = self._reached(source, None, span)
         to_receiver = self._reached(source, receiver, span)
@@ -196,7 +196,7 @@ class _Look:
 
 
 def _free(search: BodySearch, mirrors: NDArray[np.int32], legs: Events, when: Floats, p: Rows, t: Rows) -> Any:
-    """Return which of some paths at some times (n,) go by their mirrors (n, N) and are free of obstacles, (n,)."""
+    """Mask (n,) of some paths at times (n,) that meet their mirrors (n, N) and are free of obstacles."""
     some = type(legs)(*(getattr(legs, f.name)[p, t][:, None] for f in fields(legs)))
     there = search.obstacles.there(mirrors, some, when[p, t][:, None])[:, 0]
     share = some.share[:, 0]

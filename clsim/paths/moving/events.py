@@ -128,7 +128,7 @@ def find_events(
 
 
 def few_of(times: Floats) -> NDArray[np.int64] | None:
-    """Return which of many times (T,) near to each other events are first looked for at; None where they are not."""
+    """Pick the times among many (T,) near to each other at which events are solved first; None where far."""
     if times.ndim != 1 or len(times) < _LEAST or np.any(np.diff(times) <= 0.0):
         return None
     few = np.arange(0, len(times), _APART)
@@ -146,7 +146,7 @@ class _Known:
 
     @staticmethod
     def between(coarse: Events, times: Floats, few: NDArray[np.int64]) -> _Known:
-        """Return what quintic splines through the events at few of the times (T,) say at all of them."""
+        """Events at all times (T,) by quintic splines through those at few of them."""
         from scipy.interpolate import make_interp_spline
 
         shares = make_interp_spline(times[few], np.eye(len(few)), k=5)(times)
@@ -260,7 +260,7 @@ def _told(
     mirrors: Mirrors, walls: NDArray[np.signedinteger[Any]], planes: list[Planes], ends: _Ends,
     found: tuple[Floats, list[Floats], list[Floats], list[Floats]], last: tuple[Floats, Floats, Floats], c: float,
 ) -> Events:  # fmt: skip
-    """Return what was found as it is told, with directions of the legs from the receiver back."""
+    """`Events` of the converged solution, with directions of the legs from the receiver back."""
     emission, event, place, share = found
     distance, onwards, beyond = last
     now, wind, shape = ends.now, ends.wind, ends.now.shape

@@ -94,7 +94,7 @@ def _cubics(normal: Floats, offset: Floats, turning: Floats, rising: Floats, rat
 
 
 def _largest_error(body: Body, end: float, rate: float) -> float:
-    """Return by how much planes through a body are off between knots, at its points, m."""
+    """Errors of planes through a body between knots, at its points, m."""
     largest = 0.0
     for first in range(0, math.ceil(end * rate) + 1, _SLICE):
         times = np.arange(first, min(first + _SLICE, math.ceil(end * rate) + 1) + 1, dtype=np.float64) / rate

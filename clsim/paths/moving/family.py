@@ -68,7 +68,7 @@ class BodyPaths(MovingPaths):
         return tuple(name for body in self.scene.bodies for name in body.faces)
 
     def events(self, rows: Rows, times: Floats, motion: str = "retarded") -> Events:
-        """Return where and when paths between one source and one receiver are reflected.
+        """Events of reflection of paths between one source and one receiver.
 
         Shapes: rows (P,); times (T,) s.
         """

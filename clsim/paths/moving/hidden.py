@@ -90,7 +90,7 @@ class _Status:
         return free
 
     def nearby(self, rows: Rows, times: Floats) -> Status:
-        """Return what says the same of some of the rows, from the first to the last of times (T,), by polynomials."""
+        """Return the same test for some of the rows, from the first to the last of times (T,), by polynomials."""
         nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
         weights = np.where(np.arange(_NODES) % 2, -1.0, 1.0)
         weights[[0, -1]] *= 0.5
@@ -109,7 +109,7 @@ class _Status:
         return status
 
     def _free(self, place: Floats, when: Floats) -> NDArray[np.bool_]:
-        """Return which polylines (P, T, V, 3) of events at times (P, T, V) pass all bodies, (P, T)."""
+        """Mask (P, T) of polylines (P, T, V, 3) of events at times (P, T, V) that pass all bodies."""
         shape = when.shape[:2]
         free = np.ones(shape[0] * shape[1], dtype=bool)
         flat, at = place.reshape(-1, *place.shape[2:]), when.reshape(-1, when.shape[2])
@@ -131,11 +131,11 @@ class _Look:
     query: PairQuery
 
     def status(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
-        """Return whether paths (n,) are free at times (n,)."""
+        """Mask of paths (n,) that are free at times (n,)."""
         return self.free(self.free.index[rows], times[:, None])[:, 0]
 
     def look(self, rows: Rows, times: Floats, half: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
-        """Return whether paths (n,) are free, for how long that is certain, s, and how fast what decides is, m/s.
+        """Mask of free paths (n,), the time for which that is certain, s, and the speed of what decides, m/s.
 
         Walls rest: every point at a fixed share of a path moves by no more than its ends, see `certainty`, and a corner
         along the wall by as much again over the cosine of the angle of incidence.

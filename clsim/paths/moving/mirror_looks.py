@@ -47,12 +47,12 @@ class MirrorLook:
     step: float  # how far all that moves may go where nothing is certain until the next look, m
 
     def status(self, rows: Rows, times: Floats) -> Bools:
-        """Return whether paths (n,) are there at times (n,)."""
+        """Mask of paths (n,) that are valid at times (n,)."""
         walls = self.surfaces[rows]
         return self.obstacles.there(walls, self._events(walls, self.receiver[rows], times), times[:, None])[:, 0]
 
     def look(self, rows: Rows, times: Floats, half: Floats) -> tuple[Bools, Floats, Floats]:
-        """Return whether paths (n,) are there, for how long that is certain, and is taken to be so, s."""
+        """Mask of valid paths (n,), and the times for which that is certain and assumed, s."""
         there, sure, taken = np.zeros(len(rows), dtype=bool), np.zeros(len(rows)), np.zeros(len(rows))
         order = np.sum(self.surfaces[rows] >= 0, axis=1)
         for count in np.unique(order).tolist():
@@ -95,7 +95,7 @@ class MirrorLook:
         return there, certain, np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
 
     def _on_faces(self, walls: NDArray[np.int32], line: Line) -> tuple[Bools, Floats, Floats]:
-        """Return which hits (n, N) are on their faces, how far from borders, and from the middles of bodies, m."""
+        """Mask of hits (n, N) on their faces, and distances from borders and from the middles of bodies, m."""
         holds, apart, far = np.zeros(walls.shape, dtype=bool), np.zeros(walls.shape), np.zeros(walls.shape)
         for k in range(walls.shape[1]):
             for surface in np.unique(walls[:, k]).tolist():
@@ -133,7 +133,7 @@ class MirrorLook:
         return sure
 
     def _slides(self, walls: NDArray[np.int32], change: Drift, pace: Pace, far: Floats) -> Floats:
-        """Return how fast hits (n, N) move as their faces see them, m/s."""
+        """Speeds of hits (n, N) in the axes of their faces, m/s."""
         body = self.obstacles.mirrors.owner[walls]
         rows = np.arange(len(walls))[:, None]
         slide = change.place[:, 1:-1]
@@ -145,7 +145,7 @@ class MirrorLook:
     def _free(
         self, walls: NDArray[np.int32], line: Line, change: Drift, pace: Pace, some: Rows, kept: Floats
     ) -> tuple[Bools, Floats]:
-        """Return which of some paths that meet their mirrors are free, and for how long that is certain."""
+        """Mask of free paths among some that meet their mirrors, and the time for which that is certain."""
         free, sure, order = np.ones(len(some), dtype=bool), np.array(kept), walls.shape[1]
         padded: Any = np.pad(walls, ((0, 0), (1, 1)), constant_values=-1)
         when = line.now[:, None] + line.time

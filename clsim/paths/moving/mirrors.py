@@ -40,7 +40,7 @@ class Planes:
     speed: Floats  # (...) along the normal, m/s
 
     def height(self, time: Floats, place: Floats) -> Floats:
-        """Return how far events at times (...), s, and places (..., 3), m, are in front of them, m."""
+        """Distances in front of them, m, of events at times (...), s, and places (..., 3), m."""
         return np.asarray(dot(self.normal, place) - self.speed * time - self.offset)
 
 
@@ -90,7 +90,7 @@ class Mirrors:
         return Planes(normal, offset, speed)
 
     def distances(self, walls: Integers, start: Floats, stop: Floats, times: Any) -> Floats:
-        """Return how long ways (P,) by mirrors are that rest where they are at a time, or at times (P,), m.
+        """Lengths of paths (P,) by mirrors at rest where they are at a time, or at times (P,), m.
 
         Shapes: walls (P, N); start, stop (P, 3) m.
         """

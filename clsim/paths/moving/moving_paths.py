@@ -40,7 +40,7 @@ class MovingPaths(PathFamily):
         """Sums (paths,) of the bounds of the speeds of the bodies on each path's way, m/s."""
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        """Return how long paths (P,) are by bodies as they are at 0 s, with their ends at places (P, 3), m."""
+        """Lengths of paths (P,) by bodies as they are at 0 s, with endpoints at places (P, 3), m."""
         return self._lengths(np.arange(len(self))[rows], source, receiver, 0.0)
 
     @abstractmethod

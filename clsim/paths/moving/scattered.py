@@ -119,7 +119,7 @@ class BodyScatteredPaths(MovingPaths):
         return max(scatterer.shape.aspects for scatterer in self.scene.scatterers)
 
     def events(self, which: int, index: NDArray[np.int64], times: Floats, motion: str = "retarded") -> ScatteredEvents:
-        """Return where and when paths (P,) by one scatterer between one source and one receiver are reflected.
+        """Events of paths (P,) by one scatterer between one source and one receiver.
 
         Shapes: index (P,); times (T,) s.
         """
@@ -200,7 +200,7 @@ class BodyScatteredPaths(MovingPaths):
         return np.array([scatterer.shape.radius for scatterer in self.scene.scatterers])[self.scatterer[index]]
 
     def legs(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> tuple[Floats, Floats]:
-        """Return how long both legs (P,) are by centres of scatterers and bodies as they are at a time, or times (P,).
+        """Lengths of both legs (P,) by centres of scatterers and bodies as they are at a time, or times (P,).
 
         Shapes: index (P,); source, receiver (P, 3) m.
         """

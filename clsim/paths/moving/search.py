@@ -116,7 +116,7 @@ class BodySearch:
         ]
 
     def pair(self, source: int, receiver: int) -> PairQuery:
-        """Return what is looked at between two ends."""
+        """Candidates between two endpoints."""
         scene, (query, longest) = self.scene, self.queries[source]
         ends: tuple[Source, Receiver] = (scene.sources[source], scene.receivers[receiver])
         moving = [body.trajectory.end for body in scene.bodies if not body.is_static]
@@ -131,7 +131,7 @@ class BodySearch:
         return PairQuery(lifted, medium, rates, times, query.resolution)
 
     def _rates(self, longest: float, last: float) -> BodyRates:
-        """Return how fast bodies are, from before the first emission until a last time, s."""
+        """Largest speeds of bodies from before the first emission until a last time, s."""
         if self._known is None or longest > -self._known.first or last > self._known.last:
             self._known = BodyRates.of(self.scene.bodies, longest, last)
         return self._known
@@ -173,7 +173,7 @@ class BodySearch:
     def mirror_look(
         self, pairs: Sequence[PairQuery], surfaces: NDArray[np.int32], receiver: NDArray[np.int64]
     ) -> MirrorLook:
-        """Return what looks at paths by mirrors (P, N) by which pairs (P,) of one source are heard."""
+        """Return the evaluation of paths by mirrors (P, N) of pairs (P,) of one source."""
         widest = max((pair.rates for pair in pairs), key=lambda rates: rates.bodies.last)
         rates = EndRates(
             widest.bodies, widest.source, tuple(pair.rates.receivers[0] for pair in pairs),
@@ -253,7 +253,7 @@ class BodySearch:
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     def moved(self, time: float, others: Floats) -> float:
-        """Return how far images by bodies are at most off those at a time, from the first to the last of others, m.
+        """Largest distance of images by bodies from those at a time, from the first to the last of others, m.
 
         That is half of it: by how much a corner goes, and how far the way to the body turns, on the mean of all ways to
         reflections, each no longer than the room for every leg.

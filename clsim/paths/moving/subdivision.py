@@ -91,7 +91,7 @@ def _of_part(
 
 
 def _divided(look: Look, which: Rows, gaps: Gaps) -> Gaps:
-    """Return what is left of gaps by looks at the middles of even parts of them: more of each, where gaps are few."""
+    """Rest of gaps after evaluation at the middles of even parts of them: more of each where gaps are few."""
     path, begin, end, before, after = gaps
     count = int(np.clip(_AT_ONCE // len(path), 1, _MOST_PARTS))
     half = 0.5 * (end - begin) / count

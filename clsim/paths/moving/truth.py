@@ -166,7 +166,7 @@ def _on_edges(start: Floats, step: Floats, source: Floats, receiver: Floats, wei
 
 
 def _beside(away: Floats, unit: Floats) -> tuple[Floats, Floats]:
-    """Return how far vectors (n, E, 3) go along lines, and off them, m."""
+    """Components of vectors (n, E, 3) along lines, and distances from them, m."""
     along = np.einsum("nei,ei->ne", away, unit)
     return along, np.linalg.norm(away - along[..., None] * unit, axis=2)
 

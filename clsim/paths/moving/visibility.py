@@ -90,7 +90,7 @@ class Obstacles:
         return Obstacles(Mirrors.of(scene), scene.room.as_mesh().walls, scene.room.is_convex)
 
     def there(self, surfaces: NDArray[np.signedinteger[Any]], events: Events, times: Floats) -> Bools:
-        """Return which paths by mirrors (P, N), of what is received at times (P, T), are there, (P, T)."""
+        """Mask (P, T) of valid paths by mirrors (P, N), received at times (P, T)."""
         order = np.sum(surfaces >= 0, axis=1)
         inner = (events.share > 0.0) & (events.share < 1.0) | (surfaces < 0)[:, None]
         ok = np.array(np.all(inner, axis=2))
@@ -107,13 +107,13 @@ class Obstacles:
         return ok
 
     def blocked(self, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
-        """Return which legs (n,) between mirrors, -1 for none, a wall or a body is in the way of, (n,)."""
+        """Mask (n,) of legs between mirrors, -1 for none, that a wall or a body blocks."""
         return self.looked(legs, first, last, None)[0]
 
     def looked(
         self, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: LegDrift | None
     ) -> tuple[Bools, Floats]:
-        """Return which legs are blocked, as `blocked`, and for how long that is certain, (n,) s."""
+        """Mask of blocked legs, as `blocked`, and the time for which that is certain, (n,) s."""
         found, sure = np.zeros(len(legs.left), dtype=bool), np.full(len(legs.left), FAR)
         if not self.convex:
             plane = np.append(self.walls.plane, -1)
@@ -131,7 +131,7 @@ class Obstacles:
         return found, sure
 
     def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
-        """Return which places (n, 3) at times (n,) are on a mirror, how far from its border and body's middle, m."""
+        """Mask of places (n, 3) on a mirror at times (n,), and distances from its border and the body's middle, m."""
         walls, face, own = self._of(surface, places, times)
         apart = _edges_apart(walls, face, own, own)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
@@ -149,7 +149,7 @@ class Obstacles:
         return thing.mesh.walls, surface - int(self.mirrors.first[body]), thing.seen(places, times)
 
     def _holds(self, surface: int, places: Floats, times: Floats) -> Bools:
-        """Return which places (n, 3) in the plane of a mirror at times (n,) are on it."""
+        """Mask of places (n, 3) in the plane of a mirror at times (n,) that are on it."""
         walls, face, places = self._of(surface, places, times)
         held = walls.holds(face, places)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
@@ -160,7 +160,7 @@ class Obstacles:
 def hidden_by(
     body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: tuple[int, LegDrift] | None = None
 ) -> tuple[Bools, Floats]:
-    """Return which legs a body is in the way of, and for how long that is certain, (n,) s.
+    """Mask of legs that a body blocks, and the time for which that is certain, (n,) s.
 
     Shapes: first, last (n,).
 
@@ -200,7 +200,7 @@ def hidden_by(
 
 
 def local_drift(body: int | None, legs: Legs, start: Floats, stop: Floats, drift: LegDrift) -> LocalDrift:
-    """Return how fast legs from places to others (n, 3), as a body sees them from its middle, change; None: the room.
+    """Rates of legs between places (n, 3) as seen from a body's middle; None is the room.
 
     A point x of a leg at a fixed share moves by no more than the shares of its ends. The body's own field of velocities
     is linear in x, but for how it changes while sound is on the leg, by its accelerations, and for what it is faster at
@@ -230,7 +230,7 @@ def _faced(
     walls: Walls, skipped: Bools, start: Floats, stop: Floats, turning: tuple[Body, Legs] | None,
     drift: LocalDrift | None,
 ) -> tuple[Bools, Floats]:  # fmt: skip
-    """Return which ways (n,), in their own coordinates, faces are in the way of, and for how long that is certain, s.
+    """Mask of legs (n,), in their own coordinates, that faces block, and the time for which that is certain, s.
 
     Those that are `skipped` (n, faces) are in the way of none.
 
@@ -294,7 +294,7 @@ def _beside(walls: Walls, face: int, start: Floats, stop: Floats, heights: list[
 
 
 def _slides(heights: list[Floats], ends: tuple[Floats, Floats], share: Floats, drift: LocalDrift) -> Floats:
-    """Return how fast the places move, at most, at which ways meet the planes of faces, (n,) m/s."""
+    """Largest speeds of the points where legs meet the planes of faces, (n,) m/s."""
     moved = (1.0 - share) * drift.start + share * drift.stop + drift.extra
     length = np.linalg.norm(ends[1] - ends[0], axis=1)
     slope = np.abs(heights[0] - heights[1]) - 4.0 * drift.curved
@@ -319,7 +319,7 @@ def _nearest(points: Floats, start: Floats, stop: Floats) -> Floats:
 
 
 def _crossed(first: Floats, last: Floats) -> Bools:
-    """Return which ways go through planes, strictly between their ends, at these heights over them."""
+    """Mask of legs that cross planes strictly between their endpoints, at these heights over them."""
     crosses = first * last < 0.0
     share = first / np.where(crosses, first - last, 1.0)
     return np.asarray(crosses & (share > INNER) & (share < 1.0 - INNER))
@@ -328,7 +328,7 @@ def _crossed(first: Floats, last: Floats) -> Bools:
 def _met_turning(
     walls: Walls, turning: tuple[Body, Legs], way: Rows, face: Rows, share: Floats, heights: list[Floats]
 ) -> Floats:
-    """Return where legs through their planes meet faces of a body that turns, as the body sees it, (n, 3) m."""
+    """Points where legs meet the planes of a turning body's faces, in the body's axes, (n, 3) m."""
     body, legs = turning[0], turning[1].part(way)
     normal, offset, apart = walls.normal[face], walls.offset[face], heights[0] - heights[1]
     for step in range(_STEPS + 1):

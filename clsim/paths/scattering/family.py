@@ -209,7 +209,7 @@ class ScatteredPaths(TwoSidedPaths):
         )
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        """Return how long paths (P,) are by the centres of scatterers at 0 s, with their ends at places (P, 3), m."""
+        """Lengths of paths (P,) by the centres of scatterers at 0 s, with endpoints at places (P, 3), m."""
         return self._lengths(np.arange(len(self))[rows], source, receiver, 0.0)
 
     def _lengths(self, index: NDArray[np.int64], source: Floats, receiver: Floats, times: Instant) -> Floats:

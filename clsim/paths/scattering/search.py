@@ -127,7 +127,7 @@ def _heard(
 
 
 def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
-    """Return how long sound takes (n,) to a receiver that moves on meanwhile, s.
+    """Travel times (n,) to a receiver that moves on meanwhile, s.
 
     It is sent from places (n, 3) at times (n,), and comes from images (n, 3) of these, m.
     """

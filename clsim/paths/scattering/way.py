@@ -198,7 +198,7 @@ class _Known:
 
 
 def _begin(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats) -> _Known:
-    """Return what the centre at the times of reception says."""
+    """Estimate from the centre at the times of reception."""
     centre = scatterer.trajectory.position(times)
     late = medium.passage(straight(centre, ends.heard_at)[0], ends.receiver - centre).time
     image, real, _ = ends.emitted(np.broadcast_to(times, late.shape))

@@ -158,7 +158,7 @@ class BeamTree:
         return _Beams(centre, ring[wall], corners[wall], wall[:, None])
 
     def _listening(self, receivers: BoundingSpheres) -> Ears:
-        """Return what receivers see."""
+        """View of the receivers."""
         walls, planes = self._walls, [np.empty((0, 4))]
         radii = receivers.radius + _SLACK * walls.size
         count = np.zeros((len(radii), len(walls)), dtype=np.int64)
@@ -185,7 +185,7 @@ class BeamTree:
         return ring, corners
 
     def _faces(self, centre: Floats, radius: float, wall: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which balls about places (n, 3) reach to the side of walls (n,) that paths can be on."""
+        """Mask of balls about places (n, 3) that reach to the side of walls (n,) that paths can be on."""
         height = np.einsum("ni,ni->n", centre, self._walls.normal[wall]) - self._walls.offset[wall]
         return np.asarray(self._sides[wall] * height >= -radius)
 

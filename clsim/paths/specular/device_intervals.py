@@ -106,13 +106,13 @@ class DeviceSearch:
         return merged(path.astype(np.int64), begin, end, sum(evaluations for _, _, evaluations in parts))
 
     def _evaluations(self, order: int) -> int:
-        """Return how many evaluations of paths of an order a launch may have: legs are near all boxes, twice."""
+        """Largest number of evaluations of paths of an order in a launch: legs are near all boxes, twice."""
         each = 2.0 * (order + 1) * OPERATIONS_PER_BOX * (1.0 + float(self._arguments["box_count"]))
         most = min(_EVALUATIONS, self._room_for(2 * INTERVAL.itemsize))
         return max(1, int(min(most, operations_in_launch(self._info) / each)))
 
     def _room_for(self, size: int) -> int:
-        """Return how many structures of a size are kept in a buffer, which is an eighth of the memory at most."""
+        """Return the number of structures of a size kept in a buffer, which is an eighth of the memory at most."""
         return max(1, int(min(self._info.largest_buffer_bytes, self._info.memory_bytes / 8)) // size)
 
     def _search(
@@ -170,7 +170,7 @@ class DeviceSearch:
 
 
 def _beginning(first: Floats, last: Floats) -> NDArray[Any]:
-    """Return what each path starts from: one interval, the whole time."""
+    """Return the initial interval of each path: the whole time."""
     states = np.zeros(len(last), dtype=progress(_DEPTH))
     states["begin"], states["end"] = 1.0, -1.0
     states["depth"] = first < last

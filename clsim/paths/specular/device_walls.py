@@ -73,7 +73,7 @@ class DeviceLookup:
         self._wall_of_piece = np.repeat(np.arange(len(walls)), np.diff(walls.first_piece))
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Return where segments cross walls; see `WallLookup.crossings`: at most `MOST` of each segment."""
+        """Crossings of segments and walls, see `WallLookup.crossings`: at most `MOST` of each segment."""
         step = self._at_a_time(self._tree_operations, 4 * MOST)
         parts = [self._crossed(start[i : i + step], stop[i : i + step]) for i in range(0, len(start), step)]
         found = np.concatenate([np.empty((0, MOST), dtype=np.int32), *parts])
@@ -115,7 +115,7 @@ class DeviceLookup:
         return OPERATIONS_PER_BOX * float(self._room["box_count"])
 
     def _at_a_time(self, operations: float, size: int) -> int:
-        """Return how many work-items may be launched, each of so many operations that finds up to so many bytes."""
+        """Largest number of work-items in a launch, each of so many operations that finds up to so many bytes."""
         longest = operations_in_launch(self._info) / operations
         return max(1, int(min(longest, self._info.largest_buffer_bytes / size, 8 * MOST_INDEX / size)))
 

@@ -132,6 +132,6 @@ class _Images:
         return np.asarray(self._mirrored)
 
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        """Return what air by height does to folded ways from `start`."""
+        """Effect of layered air on folded paths from `start`."""
         assert self._folds is not None
         return self._folds.bends(p, start, self._heard_at[t])

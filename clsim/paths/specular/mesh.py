@@ -152,7 +152,7 @@ class MeshSearch:
 def visibility_query(
     scene: Scene, room: MeshRoom, source: Source, legs: int, resolution: float | None
 ) -> tuple[VisibilityQuery, float]:
-    """Return what is asked of a search from one source, and how long sound takes at most for its paths, s."""
+    """Request for a search from one source, and the longest travel time of its paths, s."""
     medium = mean_medium_of(scene.air, source.emitted.centre_frequency)
     trajectories = [r.trajectory for r in scene.receivers]
     mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
@@ -242,7 +242,7 @@ def _tell_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> None:
 
 
 def _planter(walls: Walls, ends: TrajectoryTables, device: tuple[DeviceInfo, Any] | None) -> Callable[..., BeamTree]:
-    """Return what makes beam trees in a room: from a sphere to others, as in `BeamTree`."""
+    """Return a function that makes beam trees in a room, from a sphere to others, as in `BeamTree`."""
     lookup = DeviceLookup(walls, device) if device is not None and len(walls) > _FEW_WALLS else WallLookup(walls)
     source = np.zeros(1, dtype=np.int64)
     start = ends.lifted(source, ends.position(source, np.zeros(1)) + PERTURBATIONS[0])[0]

@@ -31,7 +31,7 @@ _ROUNDS = 5  # of taking hidden parts off apertures
 
 
 def crossed_pieces(walls: Walls, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-    """Return where segments cross walls strictly between their ends.
+    """Crossings of segments and walls strictly between their endpoints.
 
     Shapes: start, stop (n, 3) m; result (m,).
     """
@@ -137,7 +137,7 @@ def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats
 
 
 def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Floats, Ints]:
-    """Return what walls hide of apertures: view, the outer half-space of a plane that cuts, and how many cut, (n,)."""
+    """Occlusion of apertures by walls: view, the outer half-space of a plane that cuts, and number of cuts, (n,)."""
     middle = views.ring.mean(axis=1)
     row, other, piece = crossings(_seen_from(walls, views, middle), middle)
     clearly = CLEARLY * walls.size
@@ -171,7 +171,7 @@ def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Fl
 
 
 def _seen_from(walls: Walls, views: Views, middle: Floats) -> Floats:
-    """Return where the lines from the balls' centres to the apertures' middles pass the windows, (n, 3)."""
+    """Points (n, 3) where the lines from the balls' centres to the apertures' middles pass the windows."""
     normal = walls.normal[views.last]
     high, low = (np.einsum("ni,ni->n", x - views.window[:, 0], normal) for x in (views.centre, middle))
     passes = (views.last >= 0) & (high * low < 0.0)

@@ -58,7 +58,7 @@ def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> SpecularPa
 
 
 def shoebox_image_count(max_order: int) -> int:
-    """Return how many images a shoebox has up to an order: ``1 + 2 N (2 N^2 + 3 N + 4) / 3``."""
+    """Return the number of images of a shoebox up to an order: ``1 + 2 N (2 N^2 + 3 N + 4) / 3``."""
     n = max_order
     return 1 + 2 * n * (2 * n * n + 3 * n + 4) // 3
 

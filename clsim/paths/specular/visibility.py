@@ -93,7 +93,7 @@ class Unfolded:
         return self.start[:, leg] + tau[:, None] * (self.stop[:, leg] - self.start[:, leg])
 
     def across(self, leg: int, tau: Floats, normal: Floats) -> Floats:
-        """Return how far points at shares (n,) of a leg's line may move across planes of given normals, (n,) m."""
+        """Largest motion of points at shares (n,) of a leg's line across planes of given normals, (n,) m."""
         slides = (np.sum(facing[:, leg] * normal, axis=-1) for facing in (self.start_facing, self.stop_facing))
         start, stop = (np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) for cosine in slides)
         return np.asarray((1.0 - tau) * self.reach.source * start + tau * self.reach.receiver * stop)
@@ -148,7 +148,7 @@ def turned(walls: Walls, wall: Ints, directions: Floats) -> Floats:
 def path_status(
     walls: Walls, sequence: Ints, source: Floats, receiver: Floats, reach: Reach, at_edge: bool = False
 ) -> tuple[Bools, Floats]:
-    """Return which paths are valid, and their clearances.
+    """Mask of valid paths, and their clearances.
 
     Shapes: result (n,), (n,) m.
 
@@ -168,7 +168,7 @@ def path_status(
 
 
 def _reflects(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Floats]:
-    """Return which paths meet all walls in order, and the clearance of the surest defect of the others."""
+    """Mask of paths that meet all walls in order, and the clearance of the surest defect of the others."""
     count, order = sequence.shape
     valid, clear = np.ones(count, dtype=bool), np.zeros(count)
     for k in range(order):
@@ -200,13 +200,13 @@ def _reflects(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Flo
 
 
 def moves_within(apart: Floats, move: Floats) -> Floats:
-    """Return how often a move fits into a distance, (n,); next to infinity where nothing moves."""
+    """Ratio of a distance to a move, (n,); next to infinity where nothing moves."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return np.where(move > 0.0, np.minimum(apart / np.where(move > 0.0, move, 1.0), EVER), EVER)
 
 
 def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tuple[Bools, Floats]:
-    """Return which paths no wall crosses, and the clearance of the surest obstacle of the others."""
+    """Mask of paths that no wall crosses, and the clearance of the surest obstacle of the others."""
     count, order = sequence.shape
     valid, clear = np.ones(count, dtype=bool), np.zeros(count)
     for leg in range(order + 1):
@@ -243,7 +243,7 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
 
 
 def _same_plane(walls: Walls, sequence: Ints, leg: int, wall: int) -> Bools:
-    """Return whether a wall lies in the plane of a wall at either end of a leg."""
+    """Mask of walls in the plane of a wall at either end of a leg."""
     same = np.zeros(len(sequence), dtype=bool)
     for k in (leg - 1, leg):
         if 0 <= k < sequence.shape[1]:
@@ -252,7 +252,7 @@ def _same_plane(walls: Walls, sequence: Ints, leg: int, wall: int) -> Bools:
 
 
 def _blocks(walls: Walls, wall: int, a: Floats, b: Floats) -> Bools:
-    """Return which segments a wall crosses strictly between their ends."""
+    """Mask of segments that a wall crosses strictly between their endpoints."""
     first, last = (x @ walls.normal[wall] - walls.offset[wall] for x in (a, b))
     crosses = first * last < 0.0
     share = first / np.where(crosses, first - last, 1.0)

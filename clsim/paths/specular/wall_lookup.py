@@ -62,7 +62,7 @@ class Lookup(Protocol):
     """Looks up walls, on the host or on a device."""
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Return where segments cross walls."""
+        """Crossings of segments and walls."""
         ...
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
@@ -77,7 +77,7 @@ class WallLookup:
         self._walls = walls
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Return where segments cross walls strictly between their ends; see `crossed_pieces`.
+        """Crossings of segments and walls strictly between their endpoints; see `crossed_pieces`.
 
         Shapes: start, stop (n, 3) m; result (m,).
         """
@@ -101,7 +101,7 @@ class WallLookup:
         return beam[leads], wall[leads]
 
     def _leads(self, beams: Beams, beam: Ints, wall: Ints, ears: Ears) -> NDArray[np.bool_]:
-        """Return which beams may reach a receiver by a wall.
+        """Mask of beams that may reach a receiver by a wall.
 
         They touch the receiver's sphere mirrored by the wall, and what the receiver sees in it touches their ball.
         """
