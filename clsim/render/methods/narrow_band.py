@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
 _RIPPLE_DB = 15.0  # the same of the band-pass: what it leaves of a steady tone is silence
 LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
-_SILENT = 3e-11  # energy of the rest in a window relative to the whole, below which nothing is designed for it: -105 dB
+_SILENT = 1e-10  # energy of the rest in a window relative to the whole, below which nothing is designed for it: -100 dB
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -132,8 +132,8 @@ def test_a_contribution_that_remembers_is_done_in_order(tmp_path: Path, monkeypa
 
 
 def test_chunks_of_envelopes_are_made_once_whichever_pieces_they_are_for(tmp_path: Path, device: str) -> None:
-    seconds = 24.0  # longer than a chunk of the envelopes
-    source = clsim.Source("s", clsim.Signal.tone(1e4, seconds, RATE), clsim.Trajectory.line((1, 1, 1), (2, 1, 1), 25.0))
+    seconds = 25.0  # longer than a chunk of the envelopes
+    source = clsim.Source("s", clsim.Signal.tone(1e4, seconds, RATE), clsim.Trajectory.line((1, 1, 1), (2, 1, 1), 26.0))
     end = clsim.Electronics(low_cut=2e3, self_noise_db=20.0)
     receivers = [
         clsim.Receiver(f"r{i}", clsim.Trajectory.fixed((3.0, 0.5 + 0.4 * i, 2.0)), electronics=e)

@@ -127,7 +127,7 @@ def test_sound_files(tmp_path: Path, rng):
         ((tmp_path / "wall.wav", 2), "channel"),
         ((tmp_path / "wall.wav", -1), "channel"),
         ((tmp_path / "wall.wav", 0, np.nan), "scale"),
-        ((tmp_path / "wall.wav", 0, 0.0), "samples"),
+        ((tmp_path / "wall.wav", 0, 0.0), "scale"),
         ((tmp_path / "wall.wav", 0, 1000.0), "samples"),
     ):
         with pytest.raises(InputError) as error:
