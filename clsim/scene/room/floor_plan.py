@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+_ON = 1e-9  # of a side's length; what is nearer to it is on it
+
 
 def extruded_plan(
     outline: ArrayLike, height: float, pillars: Sequence[ArrayLike]
@@ -35,6 +37,7 @@ def extruded_plan(
     wanted = abs(_area(rings[0])) - sum(abs(_area(ring)) for ring in rings[1:])
     if not abs(covered - wanted) <= 1e-9 * abs(_area(rings[0])):
         raise InputError("outline", "must not cross itself or a pillar, and pillars must stand inside, apart")
+    floor = _split_at_corners(plan, floor)
     count = len(plan)
     vertices = np.concatenate([np.column_stack([plan, np.full(count, z)]) for z in (0.0, height)])
     triangles, labels = [*floor, *(floor + count)], ["floor"] * len(floor) + ["ceiling"] * len(floor)
@@ -46,6 +49,29 @@ def extruded_plan(
             labels += [f"wall {i}" if r == 0 else f"pillar {r - 1} wall {i}"] * 2
         first += len(ring)
     return vertices, np.array(triangles), labels
+
+
+def _split_at_corners(plan: Floats, floor: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles (T, 3) of the plan (V, 2), none with a corner of another one on its side: else the room is not closed.
+
+    Corners in line, such as those of pillars in a row, are left out of triangles without an area.
+    """
+    whole, parts = floor.tolist(), []
+    while whole:
+        triangle = whole.pop()
+        for a, b, c in (triangle, triangle[1:] + triangle[:1], triangle[2:] + triangle[:2]):
+            side, away = plan[b] - plan[a], plan - plan[a]
+            along, length = away @ side, side @ side
+            off = np.abs(away[:, 0] * side[1] - away[:, 1] * side[0])
+            on = np.flatnonzero((off <= _ON * length) & (along > _ON * length) & (along < (1.0 - _ON) * length))
+            on = on[~np.isin(on, triangle)]
+            if len(on):
+                corner = int(on[0])
+                whole += [[a, corner, c], [corner, b, c]]
+                break
+        else:
+            parts.append(triangle)
+    return np.array(parts[::-1])
 
 
 def _ring(field: str, value: ArrayLike) -> Floats:

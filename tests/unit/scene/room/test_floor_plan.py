@@ -68,3 +68,18 @@ def test_materials_that_name_no_wall_are_refused() -> None:
         clsim.MeshRoom.from_plan(L, 3.0, {"default": WALL, "wall 6": WALL})
     with pytest.raises(clsim.InputError, match="materials: must name the group 'ceiling' of the plan or a default"):
         clsim.MeshRoom.from_plan(L, 3.0, {"floor": WALL})
+
+
+@pytest.mark.parametrize("pillars", [
+    [[(2, 2), (2.2, 2), (2.2, 2.2)]],  # in line with a corner of the outline
+    [[(0.5, 1), (0.8, 1), (0.8, 1.3), (0.5, 1.3)], [(1.6, 1), (1.9, 1), (1.9, 1.3), (1.6, 1.3)], [(2.7, 1), (3, 1), (3, 1.3)]],
+])  # fmt: skip
+def test_pillars_in_line_leave_no_slit(pillars: list[list[tuple[float, float]]]) -> None:
+    """Triangulations leave out triangles without an area, and with them the corner in their long side."""
+    room = clsim.MeshRoom.from_plan([(0, 0), (4, 0), (4, 3), (0, 3)], 2.0, clsim.Material.from_reflection(0.9), pillars)
+    standing = sum(
+        0.5 * abs(np.linalg.det(np.column_stack([np.array(p), np.ones(3)]))) if len(p) == 3 else 0.09 for p in pillars
+    )
+    assert room.is_closed
+    assert room.volume == pytest.approx(2.0 * (12.0 - standing), rel=1e-12)
+    assert not [name for name in room.edges().names if "pillar" not in name]  # the room's own corners are 90 degrees
