@@ -13,6 +13,7 @@ from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
+from clsim.tail.modes import modal_shares
 from clsim.tail.rays import FLOOR, Listener, Tracer, volume_within
 from clsim.tail.room_rays import WallEnergies, room_rays
 
@@ -133,7 +134,9 @@ def find_tail(
         ]
         runs, error = _converged(tracer, until, listeners, rng, options)
         most_rays, error_db = max(most_rays, runs * options.rays), max(error_db, error)
-        pairs |= {(i, j): _settled(listener, runs) for j, listener in enumerate(listeners)}
+        times = _STEP * (np.arange(shape[0], dtype=np.float64) + 0.5)
+        modal = modal_shares(scene.room, energies, centres, times, c)
+        pairs |= {(i, j): _settled(listener, runs, modal) for j, listener in enumerate(listeners)}
         if progress is not None:
             progress((i + 1) / len(of_source))
     return SourceTail(
@@ -198,9 +201,9 @@ def _error_db(runs: Floats) -> float:
     return float(10.0 / math.log(10.0) * relative)
 
 
-def _settled(listener: Listener, runs: int) -> TailEnergy:
-    """Return the mean of runs, smoothed and cut at its audible end."""
-    tail, images = listener.tail / runs, listener.images / runs
+def _settled(listener: Listener, runs: int, modal: Floats) -> TailEnergy:
+    """Mean of runs, as modes (T, B) decay, smoothed and cut at its audible end."""
+    tail, images = listener.tail * modal[:, None] / runs, listener.images / runs
     total = tail.sum(axis=(0, 1)) + images.sum(axis=0)
     left = np.cumsum(tail.sum(axis=1)[::-1], axis=0)[::-1]
     loud = np.flatnonzero((left > FLOOR * total).any(axis=1))

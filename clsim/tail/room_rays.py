@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Met = tuple[Floats, NDArray[np.int64]]
 
-_ANGLES = 128  # cells of the root of the cosine of incidence
+ANGLES = 128  # cells of the root of the cosine of incidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class WallEnergies:
     def of(cls, scene: Scene, centres: Floats) -> WallEnergies:
         """Return those of a scene's walls at frequencies (B,), Hz."""
         materials = list(dict.fromkeys(scene.room.faces.materials))
-        cosine = ((np.arange(_ANGLES) + 0.5) / _ANGLES)[:, None] ** 2
+        cosine = ((np.arange(ANGLES) + 0.5) / ANGLES)[:, None] ** 2
         c = scene.air.speed_of_sound
         made = [
             (
@@ -57,8 +57,8 @@ class WallEnergies:
 
     def at(self, walls: NDArray[np.int64], cosine: Floats, bands: NDArray[np.int64]) -> tuple[Floats, Floats]:
         """Return the reflected share (n, B) of rays (n,) in bands, and the scattered share (n,) of the first one."""
-        angle = np.minimum((_ANGLES * np.sqrt(np.abs(cosine))).astype(np.int64), _ANGLES - 1)
-        row = self.kind[walls] * _ANGLES + angle
+        angle = np.minimum((ANGLES * np.sqrt(np.abs(cosine))).astype(np.int64), ANGLES - 1)
+        row = self.kind[walls] * ANGLES + angle
         returned, scattered = (table.reshape(-1, len(self.air)) for table in (self.returned, self.scattered))
         return returned[:, bands].take(row, axis=0), scattered[:, bands[0]].take(row)
 

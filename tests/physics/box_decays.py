@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+RATE = 8e3  # Hz, of coherent responses
 SIZE, C, STEP = np.array((6.2, 4.7, 3.1)), 343.0, 1e-3
 OCTAVES = np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3])
 SMOOTH, ZIGZAG = (0.4, 0.3, 0.2, 0.12, 0.08, 0.05), (0.06, 0.2, 0.06, 0.2, 0.06, 0.2)
@@ -30,6 +31,37 @@ def images(source: np.ndarray, ear: np.ndarray, longest: float) -> np.ndarray:
         kept = at < times
         found += np.bincount(at[kept] * count + order + orders[kept], 1.0 / square[kept], len(found))
     return found.reshape(times, count)
+
+
+def coherent(
+    source: np.ndarray, ear: np.ndarray, longest: float, table: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the spectrum of the sum of images of order 1 on with their phases, its frequencies, and samples of it.
+
+    Arrivals are shared between two samples: -70 dB at 125 Hz, -46 dB at 500 Hz.
+    """
+    axes = []
+    for size, here, there in zip(SIZE, source, ear, strict=True):
+        cell = np.arange(-int(longest * C / size) - 2, int(longest * C / size) + 3)
+        axes.append((np.abs(cell), np.where(cell % 2 == 0, cell * size + here, (cell + 1) * size - here) - there))
+    (first, far), (second, wide), (third, high) = axes
+    across, orders = np.add.outer(wide**2, high**2).ravel(), np.add.outer(second, third).ravel()
+    times, count = round(longest * RATE), int(first.max() + orders.max()) + 1
+    found = np.zeros(times * count)
+    for order, way in zip(first, far, strict=True):
+        distance = np.sqrt(across + way**2)
+        at = (distance / C * RATE).astype(np.int64)
+        kept = at < times - 1
+        share, place = (distance / C * RATE - at)[kept], at[kept] * count + order + orders[kept]
+        found += np.bincount(place, (1.0 - share) / distance[kept], len(found))
+        found += np.bincount(place + count, share / distance[kept], len(found))
+    f = np.fft.rfftfreq(2 * times, 1.0 / RATE)
+    factor = np.sqrt(returned(table, np.maximum(f, 1e-3)))
+    spectrum, power = np.zeros(len(f), dtype=complex), np.ones(len(f))
+    for arrivals in found.reshape(times, count).T[1:]:
+        power = power * factor
+        spectrum += np.fft.rfft(arrivals, 2 * times) * power
+    return spectrum, f, times
 
 
 def butterworth(f: np.ndarray, centre: float) -> np.ndarray:
