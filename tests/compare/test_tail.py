@@ -1,10 +1,12 @@
 """Reverberation with a tail against pyroomacoustics' image sources and rays, in three rooms of its examples."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from exhaustive import few
+from scipy.signal import butter, sosfilt
 
 import clsim
 
@@ -21,7 +23,12 @@ def theirs(room: Any, source: np.ndarray, ear: np.ndarray) -> float:
     room.add_source(source)
     room.add_microphone(ear)
     room.compute_rir()
-    return float(measure_rt60(room.rir[0][0], fs=int(RATE), decay_db=30))
+    return float(measure_rt60(without_modes(room.rir[0][0]), fs=int(RATE), decay_db=30))
+
+
+def without_modes(response: np.ndarray) -> np.ndarray:
+    """What lies above 500 Hz: below, decays of boxes are those of their modes, which rays do not have."""
+    return np.asarray(sosfilt(butter(8, 500.0, "highpass", fs=RATE, output="sos"), response))
 
 
 def ours(room: Any, source: np.ndarray, ear: np.ndarray) -> float:
@@ -32,7 +39,8 @@ def ours(room: Any, source: np.ndarray, ear: np.ndarray) -> float:
         [clsim.Receiver("r", ends[1])],
     )  # fmt: skip
     found = clsim.impulse_responses(clsim.find_paths(scene, 3), RATE, tail="auto", lead="keep")
-    return float(clsim.room_measures(found, None).t30[0, 0, 0])
+    above = replace(found, samples=without_modes(found.samples))
+    return float(clsim.room_measures(above, None).t30[0, 0, 0])
 
 
 @pytest.mark.parametrize("which", few(range(3), kept=(1,)))
