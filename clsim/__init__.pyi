@@ -4,6 +4,7 @@ from clsim.exchange.flac_files import write_flac
 from clsim.exchange.mat_files import write_mat
 from clsim.exchange.mcap_files import write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.lateral_measures import LateralMeasures, lateral_measures
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
 from clsim.paths.echo_truth import EchoTruth
@@ -21,7 +22,7 @@ from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 from clsim.render.render import render, render_chunks, render_tracks
 from clsim.render.rendering import Rendering
-from clsim.room_measures import RoomMeasures, room_measures
+from clsim.room_measures import RoomMeasures, room_measures, speech_transmission
 from clsim.scene.air import Air
 from clsim.scene.body import Body
 from clsim.scene.captured import captured_person
@@ -67,6 +68,7 @@ __all__ = [
     "ImpulseResponses",
     "InputError",
     "Lagrange",
+    "LateralMeasures",
     "Material",
     "MeshRoom",
     "Omni",
@@ -98,6 +100,7 @@ __all__ = [
     "grid_positions",
     "hand",
     "impulse_responses",
+    "lateral_measures",
     "list_devices",
     "load_recording",
     "load_scene",
@@ -111,6 +114,7 @@ __all__ = [
     "room_measures",
     "run_study",
     "scatterer_truth",
+    "speech_transmission",
     "track",
     "walking_person",
     "write_flac",

@@ -1,14 +1,17 @@
-"""Room-acoustic measures of impulse responses, by frequency band."""
+"""Room-acoustic measures of impulse responses, simulated or measured, by frequency band."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.acoustics.decay import (
+    before_noise,
+    centre_time,
     clarity,
     decay_curve,
     definition,
@@ -17,20 +20,30 @@ from clsim.acoustics.decay import (
     reverberation_time,
     sabine_time,
 )
-from clsim.arrays import Floats, as_choice, read_only, short_repr, texts
+from clsim.acoustics.speech import SPEECH_BANDS, SPEECH_DB, modulation_transfer, transmission_index
+from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, warn
-from clsim.impulse_responses import ImpulseResponses
+from clsim.files.sound import read_sound_file
+from clsim.impulse_responses import ImpulseResponses, as_response_band
+from clsim.numerics.nufft import band_taper
 from clsim.paths.labelled import labelled_dataset
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
     from clsim.scene.scene import Scene
 
 BANDS = {"octave": 1, "third-octave": 3}
 _DIRECT = 2.5e-3  # s, after the first arrival, that count as direct sound
-_FIRST_DB, _DECAYS = -5.0, {"t20": -25.0, "t30": -35.0}  # between which decays are looked at
+_DECAYS = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}  # dB, between which decays are looked at
 _ORDER = 3  # of the band filters, of each edge
 _ANGLES = 32  # over which absorption is averaged
-_OF_PAIRS = {"t20": "s", "t30": "s", "c50": "dB", "c80": "dB", "d50": "1", "drr": "dB"}
+_ONSET_DB = -20.0  # re the largest sample, at which a measured response begins (ISO 3382-1:2009, annex A.2.1)
+_MOST_OF_FILE = 0.475  # of its sampling rate: the band of a measured response
+_AT = 10.0  # m from a source in the free field, of the level that G is relative to
+_OF_PAIRS = {
+    "edt": "s", "t20": "s", "t30": "s", "c50": "dB", "c80": "dB", "d50": "1", "ts": "s", "g": "dB", "drr": "dB",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,27 +54,35 @@ class RoomMeasures:
     ----------
     frequencies : ndarray (bands,)
         Centres of the bands, Hz.
-    t20, t30 : ndarray (sources, receivers, bands)
-        Reverberation times from the decay between -5 and -25 dB, and -5 and -35 dB, s; NaN where a response ends
-        before, or where noise or its end hides the decay.
+    edt, t20, t30 : ndarray (sources, receivers, bands)
+        Reverberation times from the decay between 0 and -10 dB, -5 and -25 dB, and -5 and -35 dB, s; NaN where a
+        response ends before, or where noise or its end hides the decay.
     c50, c80 : ndarray (sources, receivers, bands)
         Clarity, dB.
     d50 : ndarray (sources, receivers, bands)
         Definition, a share.
+    ts : ndarray (sources, receivers, bands)
+        Centre time, s.
+    g : ndarray (sources, receivers, bands)
+        Sound strength: level re that of the same source at 10 m in the free field, dB; of a directional source re its
+        axis. NaN for a measured response without one in the free field.
     drr : ndarray (sources, receivers, bands)
         Energy of the first 2.5 ms from the first arrival on over that of all after it, dB.
     sabine, eyring : ndarray (bands,)
-        Reverberation times of a diffuse field, s; NaN in rooms that are not closed.
+        Reverberation times of a diffuse field, s; NaN in rooms that are not closed, and of measurements.
     source_names, receiver_names : tuple of str
-        Along the first two axes.
+        Along the first two axes; of a file "measured" and its name.
     """
 
     frequencies: Floats
+    edt: Floats
     t20: Floats
     t30: Floats
     c50: Floats
     c80: Floats
     d50: Floats
+    ts: Floats
+    g: Floats
     drr: Floats
     sabine: Floats
     eyring: Floats
@@ -97,15 +118,76 @@ class RoomMeasures:
         return found
 
 
-def room_measures(responses: ImpulseResponses, bands: str | None = "octave") -> RoomMeasures:
-    """Return reverberation times, clarity, definition and direct-to-reverberant ratios of impulse responses.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Given:
+    """Responses, and what is known of them."""
+
+    samples: Floats  # (sources, receivers, n)
+    begin: NDArray[np.int64]  # (sources, receivers) sample of the first arrival, -1 where nothing is heard
+    rate: float  # Hz
+    band: tuple[float, float]  # Hz
+    free_field: Floats | None  # (m,) response at 10 m of the source
+    scene: Scene | None
+    names: tuple[tuple[str, ...], tuple[str, ...]]  # of sources and receivers
+
+    @classmethod
+    def simulated(cls, responses: ImpulseResponses) -> _Given:
+        """Make them of a scene."""
+        rate, first = responses.sampling_rate, responses.first_arrivals
+        begin = np.where(np.isfinite(first), responses.lead + np.floor(np.nan_to_num(first) * rate), -1.0)
+        kept, size = as_response_band(rate, responses.band), 2 * round(rate)
+        frequencies: Floats = np.fft.rfftfreq(size, 1.0 / rate).astype(np.float64)
+        taper = band_taper(frequencies, kept.low, kept.high, kept.below, kept.above)
+        impulse = np.fft.irfft(taper * np.exp(-1j * np.pi * np.arange(len(taper))), size) / _AT
+        return cls(
+            responses.samples, begin.astype(np.int64), rate, responses.band, impulse, responses.scene,
+            (responses.source_names, responses.receiver_names),
+        )  # fmt: skip
+
+    @classmethod
+    def measured(cls, path: Any, channel: int, free_field: tuple[Any, float] | None) -> _Given:
+        """Make one of a sound file."""
+        taps, rate = read_sound_file(path, as_count("channel", channel))
+        reference = None
+        if free_field is not None:
+            if not isinstance(free_field, tuple | list) or len(free_field) != 2:
+                raise InputError("free_field", f"must be a sound file and a distance in m, but is {free_field!r:.80}")
+            distance = as_number("free_field[1]", free_field[1], at_least=1e-3, at_most=1e3, unit="m")
+            raw, other = read_sound_file(free_field[0], channel)
+            if other != rate:
+                raise InputError("free_field[0]", f"must have the sampling rate {rate:g} Hz, but has {other:g} Hz")
+            reference = raw.astype(np.float64) * (distance / _AT)
+        samples = taps.astype(np.float64)
+        peak = np.abs(samples).max()
+        if not peak > 0.0:
+            raise InputError("responses", f"must hold a response, but {path} is silent")
+        begin = int(np.argmax(np.abs(samples) >= peak * 10.0 ** (_ONSET_DB / 20.0)))
+        names = ("measured",), (str(path),)
+        band = (0.0, _MOST_OF_FILE * rate)
+        return cls(samples[None, None], np.array([[begin]]), rate, band, reference, None, names)
+
+
+def room_measures(
+    responses: ImpulseResponses | str | PathLike[str],
+    bands: str | None = "octave",
+    *,
+    channel: int = 0,
+    free_field: tuple[str | PathLike[str], float] | None = None,
+) -> RoomMeasures:
+    """Compute decay times, clarity, definition, centre time, strength and direct-to-reverberant ratios of responses.
 
     Parameters
     ----------
-    responses : ImpulseResponses
-        From `impulse_responses`, of orders high enough that the decay is there.
+    responses : ImpulseResponses or path-like
+        From `impulse_responses`, of orders high enough that the decay is there, or a sound file that holds a measured
+        impulse response. Such a one begins where it first comes within 20 dB of its largest sample.
     bands : {"octave", "third-octave"}, optional
         Into which responses are cut: those that lie within the band of the responses; None for their whole band.
+    channel : int
+        Of the sound file, from 0.
+    free_field : (path-like, float), optional
+        For the strength of a measured response: a sound file with the same source, microphone and gain in the free
+        field, and their distance, m.
 
     Returns
     -------
@@ -115,7 +197,8 @@ def room_measures(responses: ImpulseResponses, bands: str | None = "octave") -> 
     Raises
     ------
     InputError
-        If the responses are none, the word is not known, or no such band lies within that of the responses.
+        If the responses are none, a file cannot be read or is silent, the word is not known, or no such band lies
+        within that of the responses.
 
     Warns
     -----
@@ -126,44 +209,110 @@ def room_measures(responses: ImpulseResponses, bands: str | None = "octave") -> 
     -----
     ISO 3382-1:2009, section 5.3.3 and annex A.2; T30 is ``-60 dB`` over the slope of a line through the decay. Band
     filters have the magnitude of Butterworth filters of order 3 at either edge, without phase.
-    Noise is not cut off: where a response ends in noise that would change a reverberation time by some 5 %, or is too
-    short for it, that time is NaN, and a warning names the bands.
+    Where a response ends in steady noise, it is cut where its late decay meets the noise (Lundeby); for decays, the
+    noise's power before is taken off, and the energy of the decay beyond is added. A time is NaN, and a warning names
+    the band, where noise is less than 10 dB below the part of the decay that it is taken from, or the response is too
+    short for it.
     Early sound is what comes within 50 or 80 ms of the first arrival. Sabine's and Eyring's times take the walls'
     absorption averaged over angles of incidence of a diffuse field, and the air's.
     """
-    if not isinstance(responses, ImpulseResponses):
-        raise InputError("responses", f"must be ImpulseResponses, but are {responses!r:.80}")
-    centres = _centres(responses.band, bands)
+    given = _given(responses, channel, free_field)
+    centres = band_centres(given.band, bands)
     share = None if bands is None else 2.0 ** (0.5 / BANDS[bands])
-    shape = (*responses.samples.shape[:2], len(centres))
+    shape = (*given.samples.shape[:2], len(centres))
     found = {name: np.full(shape, math.nan) for name in _OF_PAIRS}
-    rate, hidden = responses.sampling_rate, np.zeros(len(centres), np.bool_)
-    for s, r in np.ndindex(*shape[:2]):
-        if not math.isfinite(responses.first_arrivals[s, r]):
-            continue
-        begin = responses.lead + math.floor(responses.first_arrivals[s, r] * rate)
-        for b, centre in enumerate(centres):
-            taps = _cut(responses.samples[s, r], rate, centre, share)
-            for name, value in _measures(taps, begin, rate).items():
+    hidden = np.zeros(len(centres), np.bool_)
+    for b, centre in enumerate(centres):
+        free = None if given.free_field is None else cut_to_band(given.free_field, given.rate, centre, share)
+        for s, r in np.argwhere(given.begin >= 0).tolist():
+            taps = cut_to_band(given.samples[s, r], given.rate, centre, share)
+            values, covered = _measures(taps, int(given.begin[s, r]), given.rate, free)
+            hidden[b] |= covered
+            for name, value in values.items():
                 found[name][s, r, b] = value
-            for name, last_db in _DECAYS.items():
-                time = found[name][s, r, b]
-                if not (math.isnan(time) or has_decay_range(taps[begin:], rate, last_db, time)):
-                    found[name][s, r, b], hidden[b] = math.nan, True
     if hidden.any():
         named = ", ".join(f"{centre:.4g}" for centre in centres[hidden])
         warn(
             f"noise or the end of responses hides the decay at {named} Hz: T30, or T20 as well, is NaN there; give "
             "longer responses, or with less noise"
         )
-    sabine, eyring = _diffuse(responses.scene, centres)
+    sabine, eyring = _diffuse(given.scene, centres)
     return RoomMeasures(
         read_only(centres), **{name: read_only(values) for name, values in found.items()}, sabine=read_only(sabine),
-        eyring=read_only(eyring), source_names=responses.source_names, receiver_names=responses.receiver_names,
+        eyring=read_only(eyring), source_names=given.names[0], receiver_names=given.names[1],
     )  # fmt: skip
 
 
-def _centres(band: tuple[float, float], bands: str | None) -> Floats:
+def speech_transmission(
+    responses: ImpulseResponses | str | PathLike[str],
+    speech_db: ArrayLike | None = None,
+    noise_db: ArrayLike | None = None,
+    *,
+    channel: int = 0,
+) -> Floats:
+    """Compute the speech transmission index (STI) of every source and receiver.
+
+    Parameters
+    ----------
+    responses : ImpulseResponses or path-like
+        As for `room_measures`; exact or measured up to 11.4 kHz.
+    speech_db : float or array_like (7,), optional
+        Level of speech at the listener: A-weighted, dB SPL, or by octave from 125 Hz to 8 kHz. Without it neither
+        noise, masking nor the threshold of hearing counts.
+    noise_db : array_like (7,), optional
+        Levels of noise by octave, dB SPL.
+    channel : int
+        Of the sound file, from 0.
+
+    Returns
+    -------
+    ndarray (sources, receivers)
+        The index, 0 to 1; NaN where nothing is heard.
+
+    Raises
+    ------
+    InputError
+        If the responses are none, or do not reach over the octaves from 125 Hz to 8 kHz, or levels are not such.
+
+    Notes
+    -----
+    IEC 60268-16:2020, section 6.1, the indirect method: modulation transfer functions of the response by octave, of
+    male speech. Noise at the end of a measured response is cut off where the decay meets it.
+    """
+    given, octave = _given(responses, channel, None), math.sqrt(2.0)
+    low, high = SPEECH_BANDS[0] / octave, SPEECH_BANDS[-1] * octave
+    if given.band[0] > low or given.band[1] < high:
+        raise InputError(
+            "responses", f"must reach from {low:.0f} to {high:.0f} Hz for the index, but reach from {given.band[0]:g} "
+            f"to {given.band[1]:g} Hz"
+        )  # fmt: skip
+    if noise_db is not None and speech_db is None:
+        raise InputError("speech_db", "must be given where there is noise, but is None")
+    speech = None if speech_db is None else np.atleast_1d(np.asarray(speech_db, dtype=np.float64))
+    if speech is not None:
+        speech = as_floats("speech_db", speech[0] + SPEECH_DB if speech.shape == (1,) else speech, (7,), within=200.0)
+    noise = None if noise_db is None else as_floats("noise_db", noise_db, (7,), within=200.0)
+    index = np.full(given.samples.shape[:2], math.nan)
+    for s, r in np.argwhere(given.begin >= 0).tolist():
+        transfer = []
+        for centre in SPEECH_BANDS.tolist():
+            taps, begin = cut_to_band(given.samples[s, r], given.rate, centre, octave), int(given.begin[s, r])
+            heard = taps[: begin + before_noise(taps[begin:], given.rate)[0]]
+            transfer.append(modulation_transfer(np.square(heard), given.rate))
+        index[s, r], _ = transmission_index(np.array(transfer), speech, noise)
+    return read_only(index)
+
+
+def _given(responses: Any, channel: int, free_field: Any) -> _Given:
+    """Responses of a scene or of a sound file."""
+    if isinstance(responses, ImpulseResponses):
+        return _Given.simulated(responses)
+    if isinstance(responses, str | PathLike):
+        return _Given.measured(responses, channel, free_field)
+    raise InputError("responses", f"must be ImpulseResponses or a sound file, but are {responses!r:.80}")
+
+
+def band_centres(band: tuple[float, float], bands: str | None) -> Floats:
     """Return the centres of the bands that lie within a band, Hz."""
     low, high = band
     if bands is None:
@@ -178,7 +327,7 @@ def _centres(band: tuple[float, float], bands: str | None) -> Floats:
     return kept
 
 
-def _cut(taps: Floats, rate: float, centre: float, share: float | None) -> Floats:
+def cut_to_band(taps: Floats, rate: float, centre: float, share: float | None) -> Floats:
     """Return taps (n,) cut to a band from `centre / share` to `centre * share`, Hz."""
     if share is None:
         return taps
@@ -191,23 +340,33 @@ def _cut(taps: Floats, rate: float, centre: float, share: float | None) -> Float
     return np.asarray(irfft(rfft(taps, size) * magnitude, size)[: len(taps)])
 
 
-def _measures(taps: Floats, begin: int, rate: float) -> dict[str, float]:
-    """Return the measures of taps (n,) by the sample of the first arrival."""
-    curve = decay_curve(taps[begin:])
-    early = begin + round(0.05 * rate)
-    return {
-        **{name: reverberation_time(curve, rate, _FIRST_DB, last_db) for name, last_db in _DECAYS.items()},
-        "c50": clarity(taps, early),
-        "c80": clarity(taps, begin + round(0.08 * rate)),
-        "d50": definition(taps, early),
-        "drr": clarity(taps, begin + round(_DIRECT * rate)),
+def _measures(taps: Floats, begin: int, rate: float, free_field: Floats | None) -> tuple[dict[str, float], bool]:
+    """Measures of taps (n,) in a band by the sample of the first arrival, and whether noise hides one: NaN."""
+    whole, noise, beyond = before_noise(taps[begin:], rate)
+    heard = taps[: begin + whole]
+    curve, early = decay_curve(heard[begin:], noise, beyond), begin + round(0.05 * rate)
+    found = {name: reverberation_time(curve, rate, *levels) for name, levels in _DECAYS.items()}
+    reached = [name for name in _DECAYS if math.isfinite(found[name])]
+    hidden = [
+        name for name in reached if not has_decay_range(curve, rate, _DECAYS[name][1], found[name], noisy=beyond > 0.0)
+    ]
+    found |= dict.fromkeys(hidden, math.nan)
+    energy, free = (math.nan if x is None else float(np.sum(np.square(x))) for x in (heard, free_field))
+    found |= {
+        "c50": clarity(heard, early),
+        "c80": clarity(heard, begin + round(0.08 * rate)),
+        "d50": definition(heard, early),
+        "ts": centre_time(heard, rate, begin),
+        "g": 10.0 * math.log10(energy / free) if energy > 0.0 and free > 0.0 else math.nan,
+        "drr": clarity(heard, begin + round(_DIRECT * rate)),
     }
+    return found, bool(hidden) or (beyond > 0.0 and len(reached) < len(_DECAYS))
 
 
-def _diffuse(scene: Scene, frequencies: Floats) -> tuple[Floats, Floats]:
-    """Return Sabine's and Eyring's times at frequencies (F,), s."""
-    mesh = scene.room.as_mesh()
-    if mesh.volume is None:
+def _diffuse(scene: Scene | None, frequencies: Floats) -> tuple[Floats, Floats]:
+    """Sabine's and Eyring's times at frequencies (F,), s."""
+    mesh = None if scene is None else scene.room.as_mesh()
+    if scene is None or mesh is None or mesh.volume is None:
         return np.full(len(frequencies), math.nan), np.full(len(frequencies), math.nan)
     corners = mesh.vertices[mesh.triangles]
     triangles = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -10,17 +10,23 @@ import numpy as np
 if TYPE_CHECKING:
     from clsim.arrays import Floats
 
-_NOISE_SHARE = 0.25  # of the energy at the end of a decay, up to which a reverberation time is right within 5 %
+_HEADROOM_DB = 10.0  # by which noise is to lie below a part of a decay (ISO 3382-1:2009, section 5.3.3)
 _OWN_FALL = 0.75  # of how far a decay falls in a fifth of a response: what falls less is noise
+_INTERVAL = 0.03  # s, over which the first look at a decay is averaged
+_PER_TEN_DB = 3  # intervals of later looks
+_ABOVE_DB, _LATE_DB = 10.0, 20.0  # above noise, where its late decay begins to be looked at, and over how much
+_LOOKS = 5
 
 
-def decay_curve(samples: Floats) -> Floats:
-    """Return the level of the energy that is still to come (n,), dB re all of it; samples (n,).
+def decay_curve(samples: Floats, noise: float = 0.0, beyond: float = 0.0) -> Floats:
+    """Level of the energy that is still to come (n,), dB re all of it; samples (n,).
+
+    noise, beyond: power of the noise, which is taken off, and energy after the last sample, see `before_noise`.
 
     The backward integral of the squared response (ISO 3382-1:2009, section 5.3.3; M. R. Schroeder, "New method of
     measuring reverberation time", J. Acoust. Soc. Am. 37, 1965, eq. 2).
     """
-    energy = np.cumsum(np.square(samples)[::-1])[::-1]
+    energy = np.maximum(np.cumsum((np.square(samples) - noise)[::-1])[::-1] + beyond, 0.0)
     with np.errstate(divide="ignore"):
         return np.asarray(10.0 * np.log10(energy / max(float(energy[0]), np.finfo(float).tiny)))
 
@@ -42,31 +48,80 @@ def reverberation_time(curve: Floats, sampling_rate: float, first_db: float, las
     return -60.0 / slope if slope < 0.0 else math.nan
 
 
-def has_decay_range(samples: Floats, sampling_rate: float, last_db: float, found: float) -> bool:
-    """Test whether a response decays by a reverberation time, rather than ends in noise; samples (n,).
+def before_noise(samples: Floats, sampling_rate: float) -> tuple[int, float, float]:
+    """Count of samples (n,) before steady noise covers the decay, its power, and the decay's energy after them.
 
-    result: false where a decay of that time does not fall to `last_db` within the response, or where the response ends
-    in steady noise that makes up a quarter of the energy that is still to come at `last_db`.
-
-    Our own test, for ISO 3382-1:2009, section 5.3.3, which asks for noise at least 10 dB below `last_db`. The last
-    tenth is taken for noise where it is below a fifth of the response earlier by less than 3/4 of such a decay's fall.
+    All samples, 0 and 0 where the response decays to its end. By truncation, subtraction and correction (M. Guski, M.
+    Vorländer, "Comparison of noise compensation methods for room acoustic impulse response evaluations", Acta Acustica
+    united with Acustica 100, 2014), where a line through the late decay meets the noise, by the
+    iteration of A. Lundeby, T. E. Vigran, H. Bietz, M. Vorländer, "Uncertainties of measurements in room acoustics",
+    Acustica 81, 1995, section 3. The last tenth is taken for noise unless it lies below a fifth of the response
+    earlier by 3/4 of such a decay's fall.
 
     Examples
     --------
     >>> decay = 10.0 ** (-3.0 * np.arange(2000) / 1e3)  # 60 dB in a second
-    >>> has_decay_range(decay, 1e3, -35.0, 1.0), has_decay_range(decay + 0.02, 1e3, -35.0, 1.5)
-    (True, False)
+    >>> before_noise(decay, 1e3), before_noise(decay + 0.01, 1e3)[0] < 900
+    ((2000, 0.0, 0.0), True)
     """
-    power, duration = np.square(samples), len(samples) / sampling_rate
-    if -last_db / 60.0 * found > duration:
-        return False
-    tenth = max(len(power) // 10, 1)
-    noise, before = float(np.mean(power[-tenth:])), float(np.mean(power[-3 * tenth : -2 * tenth]))
-    if noise < before * 10.0 ** (-_OWN_FALL * 6.0 * 0.2 * duration / found):
-        return True
-    energy = np.cumsum(power[::-1])[::-1]
-    there = int(np.argmax(energy <= energy[0] * 10.0 ** (last_db / 10.0)))
-    return noise * (len(power) - there) <= _NOISE_SHARE * float(energy[there])
+    power, count = np.square(samples), len(samples)
+    tenth = max(count // 10, 1)
+    noise, earlier = float(np.mean(power[-tenth:])), float(np.mean(power[-3 * tenth : -2 * tenth]))
+    slope = _late_slope(power, sampling_rate, noise, _INTERVAL, np.inf)
+    if noise == 0.0 or slope is None:
+        return count, 0.0, 0.0
+    if noise < earlier * 10.0 ** (0.1 * _OWN_FALL * slope[0] * 0.2 * count / sampling_rate):
+        return count, 0.0, 0.0
+    for _ in range(_LOOKS):
+        fall, crossing = slope
+        steady = min(round((crossing - _ABOVE_DB / fall) * sampling_rate), count - tenth)
+        noise = float(np.mean(power[max(steady, 0) :]))
+        found = _late_slope(power, sampling_rate, noise, -10.0 / fall / _PER_TEN_DB, _ABOVE_DB + _LATE_DB)
+        if found is None:
+            break
+        slope = found
+    fall, crossing = slope
+    last = min(max(round(crossing * sampling_rate), 1), count)
+    return last, noise, noise * sampling_rate * -10.0 / (math.log(10.0) * fall)
+
+
+def _late_slope(
+    power: Floats, sampling_rate: float, noise: float, interval: float, highest_db: float
+) -> tuple[float, float] | None:
+    """Slope of a decay's level above noise, dB/s, and when it reaches the noise, s; None where it does not fall."""
+    length = max(round(interval * sampling_rate), 1)
+    means = power[: len(power) // length * length].reshape(-1, length).mean(axis=1)
+    with np.errstate(divide="ignore"):
+        level = 10.0 * np.log10(means / max(noise, np.finfo(float).tiny))
+    first = int(np.argmax(level)) if len(level) else 0
+    under = np.flatnonzero(level[first:] < _ABOVE_DB)
+    last = first + int(under[0]) if len(under) else len(level)
+    part = first + np.flatnonzero(level[first:last] <= highest_db)
+    if len(part) < 2:
+        return None
+    times = (part + 0.5) * length / sampling_rate
+    fall, start = np.polyfit(times, level[part], 1)
+    return (float(fall), float(-start / fall)) if fall < 0.0 else None
+
+
+def has_decay_range(curve: Floats, sampling_rate: float, last_db: float, found: float, *, noisy: bool) -> bool:
+    """Test whether a decay curve (n,), dB, of a reverberation time, s, reaches so far that the time can be told.
+
+    Where the response ends in noise, this has to lie 10 dB below `last_db` (ISO 3382-1:2009, section 5.3.3).
+    """
+    if noisy:
+        return bool(curve[-1] <= last_db - _HEADROOM_DB)
+    return -last_db / 60.0 * found <= len(curve) / sampling_rate
+
+
+def centre_time(samples: Floats, sampling_rate: float, begin: int = 0) -> float:
+    """Centre of gravity of the squared response, s from a sample, that of the direct sound; samples (n,).
+
+    ISO 3382-1:2009, annex A.2.4.
+    """
+    power = np.square(samples)
+    whole = float(power.sum())
+    return float((np.arange(len(power)) - begin) @ power) / sampling_rate / whole if whole > 0.0 else math.nan
 
 
 def clarity(samples: Floats, split: int) -> float:

@@ -29,7 +29,7 @@ LAYERS = [
     ("tracks",),
     ("tail",),
     ("recording", "impulse_responses"),
-    ("room_measures", "score"),
+    ("room_measures", "lateral_measures", "score"),
     ("render",),
     ("output",),
     ("exchange",),
