@@ -13,8 +13,10 @@ from clsim.errors import InputError, warn
 from clsim.paths.coverage import check_band_coverage
 from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
 from clsim.paths.path_set import PathSet
-from clsim.tail.design import ULTRASOUND
+from clsim.tail.design import ULTRASOUND, searched_order
+from clsim.tail.diffuse_field import DiffuseField
 from clsim.tail.frozen import frozen_tails
+from clsim.tail.room_rays import why_no_rays
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,7 +59,7 @@ class ImpulseResponses:
     cut_db : ndarray (sources, receivers)
         Share of each response's energy that lay before time 0 and was cut, dB; -inf for none.
     notes : tuple of str
-        What tails were added.
+        What tails were added, or why none was.
     """
 
     samples: Floats
@@ -110,7 +112,7 @@ def impulse_responses(
     band: tuple[float, float] | None = None,
     *,
     lead: str = "cut",
-    tail: str = "off",
+    tail: str = "auto",
     tail_seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> ImpulseResponses:
@@ -130,9 +132,9 @@ def impulse_responses(
     lead : {"cut", "keep"}
         What becomes of what rings before time 0, where a receiver is so close that an arrival does: it is cut, so that
         sample 0 is time 0, or kept, and sample `ImpulseResponses.lead` is time 0.
-    tail : {"off", "auto"}
+    tail : {"auto", "off"}
         Whether what images leave is added as a diffuse tail by rays, as long as it is heard: with "auto" in closed
-        rooms, for bands that begin below 40 kHz.
+        rooms, for bands that begin below 40 kHz. `notes` says what was added, or why not.
     tail_seed : int
         Of the rays and of the tails' noise.
     progress : callable, optional
@@ -197,7 +199,7 @@ def impulse_responses(
             found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
             progress((i + 1) / len(heard))
-    notes = _add_tails(paths, time, rate, kept, seed, found) if with_tail else ()
+    notes = _add_tails(paths, time, rate, kept, seed, found) if with_tail else _left(paths, kept)
     samples, before = _on_one_axis(shape, found)
     made = ImpulseResponses(
         read_only(samples), rate, before, time, (kept.low, kept.high), scene, read_only(first_arrivals),
@@ -213,6 +215,9 @@ def _add_tails(
     found: dict[tuple[int, int], ImpulseResponse],
 ) -> tuple[str, ...]:  # fmt: skip
     """Add every source's tail to the pairs' responses at a time, s; return a line of description each."""
+    reason = why_no_rays(paths.scene.room)
+    if reason:
+        return (f"no tail: {reason}",)
     notes = []
     for source in sorted({source for source, _ in found}):
         tails, what = frozen_tails(paths, source, time, rate, band, seed)
@@ -222,6 +227,14 @@ def _add_tails(
         left = f"without it {what.left_db:.1f} dB of the energy is missing"
         notes.append(f"source {source}: diffuse tail of {what.describe()}; {left}")
     return tuple(notes)
+
+
+def _left(paths: PathSet, band: ResponseBand) -> tuple[str, ...]:
+    """Note on what images leave of the reverberation in a band, if that is more than -20 dB."""
+    middle = np.sqrt(max(band.low, 20.0) * band.high)
+    field = DiffuseField.of(paths.scene, np.array([middle])) if middle < ULTRASOUND else None
+    left = -math.inf if field is None else float(field.left_db(searched_order(paths))[0])
+    return (f'images leave some {left:.0f} dB of the reverberation (tail="auto" adds it)',) if left > -20.0 else ()
 
 
 def _earliest(pair: PairPaths, now: Floats) -> float:

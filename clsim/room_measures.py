@@ -27,6 +27,7 @@ from clsim.files.sound import read_sound_file
 from clsim.impulse_responses import ImpulseResponses, as_response_band
 from clsim.numerics.nufft import band_taper
 from clsim.paths.labelled import labelled_dataset
+from clsim.tail.diffuse_field import DiffuseField
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -37,7 +38,6 @@ BANDS = {"octave": 1, "third-octave": 3}
 _DIRECT = 2.5e-3  # s, after the first arrival, that count as direct sound
 _DECAYS = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}  # dB, between which decays are looked at
 _ORDER = 3  # of the band filters, of each edge
-_ANGLES = 32  # over which absorption is averaged
 _ONSET_DB = -20.0  # re the largest sample, at which a measured response begins (ISO 3382-1:2009, annex A.2.1)
 _MOST_OF_FILE = 0.475  # of its sampling rate: the band of a measured response
 _AT = 10.0  # m from a source in the free field, of the level that G is relative to
@@ -365,23 +365,11 @@ def _measures(taps: Floats, begin: int, rate: float, free_field: Floats | None) 
 
 def _diffuse(scene: Scene | None, frequencies: Floats) -> tuple[Floats, Floats]:
     """Sabine's and Eyring's times at frequencies (F,), s."""
-    mesh = None if scene is None else scene.room.as_mesh()
-    if scene is None or mesh is None or mesh.volume is None:
+    field = None if scene is None else DiffuseField.of(scene, frequencies)
+    if scene is None or field is None:
         return np.full(len(frequencies), math.nan), np.full(len(frequencies), math.nan)
-    corners = mesh.vertices[mesh.triangles]
-    triangles = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    area = np.bincount(mesh.walls.of_triangle, triangles, minlength=len(mesh.faces.materials))
     c = scene.air.speed_of_sound
-    # Gauss's rule over the squared sine of the angle of incidence, as which a diffuse field is spread.
-    places, weights = np.polynomial.legendre.leggauss(_ANGLES)
-    cosine, weights = np.sqrt(0.5 * (1.0 - places)), 0.5 * weights
-    total: Floats = np.zeros(len(frequencies))
-    for material in dict.fromkeys(mesh.faces.materials):
-        mine = float(area[[m is material for m in mesh.faces.materials]].sum())
-        at = np.clip(frequencies, *material.band)
-        returned = material.energy_at(at, cosine[:, None] if material.depends_on_angle else 1.0, c)
-        absorbed = np.broadcast_to(1.0 - returned, (len(cosine), len(frequencies)))
-        total += mine * (weights @ absorbed)
-    air = scene.air.absorption_at(frequencies) * (math.log(10.0) / 10.0)
-    surface = float(area.sum())
-    return sabine_time(mesh.volume, total, air, c), eyring_time(mesh.volume, surface, total, air, c)
+    return (
+        sabine_time(field.volume, field.absorption_area, field.air, c),
+        eyring_time(field.volume, field.surface, field.absorption_area, field.air, c),
+    )

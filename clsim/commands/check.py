@@ -83,7 +83,10 @@ def _left_by_images(planned: PlannedScene) -> list[str]:
     """Return a note on the energy beyond the image sources, unless the plan has a tail."""
     options = planned.plan.options
     left = left_by_images(planned.paths, options.sampling_rate) if options.tail == "off" else None
-    return [] if left is None else [f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter"]
+    if left is None:
+        return []
+    remedy = ' (tail = "auto" adds it)' if left > -20.0 else ""
+    return [f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter{remedy}"]
 
 
 def _thin(file: SceneFile) -> list[str]:

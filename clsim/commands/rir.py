@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what rings before time 0: cut, so that sample 0 is time 0 (default), or kept",
     )  # fmt: skip
     parser.add_argument(
-        "--tail", choices=TAILS, default="off",
-        help="what images leave as a diffuse tail: off (default), or auto, in closed rooms and below 40 kHz",
+        "--tail", choices=TAILS, default="auto",
+        help="what images leave as a diffuse tail: auto (default), in closed rooms and below 40 kHz, or off",
     )  # fmt: skip
 
 

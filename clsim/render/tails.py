@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
+from clsim.tail.diffuse_field import DiffuseField
+from clsim.tail.room_rays import why_no_rays
 from clsim.tail.zones import Zones
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from clsim.render.options import RenderOptions
 
 _FEW = 256  # rays at a time, for a figure in passing
+_MUCH_DB = -20.0  # of the reverberation, above which a note tells of it
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 
@@ -39,9 +41,9 @@ NO_TAILS = FoundTails()
 
 def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float], None] | None = None) -> FoundTails:
     """Return the tails that options ask for."""
-    if options.tail == "off":
-        return NO_TAILS
     scene = paths.scene
+    if options.tail == "off":
+        return FoundTails(told=_without_tails(paths, options.sampling_rate))
     found: list[SourceTail | None] = []
     told: list[str] = []
     until = max(source.end for source in scene.sources) if options.duration is None else options.duration
@@ -66,13 +68,24 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
     return FoundTails(tuple(found), tuple(told))
 
 
+def _without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
+    """Note on the energy that images leave in a diffuse field, where that is much and tails are off."""
+    highest = np.array([min(source.emitted.centre_frequency, 0.5 * sampling_rate) for source in paths.scene.sources])
+    field = DiffuseField.of(paths.scene, highest[highest < ULTRASOUND])
+    if field is None or not np.any(highest < ULTRASOUND):
+        return ()
+    left = float(field.left_db(searched_order(paths)).max())
+    much = f"images leave some {left:.0f} dB of the reverberation: higher orders, and what walls scatter"
+    return (f'{much} (tail="auto" adds it)',) if left > _MUCH_DB else ()
+
+
 def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
     """Return the energy that images leave at 0 s, relative to all, of the source where it is most, dB, by a few rays.
 
     None in open rooms, or where a package is missing that traces rays in a mesh.
     """
     scene, most = paths.scene, -np.inf
-    if scene.room.volume is None or not (scene.room.is_convex or find_spec("embreex")):
+    if why_no_rays(scene.room):
         return None
     receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
     asked = TailOptions(searched_order(paths), directions=1, error_db=np.inf, rays=_FEW)

@@ -63,6 +63,7 @@ class MeshModel(Model):
     scale: float = 1.0
     up: Literal["x", "y", "z"] = "z"
     flatness: float = FLATNESS
+    heal: float | Literal["auto", "off"] = "auto"
     sheets_below: float = 0.0
     materials: Materials
 
@@ -70,7 +71,7 @@ class MeshModel(Model):
         materials = within("materials", lambda: _build_materials(self.materials, base))
         file = base / self.path
         try:
-            mesh = MeshRoom.from_file(file, self.scale, self.up, materials, flatness=self.flatness)
+            mesh = MeshRoom.from_file(file, self.scale, self.up, materials, flatness=self.flatness, heal=self.heal)
         except InputError as error:
             if error.field != str(file):
                 raise

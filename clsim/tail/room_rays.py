@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -80,6 +81,13 @@ class RoomRays(Protocol):
     def next(self, origins: Floats, directions: Floats) -> Met:
         """Return distances (n,) m of rays from origins (n, 3) m to the next wall, and its index, -1 for none."""
         ...
+
+
+def why_no_rays(room: Room) -> str:
+    """Name what hinders rays in a room: that it is open, or a missing package; nothing if they can be traced."""
+    if room.volume is None:
+        return "the room is not closed, and its energy leaves it"
+    return "" if room.is_convex or find_spec("embreex") else "embreex is not installed, which traces rays in a mesh"
 
 
 def room_rays(room: Room) -> RoomRays:

@@ -75,7 +75,7 @@ def responses() -> clsim.ImpulseResponses:
     ears = [clsim.Receiver(f"r{i}", clsim.Trajectory.fixed(at)) for i, at in enumerate(RECEIVERS)]
     room = clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.9))
     scene = clsim.Scene(room, clsim.Air(speed_of_sound=SPEED, absorption=False), sources, ears)
-    return clsim.impulse_responses(clsim.find_paths(scene, max_order=0), RATE, lead="keep")
+    return clsim.impulse_responses(clsim.find_paths(scene, max_order=0), RATE, lead="keep", tail="off")
 
 
 @pytest.mark.parametrize("reader", [by_sofar, by_netcdf])

@@ -61,7 +61,7 @@ def test_ringing_is_what_it_is_said_to_be(edges: tuple[float, float, float, floa
 @pytest.mark.parametrize("band", [None, (20e3, 60e3), (38e3, 42e3)])
 def test_one_path_is_its_closed_form(band: tuple[float, float] | None) -> None:
     scene = fixed()
-    found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE, band=band)
+    found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE, band=band, tail="off")
     distance = float(np.linalg.norm(np.subtract(A, B)))
     low, high = band or (200.0, 0.475 * RATE)
     f = np.linspace(low, high, 200)
@@ -73,7 +73,7 @@ def test_one_path_is_its_closed_form(band: tuple[float, float] | None) -> None:
 def test_one_path_in_air_that_disperses_has_its_wavenumber() -> None:
     """Over the whole band; the first metre is passed at the speed of the signal's centre."""
     air = clsim.Air(dispersion=True)
-    found = clsim.impulse_responses(clsim.find_paths(replace(fixed(), air=air), 0), RATE)
+    found = clsim.impulse_responses(clsim.find_paths(replace(fixed(), air=air), 0), RATE, tail="off")
     distance = float(np.linalg.norm(np.subtract(A, B)))
     f = np.linspace(200.0, 0.475 * RATE, 200)
     k = air.wavenumber_at(f)
@@ -87,7 +87,7 @@ def test_one_path_in_air_that_disperses_has_its_wavenumber() -> None:
 def test_the_peak_lies_at_the_delay(place: tuple[float, float, float]) -> None:
     """Within 0.01 sample, by a parabola through the largest of 64 times as many samples."""
     scene = fixed(b=place)
-    found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE)
+    found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE, tail="off")
     late = np.linalg.norm(np.subtract(A, place)) / AIR.speed_of_sound * RATE
     taps = found.samples[0, 0]
     fine = np.fft.irfft(np.fft.rfft(taps), 64 * len(taps)) if len(taps) % 2 == 0 else None
@@ -102,7 +102,7 @@ def test_the_peak_lies_at_the_delay(place: tuple[float, float, float]) -> None:
 def test_a_beam_with_a_phase_turns_all_frequencies() -> None:
     """A source that radiates from 2 mm ahead of where it is said to be is heard from there."""
     scene = fixed(directivity=OffCentre(2e-3), aim=np.subtract(B, A))
-    found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE, band=(20e3, 60e3))
+    found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE, band=(20e3, 60e3), tail="off")
     f = np.linspace(20e3, 60e3, 100)
     distance = float(np.linalg.norm(np.subtract(A, B)))
     exact = 10 ** (-AIR.absorption_at(f) * (distance - 1) / 20) / distance
@@ -116,7 +116,7 @@ def test_a_room_is_the_sum_of_its_images(order: int, measured) -> None:
     names = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
     walls = {name: clsim.Material.from_reflection(factor) for name, factor in zip(names, factors, strict=True)}
     scene = fixed(walls=walls)
-    found = clsim.impulse_responses(clsim.find_paths(scene, order), RATE)
+    found = clsim.impulse_responses(clsim.find_paths(scene, order), RATE, tail="off")
     f = np.linspace(500.0, 0.475 * RATE, 400)
     exact = frozen_sums.response(
         f, SIZE, (A, B), order, [lambda f, x=x: np.full(len(f), x) for x in factors], AIR
@@ -132,7 +132,7 @@ def test_a_moving_scene_is_frozen_and_convolved(engine: str) -> None:
     moving = scene_of(
         clsim.Trajectory.line(A, (2.1, 1.3, 1.2), 1.0), clsim.Trajectory.line(B, (3.7, 1.9, 2.2), 1.0), signal=chirp
     )
-    found = clsim.impulse_responses(clsim.find_paths(moving, 3), RATE, at=0.25)
+    found = clsim.impulse_responses(clsim.find_paths(moving, 3), RATE, at=0.25, tail="off")
     frozen = fixed((1.35, 1.3, 1.2), (3.7, 2.65, 2.2), signal=chirp)
     made = clsim.render(clsim.find_paths(frozen, 3), RATE, engine=engine, duration=0.1).pressure[0]
     convolved = np.convolve(found.samples[0, 0], chirp.read(0, chirp.count))[found.lead :][: len(made)]
@@ -144,7 +144,7 @@ def test_a_moving_scene_is_frozen_and_convolved(engine: str) -> None:
 def test_a_close_receiver_rings_before_time_0() -> None:
     near = (1.1, 1.3, 1.21)
     scene = fixed(b=near)
-    found = clsim.impulse_responses(clsim.find_paths(scene, 1), RATE, lead="keep")
+    found = clsim.impulse_responses(clsim.find_paths(scene, 1), RATE, lead="keep", tail="off")
     assert 200 < found.lead < 2000
     assert found.times[found.lead] == 0.0
     f = np.linspace(1e3, 91e3, 200)
@@ -157,9 +157,9 @@ def test_sample_0_is_time_0() -> None:
     near = (1.1, 1.3, 1.21)
     scene = fixed(b=near)
     paths = clsim.find_paths(scene, 1)
-    kept = clsim.impulse_responses(paths, RATE, lead="keep")
+    kept = clsim.impulse_responses(paths, RATE, lead="keep", tail="off")
     with pytest.warns(clsim.ClsimWarning, match=r"rings before time 0 is cut.*-\d+ dB.*lead=\"keep\" keeps it"):
-        found = clsim.impulse_responses(paths, RATE)
+        found = clsim.impulse_responses(paths, RATE, tail="off")
     assert found.lead == 0
     assert found.times[0] == 0.0
     np.testing.assert_array_equal(found.samples, kept.samples[:, :, kept.lead :])
@@ -177,7 +177,7 @@ def test_several_pairs_share_one_axis_of_time() -> None:
     sources = [clsim.Source("a", TONE, still(A)), clsim.Source("b", TONE, still((2.0, 2.0, 2.0)))]
     receivers = [clsim.Receiver(name, still(place)) for name, place in (("c", B), ("d", (4.4, 0.7, 0.9)))]
     scene = clsim.Scene(clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.9)), AIR, sources, receivers)
-    found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE)
+    found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE, tail="off")
     assert found.samples.shape[:2] == (2, 2)
     assert (found.source_names, found.receiver_names) == (("a", "b"), ("c", "d"))
     for s, source in enumerate(sources):
@@ -186,7 +186,7 @@ def test_several_pairs_share_one_axis_of_time() -> None:
             peak = int(np.abs(found.samples[s, r]).argmax())
             assert found.times[peak] * AIR.speed_of_sound == pytest.approx(distance, abs=0.51 / RATE * 344)
     shares = []
-    clsim.impulse_responses(clsim.find_paths(scene, 1), RATE, progress=shares.append)
+    clsim.impulse_responses(clsim.find_paths(scene, 1), RATE, progress=shares.append, tail="off")
     assert shares == [0.25, 0.5, 0.75, 1.0]
 
 
@@ -220,11 +220,11 @@ def test_what_is_not_known_and_not_heard_is_refused() -> None:
     table = clsim.AxialDirectivity([0, 90, 180], [40e3], [[1.0], [0.5], [0.1]])
     scene = fixed(directivity=table, aim=(1, 0, 0))
     with pytest.raises(clsim.InputError, match=r"^sources\[0\]\.directivity: must cover the band of the responses"):
-        clsim.impulse_responses(clsim.find_paths(scene, 1), RATE)
+        clsim.impulse_responses(clsim.find_paths(scene, 1), RATE, tail="off")
     scene = fixed()
     paths = clsim.find_paths(scene, 1)
     images = replace(paths.families[0], start=np.full(len(paths), 0.5), end=np.full(len(paths), np.inf))
     later = replace(paths, families=(images,))
     with pytest.raises(clsim.InputError, match=r"^paths: must hold paths that are heard at 0\.2 s, but hold none"):
-        clsim.impulse_responses(later, RATE, at=0.2)
-    assert np.any(clsim.impulse_responses(later, RATE, at=0.5).samples)
+        clsim.impulse_responses(later, RATE, at=0.2, tail="off")
+    assert np.any(clsim.impulse_responses(later, RATE, at=0.5, tail="off").samples)

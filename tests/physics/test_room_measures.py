@@ -77,7 +77,7 @@ def test_lateral_measures_of_a_scene() -> None:
         clsim.Receiver("omni", here), clsim.Receiver("eight", across, clsim.FirstOrder(0.0)), clsim.Receiver("same", here)
     ]  # fmt: skip
     scene = clsim.Scene(room, clsim.Air(speed_of_sound=343.0, absorption=False), [source], ears)
-    responses = clsim.impulse_responses(clsim.find_paths(scene, 1), RATE)
+    responses = clsim.impulse_responses(clsim.find_paths(scene, 1), RATE, tail="off")
     found = clsim.lateral_measures(responses, ("omni", "eight"), ("omni", "same"))
     far = math.hypot(10.0, 8.0)
     direct, echo = 10.0**-2, far**-2

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
     Ints = NDArray[np.int64]
 
-_POINTS = 2**14  # of the lattice that measures shells which run through each other
+_POINTS = 2**16  # of the lattice that measures shells which run through each other
+_LATTICE_ERROR = 4e-3  # of a volume by these points
 _STEP = 1e-4  # of the size of a triangle, by which a point stands off it
 _PAIRS = 16_384  # of points and triangles at a time
 _LEAK = 0.05  # of the surface, above which holes make a shell open
@@ -111,18 +112,20 @@ def enclosed_volume(
 
     Shapes: vertices, triangles (V, 3) m.
 
-    crossing: whether walls run through each other: `contains` is then evaluated on a lattice in the box around
-    the largest shell, so that what is sunk into the floor does not count below it. Right within some 0.3 %.
+    crossing: whether walls run through each other, as bent ones seem to: `contains` is then evaluated on a lattice in
+    the box around the largest shell, so that what is sunk into the floor does not count below it. The shells' own
+    volumes are taken where they agree with it within its error, 0.4 %, and of a single shell.
     """
     shells = Shells.of(vertices, triangles)
-    if shells is not None and not crossing and not np.any(shells.holes):
-        volume = shells.volume_between()
-    else:
+    between = None if shells is None or np.any(shells.holes) else shells.volume_between()
+    if between is None or (crossing and shells is not None and len(shells.volume) > 1):
         low, high = shells.box_of_largest() if shells is not None else (vertices.min(axis=0), vertices.max(axis=0))
         # Kronecker's lattice of the plastic number's next one, whose points are spread evenly in three dimensions.
         share = (0.5 + np.arange(_POINTS)[:, None] * 1.2207440846057596 ** -np.arange(1.0, 4.0)) % 1.0
-        volume = float(np.mean(contains(low + share * (high - low))) * np.prod(high - low))
-    return volume if volume > 0.0 else None
+        found = float(np.mean(contains(low + share * (high - low))) * np.prod(high - low))
+        if between is None or abs(between - found) > _LATTICE_ERROR * found:
+            between = found
+    return between if between > 0.0 else None
 
 
 def held_by_rooms(vertices: Floats, triangles: Ints, points: Floats) -> tuple[NDArray[np.bool_], bool] | None:

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from clsim.arrays import FARTHEST, Complexes, Floats, as_floats, as_number, read_only, short_repr
+from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges, find_edges
 from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.floor_plan import extruded_plan
+from clsim.scene.room.healing import HEAL, heal_mesh, healing_tolerance
 from clsim.scene.room.mesh_cleaning import (
     MeshShape,
     clean_mesh,
@@ -27,6 +28,7 @@ from clsim.scene.room.mesh_cleaning import (
     panels_below,
     thin_panels,
 )
+from clsim.scene.room.polygons import checked_polygons, triangulated
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls, first_contact, first_off, walls_at
 
 if TYPE_CHECKING:
@@ -145,8 +147,9 @@ class MeshRoom:
         materials: Material | Mapping[str, Material] | None = None,
         *,
         flatness: float = FLATNESS,
+        heal: str | float = HEAL,
     ) -> MeshRoom:
-        """Return a room from a file that trimesh reads: OBJ, STL, PLY, GLB, OFF and more.
+        """Return a room from an AC3D file or one that trimesh reads: OBJ, STL, PLY, GLB, OFF and more.
 
         Parameters
         ----------
@@ -161,6 +164,10 @@ class MeshRoom:
             ``"default"`` stands for those not named.
         flatness : float
             As in `MeshRoom`, m; raise it for files with rounded coordinates.
+        heal : {"auto", "off"} or float
+            How far corners may be moved to meet others, m, and sides of triangles are cut at corners that lie on
+            them. With "auto" as far as it takes to close the mesh, 12 mm and 2 per mille of its size at most; a mesh
+            that is closed, or that gains nothing, keeps every bit. The notes say what was changed.
 
         Returns
         -------
@@ -180,9 +187,81 @@ class MeshRoom:
         stem = Path(path).stem
         names = [mesh.groups[g] for g in mesh.group]
         labels = [f"{stem} {name}".strip() for name in names]
+        healed = heal_mesh(mesh.vertices, mesh.triangles, heal)
         return MeshRoom(
-            mesh.vertices, mesh.triangles, [by_group[n] for n in names], flatness, labels, mesh.notes, float(scale)
-        )
+            healed.vertices, healed.triangles, [by_group[names[i]] for i in healed.origin], flatness,
+            [labels[i] for i in healed.origin], (*mesh.notes, *healed.notes), float(scale),
+        )  # fmt: skip
+
+    @staticmethod
+    def from_polygons(
+        corners: ArrayLike,
+        polygons: Sequence[Sequence[int]],
+        materials: Material | Sequence[Material],
+        *,
+        double_sided: Sequence[int] = (),
+        heal: str | float = HEAL,
+        flatness: float = FLATNESS,
+        labels: Sequence[str] | None = None,
+    ) -> MeshRoom:
+        """Make a room of polygons, as round robins of room acoustics publish theirs.
+
+        Parameters
+        ----------
+        corners : array_like (n, 3)
+            m, z up.
+        polygons : sequence of sequences of int
+            Numbers of corners from 0, in order; concave ones are cut by ear clipping. One that lies in a larger one, a
+            window in a wall, is cut out of it.
+        materials : Material or sequence of Material
+            One for all, or one per polygon.
+        double_sided : sequence of int
+            Numbers of polygons that are sheets in the room, such as curtains; they are not healed, nor cut out.
+        heal : {"auto", "off"} or float
+            As in `from_file`.
+        flatness : float
+            As in `MeshRoom`, m.
+        labels : sequence of str, optional
+            Names of the polygons; numbered when left out.
+
+        Returns
+        -------
+        MeshRoom
+            The room.
+
+        Raises
+        ------
+        InputError
+            If a polygon crosses itself, names no corner, or has less than three; if a material, a label or a sheet's
+            number is missing or out of range.
+
+        Examples
+        --------
+        >>> box = [(x, y, z) for z in (0, 3) for y in (0, 4) for x in (0, 5)]
+        >>> sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+        >>> room = MeshRoom.from_polygons(box, sides, Material.from_reflection(0.9))
+        >>> len(room.walls), room.volume
+        (6, 60.0)
+        """
+        points = as_floats("corners", corners, (None, 3), within=FARTHEST, unit="m")
+        rows = checked_polygons(polygons, len(points))
+        given = _per_triangle("materials", materials, len(rows))
+        names = tuple(f"polygon {i}" for i in range(len(rows))) if labels is None else tuple(labels)
+        if len(names) != len(rows):
+            raise InputError("labels", f"must be one per polygon, {len(rows)}, but are {len(names)}")
+        sheets = {as_count(f"double_sided[{i}]", n, at_most=len(rows) - 1) for i, n in enumerate(double_sided)}
+        walls = [i for i in range(len(rows)) if i not in sheets]
+        if not walls:
+            raise InputError("double_sided", "must leave polygons that are walls of the room, but names them all")
+        triangles, owner, notes = triangulated(points, rows, walls, healing_tolerance(points, heal))
+        healed = heal_mesh(points, triangles, heal)
+        more, of_sheet, _ = triangulated(points, rows, sorted(sheets), 0.0)
+        count = len(healed.vertices)
+        origin = [*owner[healed.origin].tolist(), *of_sheet.tolist()]
+        return MeshRoom(
+            np.concatenate([healed.vertices, points]), np.concatenate([healed.triangles, more + count]),
+            [given[i] for i in origin], flatness, [names[i] for i in origin], (*notes, *healed.notes),
+        )  # fmt: skip
 
     @staticmethod
     def from_plan(
@@ -350,7 +429,7 @@ class MeshRoom:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the mesh is watertight."""
+        """Whether the mesh is watertight, but for flat sheets in it."""
         return self.shape.watertight
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
@@ -533,9 +612,9 @@ class MeshRoom:
         return describe_mesh(self.vertices, self.triangles, self.walls.plane, self.shape, self.notes)
 
     def _met(self, x: Floats, ray: Floats) -> NDArray[np.int64]:
-        """Return number of walls (n,) hit by a ray from each of positions (n, 3)."""
+        """Return number of walls (n,), but for sheets, hit by a ray from each of positions (n, 3)."""
         count, walls = np.zeros(len(x), dtype=int), self.walls
-        for w in range(len(walls)):
+        for w in np.unique(walls.of_triangle[~self.shape.sheets]).tolist():
             away = (walls.offset[w] - x @ walls.normal[w]) / (walls.normal[w] @ ray)
             forward = np.flatnonzero(away > 0.0)
             if len(forward):
@@ -550,7 +629,7 @@ def _edges(room: MeshRoom, wall: int | None) -> Edges:
 
 @lru_cache(maxsize=4)
 def _volume(room: MeshRoom) -> float | None:
-    return enclosed_volume(room.vertices, room.triangles, room.walls.crossing, room.contains)
+    return enclosed_volume(room.vertices, room.triangles[~room.shape.sheets], room.walls.crossing, room.contains)
 
 
 def _checked_triangles(value: object, count: int) -> NDArray[np.int64]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 WELD = 1e-6  # m; vertices nearer than this are one
 SMALLEST_AREA = 1e-12  # m²
 _FLAT = 1e-3  # of a panel's thickness, by which its two sides may be uneven
+_EVEN = 1e-3  # of the mesh's size, by which a sheet may be bent
 _HOLES_LISTED = 5
 
 
@@ -190,14 +191,15 @@ def clusters(count: int, pairs: NDArray[np.int64]) -> tuple[int, NDArray[np.int6
 class MeshShape:
     """Connectivity of the triangles of a mesh."""
 
-    open_edges: Floats  # (n, 2, 3) edges of one triangle only, m
+    open_edges: Floats  # (n, 2, 3) edges of an odd number of triangles that are no sheets, m
     crowded_edges: int  # edges of three triangles or more
     flipped_edges: int  # edges whose two triangles run in the same direction: one of them is flipped
     inwards: bool  # whether it is watertight and all triangles face inwards
+    sheets: NDArray[np.bool_]  # (T,) of which triangles are flat sheets in a room that is closed without them
 
     @property
     def watertight(self) -> bool:
-        """Whether every edge belongs to an even number of triangles."""
+        """Whether every edge belongs to an even number of triangles, but for sheets."""
         return len(self.open_edges) == 0
 
 
@@ -205,12 +207,47 @@ def mesh_shape(vertices: Floats, triangles: NDArray[np.int64]) -> MeshShape:
     """Return connectivity of triangles on welded vertices."""
     directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, _, which = unique_rows(np.sort(directed, axis=1))
+    sheets = _sheets(vertices, triangles, which)
+    solid = np.repeat(~sheets, 3)
     uses = np.bincount(which)
     forward = np.bincount(which, weights=directed[:, 0] < directed[:, 1], minlength=len(edges))
     corners = vertices[triangles]
     volume = float(np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
-    opened, flipped = edges[uses % 2 == 1], int(np.sum((uses == 2) & (forward != 1)))
-    return MeshShape(vertices[opened], int(np.sum(uses > 2)), flipped, volume < 0.0 and not flipped and not len(opened))
+    opened = edges[np.bincount(which[solid], minlength=len(edges)) % 2 == 1]
+    flipped = int(np.sum((uses == 2) & (forward != 1)))
+    inwards = volume < 0.0 and not flipped and not len(opened) and not sheets.any()
+    return MeshShape(vertices[opened], int(np.sum(uses > 2)), flipped, inwards, sheets)
+
+
+def _sheets(vertices: Floats, triangles: NDArray[np.int64], which: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Find flat shells with open edges, (T,), if all others together are closed around them; none otherwise.
+
+    which: the edge (3 T,) of every side. Shells hang together by edges of two triangles.
+    """
+    uses, owner = np.bincount(which), np.repeat(np.arange(len(triangles)), 3)
+    none = np.zeros(len(triangles), dtype=bool)
+    if not np.any(uses % 2 == 1):
+        return none
+    shared = np.flatnonzero((uses == 2)[which])
+    pairs = owner[shared[np.argsort(which[shared], kind="stable")]].reshape(-1, 2)
+    count, shell = clusters(len(triangles), pairs)
+    opened = np.zeros(count, dtype=bool)
+    opened[shell[owner[(uses == 1)[which]]]] = True
+    normal = cross_products(vertices[triangles])
+    size = np.ptp(vertices, axis=0).max()
+    for one in np.flatnonzero(opened).tolist():
+        mine = np.flatnonzero(shell == one)
+        largest = mine[np.argmax(np.linalg.norm(normal[mine], axis=1))]
+        along = normal[largest] / np.linalg.norm(normal[largest])
+        opened[one] = np.ptp(vertices[triangles[mine]] @ along) <= _EVEN * size
+    sheets = opened[shell]
+    left = np.bincount(which[~sheets[owner]], minlength=len(uses))
+    if sheets.all() or np.any(left % 2 == 1):
+        return none
+    room, hung = (vertices[triangles[mask]].reshape(-1, 3) for mask in (~sheets, sheets))
+    near = _EVEN * size
+    within = np.all(hung >= room.min(axis=0) - near) and np.all(hung <= room.max(axis=0) + near)
+    return sheets if within else none
 
 
 def describe_mesh(
@@ -233,7 +270,8 @@ def describe_mesh(
     shells, closed = _shells(triangles)
     if shells > 1:
         lines.append(f"{shells} separate shells, {closed} of them closed")
-    lines += ["watertight"] if shape.watertight else _openings(shape.open_edges)
+    sheets = f", but for sheets of {shape.sheets.sum()} triangles in it" if shape.sheets.any() else ""
+    lines += [f"watertight{sheets}"] if shape.watertight else _openings(shape.open_edges)
     if shape.flipped_edges:
         lines.append(f"mixed winding at {shape.flipped_edges} edges; harmless, since walls are two-sided")
     elif shape.inwards:

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from clsim.arrays import FARTHEST, as_choice, as_number, read_only
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, open_file, read_file
+from clsim.scene.room.ac3d_files import read_ac3d
 from clsim.scene.room.mesh_loading import load_by_trimesh
+from clsim.scene.room.polygons import cut_polygon, new_counts, polygon_notes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,9 +24,6 @@ if TYPE_CHECKING:
 
 Ints = NDArray[np.int64]
 
-_AREA_TOLERANCE = 1e-6  # relative, between a polygon's own area and that of its triangles
-_PLANE_TOLERANCE = 1e-3  # of a polygon's size, beyond which it is called not planar
-_FLAT = 1e-12  # of the size squared, below which an area is rounding
 _LARGEST_SCALE = 1e9
 _MOST_TRIANGLES = 10_000_000
 _FARTHEST = _LARGEST_SCALE * FARTHEST  # in the unit of a file
@@ -68,7 +67,7 @@ class _Face:
 def read_mesh(path: Any, *, scale: float = 1.0, up: str = "z") -> MeshFile:
     r"""Read a mesh file.
 
-    path: OBJ, STL, PLY, GLB, GLTF, OFF, or another format that trimesh reads (3MF needs its extra packages).
+    path: OBJ, AC3D, STL, PLY, GLB, GLTF, OFF, or another format that trimesh reads (3MF needs its extra packages).
 
     up: the file's axis that points up. "y" turns (x, y, z) to (x, -z, y), "x" turns it to (y, z, x): rotations both, so
     that nothing is mirrored.
@@ -87,7 +86,8 @@ def read_mesh(path: Any, *, scale: float = 1.0, up: str = "z") -> MeshFile:
         open_file(file, LARGEST_BINARY).close()
     except OSError as error:
         raise InputError(str(path), f"cannot be read: {error.strerror or error}") from error
-    mesh = _read_obj(file) if file.suffix.lower() == ".obj" else _read_by_trimesh(file)
+    readers = {".obj": _read_obj, ".ac": _read_ac}
+    mesh = readers.get(file.suffix.lower(), _read_by_trimesh)(file)
     # Adding zero turns -0 into 0.
     vertices = (mesh.vertices @ turn.T) * scale + 0.0
     triangles, group = read_only(mesh.triangles), read_only(mesh.group)
@@ -106,13 +106,13 @@ def _read_obj(file: Path) -> MeshFile:
     owner = np.repeat(np.arange(len(faces)), [len(face.corners) for face in faces])
     _check_corners(file, vertices, corners, lambda i: _where(faces[owner[i]]), first=1)
     triangles, owners = [], []
-    counts = {"concave": 0, "bent": 0, "flat": 0}
+    counts = new_counts()
     for i, face in enumerate(faces):
         if len(face.corners) == 3:
             cut = np.array([face.corners], dtype=np.int64)
         else:
             try:
-                cut = np.array(face.corners, dtype=np.int64)[_cut_polygon(vertices[list(face.corners)], counts)]
+                cut = np.array(face.corners, dtype=np.int64)[cut_polygon(vertices[list(face.corners)], counts)]
             except ValueError as error:
                 raise InputError(str(file), f"{_where(face)} {error}") from None
         triangles.append(cut)
@@ -124,24 +124,11 @@ def _read_obj(file: Path) -> MeshFile:
     names = [faces[i].material if by_material else faces[i].part for i in owner]
     number = {name: i for i, name in enumerate(dict.fromkeys(names))}
     group = np.array([number[name] for name in names], dtype=np.int64)
-    return MeshFile(vertices, np.concatenate(triangles), group, tuple(number), _notes(counts))
+    return MeshFile(vertices, np.concatenate(triangles), group, tuple(number), polygon_notes(counts))
 
 
 def _where(face: _Face) -> str:
     return f"line {face.line}: face {face.number}"
-
-
-def _notes(counts: dict[str, int]) -> tuple[str, ...]:
-    said = {
-        "concave": "concave {} ear-clipped.",
-        "bent": f"{{}} not planar (by more than {_PLANE_TOLERANCE:g} of the size) and cut into triangles.",
-        "flat": "{} without an area and left out.",
-    }
-    notes = []
-    for key, count in counts.items():
-        if count:
-            notes.append(f"{count} " + said[key].format("polygon was" if count == 1 else "polygons were"))
-    return tuple(notes)
 
 
 def _parse_obj(file: Path) -> tuple[Floats, list[_Face]]:
@@ -212,68 +199,24 @@ def _corner(file: Path, where: str, cell: str, count: int) -> int:
     return index - 1 if index > 0 else count + index
 
 
-# Polygons
-
-
-def _cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
-    """Cut a polygon into triangles.
-
-    Shapes: corners (n, 3).
-
-    corners: in order; concave, and touching itself along a seam, as polygons with holes are written.
-
-    result: indices of corners, turning as the polygon does; none for a polygon without area.
-    """
-    from mapbox_earcut import triangulate_float64
-
-    flat, depth, size = _project(corners)
-    area = 0.5 * float(np.sum(_cross(flat, np.roll(flat, -1, axis=0))))
-    if abs(area) <= _FLAT * size**2:
-        spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
-        if spread[1] > np.sqrt(_FLAT) * size:
-            raise ValueError("must not cross itself, but the parts of its area cancel")
-        counts["flat"] += 1
-        return np.zeros((0, 3), dtype=np.int64)
-    cut = triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
-    signed = _areas(flat, cut)
-    if np.sum(signed) < 0.0:
-        cut = cut[:, ::-1]
-    covered = float(np.sum(np.abs(signed)))
-    if abs(covered - area) > _AREA_TOLERANCE * area:
-        raise ValueError(
-            f"must not cross itself: its area is {area:.7g}, but its triangles cover {covered:.7g} (units of the file)"
-        )
-    before, after = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
-    counts["concave"] += bool(np.any(_cross(before, after) < -_FLAT * size**2))
-    counts["bent"] += bool(depth > _PLANE_TOLERANCE * size)
-    return cut
-
-
-def _project(corners: Floats) -> tuple[Floats, float, float]:
-    """Return corners (n, 2) in the plane of Newell's normal, turning left, the largest distance from it, the size."""
-    local = corners - corners.mean(axis=0)
-    size = float(np.linalg.norm(np.ptp(local, axis=0)))
-    normal = np.sum(np.cross(local, np.roll(local, -1, axis=0)), axis=0)
-    length = float(np.linalg.norm(normal))
-    if length <= 2.0 * _FLAT * size**2:
-        return np.zeros((len(corners), 2)), 0.0, size
-    normal = normal / length
-    u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    u /= np.linalg.norm(u)
-    flat = np.ascontiguousarray(local @ np.stack([u, np.cross(normal, u)], axis=1))
-    return flat, float(np.max(np.abs(local @ normal))), size
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def _areas(flat: Floats, cut: Ints) -> Floats:
-    a, b, c = (flat[cut[:, k]] for k in range(3))
-    return np.asarray(0.5 * _cross(b - a, c - a))
-
-
 # Other formats
+
+
+def _read_ac(file: Path) -> MeshFile:
+    """Read an AC3D file in its own axes and unit; groups are materials."""
+    vertices, polygons, of_polygon, materials = read_ac3d(file)
+    triangles, owner, counts = [], [], new_counts()
+    for i, polygon in enumerate(polygons):
+        try:
+            cut = polygon[cut_polygon(vertices[polygon], counts)] if len(polygon) > 3 else polygon[None]
+        except ValueError as error:
+            raise InputError(str(file), f"surface {i + 1} {error}") from None
+        triangles.append(cut)
+        owner.append(np.full(len(cut), of_polygon[i]))
+    _check_corners(file, vertices, np.concatenate(triangles).ravel(), lambda i: f"face {i // 3 + 1}", first=0)
+    used, group = np.unique(np.concatenate(owner), return_inverse=True)
+    names = tuple(materials[i] for i in used.tolist())
+    return MeshFile(vertices, np.concatenate(triangles), group.astype(np.int64), names, polygon_notes(counts))
 
 
 def _read_by_trimesh(file: Path) -> MeshFile:

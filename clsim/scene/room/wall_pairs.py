@@ -58,6 +58,8 @@ def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, 
     away = np.einsum("ni,ni->n", hull[first_hull[both[:, 1]]], normal[both[:, 0]]) - offset[both[:, 0]]
     both, _, _ = unique_rows(np.sort(both[np.abs(away) <= tolerance], axis=1))
     for wall, other in ((0, 1), (1, 0)):
+        if not len(both):  # all walls are bent by more
+            break
         away, at = heights_over(normal, offset, hull, first_hull, both[:, wall], both[:, other])
         both = both[np.maximum.reduceat(np.abs(away), at[:-1]) <= tolerance]
     return clusters(len(offset), both)[1]

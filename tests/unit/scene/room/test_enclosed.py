@@ -152,7 +152,8 @@ def test_obstacles_and_sheets_in_a_hall_with_a_door(rng: np.random.Generator) ->
 def test_a_closed_room_with_a_sheet_in_it_is_closed() -> None:
     sheet = np.array([(2, 1, 0.5), (4, 1, 0.5), (4, 1, 1.5), (2, 1, 1.5)]), np.array([(0, 1, 2), (0, 2, 3)])
     room = clsim.MeshRoom(*joined(box(HALL), sheet), WALL)
-    assert not room.is_closed
+    assert room.is_closed
+    assert room.volume == pytest.approx(np.prod(HALL), rel=1e-12)
     assert warned(room, *INSIDE, (3, 0.99, 1), (3, 1.01, 1)) == []
     with pytest.raises(clsim.InputError, match=r"receivers\[1\].trajectory: must be where other ends can be heard"):
         warned(room, *INSIDE[:2], (4, 3, 3.01))

@@ -1,0 +1,171 @@
+"""Meshes as they come: corners that nearly meet, corners on sides of other triangles, doubled and flat triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import as_number, unique_rows
+from clsim.errors import InputError
+from clsim.scene.room.mesh_cleaning import SMALLEST_AREA, WELD, clean_mesh, cross_products, mesh_shape
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+
+    Ints = NDArray[np.int64]
+
+HEAL = "auto"
+_TOLERANCES = (1e-4, 1e-3, 3e-3, 1.2e-2)  # m, of which "auto" takes the first that leaves the fewest open edges
+_OF_SIZE = 2e-3  # of the mesh's size, at most
+_LARGEST = 1.0  # m
+_MOST_ROUNDS = 100
+_LISTED = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Healed:
+    """A mesh that was healed."""
+
+    vertices: Floats  # (V, 3) m
+    triangles: Ints  # (T, 3)
+    origin: Ints  # (T,) the triangle before of which each is a part
+    notes: tuple[str, ...]  # what was changed
+    places: Floats  # (n, 3) m, where
+
+
+def heal_mesh(vertices: Floats, triangles: Ints, heal: str | float) -> Healed:
+    """Join what nearly meets.
+
+    Shapes: vertices (V, 3) m; triangles (T, 3). heal: "auto", "off", or a tolerance, m.
+
+    Corners nearer than the tolerance become one. A triangle with a corner of another one on its side is cut there, so
+    that no slit without an area is left. Triangles without area and copies are dropped. No corner moves by more than
+    the tolerance. "auto" tries tolerances from 0.1 to 12 mm, 2 per mille of the mesh's size at most, and takes the
+    first of those that leave the fewest open edges. A mesh that is closed, or that gains nothing, is left as it is.
+    """
+    as_it_is = Healed(vertices, triangles, np.arange(len(triangles)), (), np.empty((0, 3)))
+    if heal == "off":
+        return as_it_is
+    if isinstance(heal, str) and heal != HEAL:
+        raise InputError("heal", f"must be 'auto', 'off' or a tolerance in m, but is {heal!r}")
+    clean = clean_mesh(vertices, triangles)
+    start = _open_edges(clean.vertices, clean.triangles)
+    if heal == HEAL:
+        if start == 0:
+            return as_it_is
+        most = healing_tolerance(clean.vertices, heal)
+        tolerances = [t for t in _TOLERANCES if t <= most] or [most]
+    else:
+        tolerances = [as_number("heal", heal, at_least=WELD, at_most=_LARGEST, unit="m")]
+    found = []
+    for tolerance in tolerances:
+        healed = _joined(clean.vertices, clean.triangles, tolerance)
+        found.append((_open_edges(healed.vertices, healed.triangles), healed))
+        if found[-1][0] == 0:
+            break
+    left, best = min(found, key=lambda pair: pair[0])  # the first of the best
+    if heal == HEAL and left >= start:
+        return as_it_is
+    return Healed(best.vertices, best.triangles, clean.kept[best.origin], best.notes, best.places)
+
+
+def healing_tolerance(vertices: Floats, heal: str | float) -> float:
+    """Return the largest distance, m, by which a mesh (V, 3) is healed; 0 for "off"."""
+    if isinstance(heal, str):
+        return 0.0 if heal == "off" else min(_TOLERANCES[-1], _OF_SIZE * float(np.ptp(vertices, axis=0).max()))
+    return float(heal)
+
+
+def _open_edges(vertices: Floats, triangles: Ints) -> int:
+    """Count open edges, but for those of sheets in a closed room."""
+    return len(mesh_shape(vertices, triangles).open_edges)
+
+
+def _joined(vertices: Floats, triangles: Ints, tolerance: float) -> Healed:
+    """Weld corners, and cut triangles at corners that are on their sides."""
+    vertex, places, moved = _welded(vertices, tolerance)
+    corners, origin = vertex[triangles], np.arange(len(triangles))
+    notes, where = [], [vertices[moved > 0.0]]
+    if len(places) < len(vertices):
+        count = len(vertices) - len(places)
+        notes.append(f"healed: {count} corners joined to others, moved by {1e3 * moved.max():.3g} mm at most")
+    corners, origin = _without_flat(places, corners, origin)
+    cut: list[int] = []
+    for _ in range(_MOST_ROUNDS):
+        pieces = _cut_once(places, corners, origin, tolerance)
+        if pieces is None:
+            break
+        corners, origin, at = pieces
+        cut += at
+        corners, origin = _without_flat(places, corners, origin)
+    if cut:
+        notes.append(f"healed: sides cut at {len(set(cut))} corners that were on them, {_at(places[sorted(set(cut))])}")
+        where.append(places[sorted(set(cut))])
+    return Healed(places, corners, origin, tuple(notes), np.concatenate(where))
+
+
+def _welded(vertices: Floats, tolerance: float) -> tuple[Ints, Floats, Floats]:
+    """Index (V,) of the place that each vertex goes to, the places (n, 3), and how far each vertex moves (V,), m."""
+    from scipy.spatial import cKDTree
+
+    vertex = np.full(len(vertices), -1)
+    near: Any = cKDTree(vertices).query_ball_point(vertices, tolerance)
+    firsts: list[int] = []
+    for i, around in enumerate(near):
+        if vertex[i] < 0:
+            free = [j for j in around if vertex[j] < 0]
+            vertex[free] = len(firsts)
+            firsts.append(i)
+    places = vertices[firsts]
+    return vertex, places, np.linalg.norm(places[vertex] - vertices, axis=1)
+
+
+def _without_flat(places: Floats, corners: Ints, origin: Ints) -> tuple[Ints, Ints]:
+    """Drop triangles without area, and pairs that became the same to one of them."""
+    area = 0.5 * np.linalg.norm(cross_products(places[corners]), axis=1)
+    kept = np.flatnonzero(area > SMALLEST_AREA)
+    _, once, _ = unique_rows(np.sort(corners[kept], axis=1))
+    kept = kept[np.sort(once)]
+    return corners[kept], origin[kept]
+
+
+def _cut_once(places: Floats, corners: Ints, origin: Ints, tolerance: float) -> tuple[Ints, Ints, list[int]] | None:
+    """Cut every triangle with a corner on an open side of it there, once; None where there is none."""
+    sides = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    _, _, which = unique_rows(np.sort(sides, axis=1))
+    opened = np.flatnonzero((np.bincount(which) % 2 == 1)[which])
+    candidates = np.unique(sides[opened])
+    cuts: dict[int, tuple[int, int]] = {}  # triangle: which side, and the corner on it
+    for side in opened.tolist():
+        a, b = places[sides[side]]
+        along, length = (b - a) / np.linalg.norm(b - a), float(np.linalg.norm(b - a))
+        away = places[candidates] - a
+        at = away @ along
+        off = np.linalg.norm(away - at[:, None] * along, axis=1)
+        on = np.flatnonzero((off <= tolerance) & (at > tolerance) & (at < length - tolerance))
+        on = on[~np.isin(candidates[on], corners[side // 3])]
+        if len(on) and side // 3 not in cuts:
+            cuts[side // 3] = side % 3, int(candidates[on[np.argmin(at[on])]])
+    if not cuts:
+        return None
+    made, owner = [], []
+    for t, triangle in enumerate(corners.tolist()):
+        if t in cuts:
+            side, corner = cuts[t]
+            a, b, c = triangle[side:] + triangle[:side]
+            made += [[a, corner, c], [corner, b, c]]
+            owner += [origin[t]] * 2
+        else:
+            made.append(triangle)
+            owner.append(origin[t])
+    return np.array(made), np.array(owner), [corner for _, corner in cuts.values()]
+
+
+def _at(places: Floats) -> str:
+    """Say where the first of some places (n, 3) are."""
+    shown = ", ".join(f"({', '.join(f'{x:.3f}' for x in place)})" for place in places[:_LISTED])
+    return f"the first at {shown} m" if len(places) > 1 else f"at {shown} m"

@@ -1,0 +1,200 @@
+"""Polygons in space: cut into triangles, and smaller ones cut out of larger ones in whose plane they lie."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from clsim.arrays import Floats
+
+Ints = NDArray[np.int64]
+
+_AREA_TOLERANCE = 1e-6  # relative, between a polygon's own area and that of its triangles
+_PLANE_TOLERANCE = 1e-3  # of a polygon's size, beyond which it is called not planar
+_FLAT = 1e-12  # of the size squared, below which an area is rounding
+_PARALLEL = 1e-3  # sine of the angle between the planes of a polygon and of one that lies in it
+_MOSTLY = 0.9  # of a polygon's area, from which on it lies in another
+
+
+def new_counts() -> dict[str, int]:
+    """Return counts of what `cut_polygon` meets."""
+    return {"concave": 0, "bent": 0, "flat": 0}
+
+
+def polygon_notes(counts: dict[str, int]) -> tuple[str, ...]:
+    """Return sentences on what `cut_polygon` met."""
+    said = {
+        "concave": "concave {} ear-clipped.",
+        "bent": f"{{}} not planar (by more than {_PLANE_TOLERANCE:g} of the size) and cut into triangles.",
+        "flat": "{} without an area and left out.",
+    }
+    notes = []
+    for key, count in counts.items():
+        if count:
+            notes.append(f"{count} " + said[key].format("polygon was" if count == 1 else "polygons were"))
+    return tuple(notes)
+
+
+def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
+    """Cut a polygon into triangles.
+
+    Shapes: corners (n, 3).
+
+    corners: in order; concave, and touching itself along a seam, as polygons with holes are written.
+
+    result: indices of corners, turning as the polygon does; none for a polygon without area.
+    """
+    from mapbox_earcut import triangulate_float64
+
+    flat, depth, size = _project(corners)
+    area = 0.5 * float(np.sum(_cross(flat, np.roll(flat, -1, axis=0))))
+    if abs(area) <= _FLAT * size**2:
+        spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+        if spread[1] > np.sqrt(_FLAT) * size:
+            raise ValueError("must not cross itself, but the parts of its area cancel")
+        counts["flat"] += 1
+        return np.zeros((0, 3), dtype=np.int64)
+    cut = triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
+    signed = _areas(flat, cut)
+    if np.sum(signed) < 0.0:
+        cut = cut[:, ::-1]
+    covered = float(np.sum(np.abs(signed)))
+    if abs(covered - area) > _AREA_TOLERANCE * area:
+        raise ValueError(
+            f"must not cross itself: its area is {area:.7g}, but its triangles cover {covered:.7g} (units of the file)"
+        )
+    before, after = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
+    counts["concave"] += bool(np.any(_cross(before, after) < -_FLAT * size**2))
+    counts["bent"] += bool(depth > _PLANE_TOLERANCE * size)
+    return cut
+
+
+def _project(corners: Floats) -> tuple[Floats, float, float]:
+    """Return corners (n, 2) in the plane of Newell's normal, turning left, the largest distance from it, the size."""
+    local = corners - corners.mean(axis=0)
+    size = float(np.linalg.norm(np.ptp(local, axis=0)))
+    normal = np.sum(np.cross(local, np.roll(local, -1, axis=0)), axis=0)
+    length = float(np.linalg.norm(normal))
+    if length <= 2.0 * _FLAT * size**2:
+        return np.zeros((len(corners), 2)), 0.0, size
+    normal = normal / length
+    u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    u /= np.linalg.norm(u)
+    flat = np.ascontiguousarray(local @ np.stack([u, np.cross(normal, u)], axis=1))
+    return flat, float(np.max(np.abs(local @ normal))), size
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _areas(flat: Floats, cut: Ints) -> Floats:
+    a, b, c = (flat[cut[:, k]] for k in range(3))
+    return np.asarray(0.5 * _cross(b - a, c - a))
+
+
+def checked_polygons(value: Any, count: int) -> list[Ints]:
+    """Convert polygons to arrays (k,) of numbers below a count of corners."""
+    if isinstance(value, str) or not hasattr(value, "__len__") or not len(value):
+        raise InputError("polygons", f"must be lists of corner numbers, one at least, but are {value!r:.80}")
+    rows = []
+    for i, polygon in enumerate(value):
+        try:
+            row = np.asarray(polygon)
+        except ValueError:
+            row = np.empty((0, 0))
+        if row.ndim != 1 or len(row) < 3 or row.dtype.kind not in "iu":
+            raise InputError(f"polygons[{i}]", f"must be three corner numbers or more, but is {polygon!r:.80}")
+        if row.min() < 0 or row.max() >= count:
+            raise InputError(f"polygons[{i}]", f"must name corners from 0 to {count - 1}, but is {polygon!r:.80}")
+        rows.append(row.astype(np.int64))
+    return rows
+
+
+def triangulated(corners: Floats, polygons: list[Ints], which: list[int], near: float) -> tuple[Ints, Ints, list[str]]:
+    """Cut some polygons into triangles (T, 3), and return the polygon (T,) of each, and notes.
+
+    near: distance of planes, m, within which polygons that lie in others are cut out of them; 0 for never.
+    """
+    triangles, owner, counts = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)], new_counts()
+    inner, cut = without_inner(corners, [polygons[i] for i in which], near) if near > 0.0 else ([], [])
+    for place, i in enumerate(which):
+        if place in cut:
+            made = np.array(inner[place], dtype=np.int64).reshape(-1, 3)
+        else:
+            try:
+                made = polygons[i][cut_polygon(corners[polygons[i]], counts)]
+            except ValueError as error:
+                raise InputError(f"polygons[{i}]", str(error)) from None
+        triangles.append(made)
+        owner.append(np.full(len(made), i))
+    said = [f"{len(cut)} polygons have others in their plane, which were cut out of them."] if cut else []
+    return np.concatenate(triangles), np.concatenate(owner), [*polygon_notes(counts), *said]
+
+
+def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tuple[list[list[Ints]], list[int]]:
+    """Cut out of each polygon the smaller ones that lie in it, within a distance, m.
+
+    Shapes: corners (n, 3) m; polygons of corner numbers (k,).
+
+    result: of each polygon its triangles (T, 3) by part if it was cut, else none; and the polygons that were.
+    """
+    from shapely import Polygon
+    from shapely.constructive import constrained_delaunay_triangles
+
+    planes = [_plane(corners[polygon]) for polygon in polygons]
+    parts: list[list[Ints]] = [[] for _ in polygons]
+    cut: list[int] = []
+    for i, (polygon, (centre, axes, area)) in enumerate(zip(polygons, planes, strict=True)):
+        if area == 0.0:
+            continue
+        flat: list[Any] = []
+        inner: list[Ints] = []
+        for other, (_, turned, smaller) in zip(polygons, planes, strict=True):
+            if not 0.0 < smaller < area or np.linalg.norm(np.cross(axes[2], turned[2])) > _PARALLEL:
+                continue
+            local = (corners[other] - centre) @ axes.T
+            if np.abs(local[:, 2]).max() > near:
+                continue
+            if not flat:
+                flat.append(Polygon(((corners[polygon] - centre) @ axes.T)[:, :2]))
+            shape = Polygon(local[:, :2])
+            if shape.is_valid and flat[0].is_valid and flat[0].intersection(shape).area > _MOSTLY * shape.area:
+                flat.append(shape)
+                inner.append(other)
+        if not inner:
+            continue
+        left = flat[0]
+        for shape in flat[1:]:
+            left = left.difference(shape)
+        known = np.concatenate([polygon, *inner])
+        places = ((corners[known] - centre) @ axes.T)[:, :2]
+        for triangle in constrained_delaunay_triangles(left).geoms:
+            ring = np.array(triangle.exterior.coords)[:3]
+            apart = np.linalg.norm(places - ring[:, None], axis=2)
+            if np.any(apart.min(axis=1) > near):
+                continue
+            parts[i].append(known[apart.argmin(axis=1)])
+        cut.append(i)
+    return parts, cut
+
+
+def _plane(corners: Floats) -> tuple[Floats, Floats, float]:
+    """Middle (3,) of a polygon (n, 3), axes (3, 3) of which the last is its normal, and its area, m²."""
+    centre = corners.mean(axis=0)
+    local = corners - centre
+    normal = 0.5 * np.sum(np.cross(local, np.roll(local, -1, axis=0)), axis=0)
+    area = float(np.linalg.norm(normal))
+    if area == 0.0:
+        return centre, np.eye(3), 0.0
+    normal = normal / area
+    u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    u /= np.linalg.norm(u)
+    return centre, np.stack([u, np.cross(normal, u), normal]), area

@@ -1,0 +1,258 @@
+"""Meshes as they come: damaged rooms are the rooms that they were, clean ones keep every bit, measured rooms close."""
+
+import csv
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from exhaustive import few
+
+import clsim
+from clsim.scene.room.healing import heal_mesh
+
+WALL = clsim.Material.from_reflection(0.9)
+# Where the published files of measured rooms are.
+MEASURED = Path(
+    os.environ.get("CLSIM_MEASURED_ROOMS", Path(__file__).resolve().parents[5] / "shared" / "data" / "measured")
+)
+DAMAGES = ("cuts", "flips", "copies", "jitter", "split", "in line")
+
+
+def rooms() -> list[clsim.MeshRoom]:
+    """Ten rooms without a flaw, all of which hold (1, 1, 1) and (2.6, 1.2, 1.4)."""
+    plans: list[Any] = [
+        [(0, 0), (5, 0), (5, 4), (0, 4)], [(0, 0), (6, 0), (6, 3), (3, 3), (3, 6), (0, 6)],
+        [(0, 0), (5, 0), (6, 2.5), (4, 5), (1, 5), (-1, 2)], [(0, 0), (5, 0.3), (4.4, 4), (0.2, 3.5)],
+        [(0, 0), (6, 0), (6, 4), (4, 4), (4, 2), (2, 2), (2, 4), (0, 4)],
+    ]  # fmt: skip
+    made = [clsim.MeshRoom.from_plan(plan, 2.7, WALL) for plan in plans]
+    made.append(clsim.MeshRoom.from_plan(plans[0], 2.5, WALL, [[(3, 2.5), (3.5, 2.5), (3.5, 3), (3, 3)]]))
+    made.append(clsim.MeshRoom.from_plan(plans[1], 2.5, WALL, [[(1.5, 4), (2, 4), (1.7, 4.4)]]))
+    box = clsim.Shoebox((0.7, 0.6, 0.9), WALL).as_mesh()
+    crate = clsim.MeshRoom(box.vertices + np.array([3.5, 2.0, 0.6]), box.triangles, WALL)
+    made += [clsim.MeshRoom.joined([made[0], crate]), clsim.MeshRoom.joined([made[3], crate])]
+    return [*made, clsim.Shoebox((5.0, 4.0, 3.0), WALL).as_mesh()]
+
+
+def damaged(room: clsim.MeshRoom, damage: str, rng: np.random.Generator) -> tuple[np.ndarray, list[Any], float]:
+    """Corners and polygons of a damaged room, and by how much corners were moved at most, m."""
+    corners, triangles = [*room.vertices.tolist()], [list(map(int, t)) for t in room.triangles]
+    chosen = rng.permutation(len(triangles))[: max(2, len(triangles) // 4)].tolist()
+    if damage in ("cuts", "in line"):
+        for t in chosen:
+            a, b, c = np.roll(triangles[t], rng.integers(3)).tolist()
+            share = rng.uniform(0.2, 0.8)
+            corners.append([(1.0 - share) * x + share * y for x, y in zip(corners[a], corners[b], strict=True)])
+            new = len(corners) - 1
+            if damage == "in line":
+                triangles[t] = [a, new, b, c]
+            else:
+                triangles[t] = [a, new, c]
+                triangles.append([new, b, c])
+    elif damage == "flips":
+        for t in chosen:
+            triangles[t].reverse()
+    elif damage == "copies":
+        triangles += [np.roll(triangles[t], 1).tolist() for t in chosen]
+    else:
+        each = room.vertices[room.triangles].reshape(-1, 3)
+        most = 3e-5 if damage == "jitter" else 0.0
+        moved = each + rng.uniform(-1.0, 1.0, each.shape) * most / np.sqrt(3.0)
+        return moved, np.arange(len(each)).reshape(-1, 3).tolist(), most
+    return np.array(corners), triangles, 0.0
+
+
+def delays(room: clsim.MeshRoom) -> np.ndarray:
+    tone = clsim.Signal.tone(40e3, 0.01, 192e3, fade=0.002)
+    source = clsim.Source("s", tone, clsim.Trajectory.fixed((1.0, 1.0, 1.0)))
+    ear = clsim.Receiver("r", clsim.Trajectory.fixed((2.6, 1.2, 1.4)))
+    table = clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], [ear]), 2, diffraction=0).table([0.0])
+    return np.sort(table.delay[np.abs(table.gain[:, 0]) > 0.0, 0])
+
+
+@pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")  # of edges, which are left out
+@pytest.mark.parametrize("number", few(range(200), kept=range(0, 12)))
+def test_a_damaged_room_is_the_room_that_it_was(number: int, rng: np.random.Generator) -> None:
+    room, damage = rooms()[number % 10], DAMAGES[(number + number // 10) % 6]
+    corners, polygons, moved = damaged(room, damage, rng)
+    healed = clsim.MeshRoom.from_polygons(corners, polygons, WALL, flatness=1e-3)
+    assert healed.is_closed, healed.describe()
+    assert room.volume is not None
+    assert healed.volume == pytest.approx(room.volume, rel=1e-3)
+    before, after = delays(room), delays(healed)
+    assert len(before) == len(after)
+    # Each of two walls, met at up to right angles, moves an image by twice as much.
+    np.testing.assert_allclose(after, before, atol=(8.0 * (moved + 1e-4 * (moved > 0.0)) + 1e-9) / 343.0)
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_a_clean_room_keeps_every_bit(number: int) -> None:
+    room = rooms()[number]
+    healed = heal_mesh(room.vertices, room.triangles, "auto")
+    np.testing.assert_array_equal(healed.vertices, room.vertices)
+    np.testing.assert_array_equal(healed.triangles, room.triangles)
+    assert not healed.notes
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 5e-3])
+def test_no_corner_moves_further_than_it_may(tolerance: float, rng: np.random.Generator) -> None:
+    room = rooms()[1]
+    each = room.vertices[room.triangles].reshape(-1, 3)
+    each = each + rng.uniform(-1.0, 1.0, each.shape) * 0.9 * tolerance
+    healed = heal_mesh(each, np.arange(len(each)).reshape(-1, 3), tolerance)
+    for place in healed.vertices:
+        assert np.linalg.norm(each - place, axis=1).min() == 0.0  # places are corners that were there
+    for i, corner in enumerate(each):  # of triangles that are left, whose corners are near
+        if i // 3 in healed.origin:
+            assert np.linalg.norm(healed.vertices - corner, axis=1).min() <= tolerance
+
+
+def test_heal_off_and_open_meshes_change_nothing(rng: np.random.Generator) -> None:
+    corners, polygons, _ = damaged(rooms()[0], "split", rng)
+    moved = corners + rng.uniform(-1e-4, 1e-4, corners.shape)
+    raw = clsim.MeshRoom.from_polygons(moved, polygons, WALL, heal="off")
+    assert not raw.is_closed
+    assert raw.volume is None
+    screen = clsim.MeshRoom([(0, 0, 0), (2, 0, 0), (2, 0, 1), (0, 0, 1)], [(0, 1, 2), (0, 2, 3)], WALL)
+    healed = heal_mesh(screen.vertices, screen.triangles, "auto")
+    np.testing.assert_array_equal(healed.triangles, screen.triangles)
+
+
+def test_a_window_is_cut_out_of_its_wall() -> None:
+    """A smaller polygon wins: its area is of its material, once, and the room stays closed."""
+    glass = clsim.Material.from_reflection(0.98)
+    box = [(x, y, z) for z in (0, 3) for y in (0, 4) for x in (0, 5)]
+    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    window = [(5, 1, 1), (5, 2, 1), (5, 2, 2), (5, 1, 2)]
+    room = clsim.MeshRoom.from_polygons([*box, *window], [*sides, (8, 9, 10, 11)], [WALL] * 6 + [glass])
+    assert room.is_closed
+    assert room.volume == pytest.approx(60.0, rel=1e-12)
+    assert room.surface_area == pytest.approx(2 * (20 + 15 + 12), rel=1e-12)
+    corners = room.vertices[room.triangles]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    of_glass = [material is glass for material in room.triangle_materials]
+    assert area[of_glass].sum() == pytest.approx(1.0, rel=1e-12)
+
+
+def test_sheets_hang_in_a_closed_room() -> None:
+    box = [(x, y, z) for z in (0, 3) for y in (0, 4) for x in (0, 5)]
+    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    curtain = [(4.5, 1, 0.5), (4.5, 3, 0.5), (4.5, 3, 2.5), (4.5, 1, 2.5)]
+    room = clsim.MeshRoom.from_polygons([*box, *curtain], [*sides, (8, 9, 10, 11)], WALL, double_sided=[6])
+    assert room.is_closed
+    assert room.volume == pytest.approx(60.0, rel=1e-12)
+    assert room.contains([(4.7, 2.0, 1.0), (4.0, 2.0, 1.0), (5.5, 2.0, 1.0)]).tolist() == [True, True, False]
+    assert len(room.edges()) == 4  # of the curtain alone: the room's have no air outside
+    assert "watertight, but for sheets of 2 triangles" in " ".join(room.describe())
+
+
+@pytest.mark.parametrize(
+    ("polygons", "more", "problem"),
+    [
+        ([], {}, "polygons: must be lists of corner numbers"), ([(0, 1)], {}, r"polygons\[0\]: must be three corner"),
+        ([(0, 1, 9)], {}, r"polygons\[0\]: must name corners from 0 to 3"),
+        ([(0, 2, 1, 3)], {}, r"polygons\[0\]: must not cross itself"),
+        ([(0, 1, 2)], {"double_sided": [1]}, r"double_sided\[0\]: must be from 0 to 0"),
+        ([(0, 1, 2)], {"double_sided": [0]}, "double_sided: must leave polygons"),
+        ([(0, 1, 2)], {"heal": "yes"}, "heal: must be 'auto', 'off' or a tolerance"),
+        ([(0, 1, 2)], {"heal": -1.0}, "heal: must be at least"), ([(0, 1, 2)], {"heal": float("nan")}, "heal: must be"),
+        ([(0, 1, 2)], {"labels": []}, "labels: must be one per polygon"),
+    ],
+)  # fmt: skip
+def test_polygons_with_something_wrong(polygons: Any, more: dict[str, Any], problem: str) -> None:
+    with pytest.raises(clsim.InputError, match=problem):
+        clsim.MeshRoom.from_polygons([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], polygons, WALL, **more)
+
+
+AC = """AC3Db
+MATERIAL "brick wall" rgb 1 1 1 amb 0 0 0 emis 0 0 0 spec 0 0 0 shi 0 trans 0
+MATERIAL "glass" rgb 1 1 1 amb 0 0 0 emis 0 0 0 spec 0 0 0 shi 0 trans 0
+OBJECT world
+kids 1
+OBJECT group
+name "moved"
+loc 0 2 0
+rot 0 1 0 -1 0 0 0 0 1
+kids 1
+OBJECT poly
+name "one side"
+data 5
+hello
+loc 1 0 0
+numvert 4
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+numsurf 2
+SURF 0x20
+mat 1
+refs 4
+0 0 0
+1 0 0
+2 0 0
+3 0 0
+SURF 0x2
+mat 0
+refs 2
+0 0 0
+1 0 0
+kids 0
+"""
+
+
+def test_ac3d_files(tmp_path: Path) -> None:
+    """Objects are turned and moved within the ones above; materials go by name, and lines are left out."""
+    path = tmp_path / "side.ac"
+    path.write_text(AC)
+    glass = clsim.Material.from_reflection(0.5)
+    room = clsim.MeshRoom.from_file(path, materials={"glass": glass})
+    assert room.faces.materials == (glass,)
+    # rot has the images of the axes as rows: x becomes (0, 1, 0), y becomes (-1, 0, 0); then 2 along y.
+    assert sorted(map(tuple, room.vertices.round(9).tolist())) == [(-1, 3, 0), (-1, 4, 0), (0, 3, 0), (0, 4, 0)]
+    for old, new, problem in (
+        ("AC3Db", "OFF", "must be an AC3D file"), ("mat 1", "mat 7", "must use materials from 0 to 1, but uses 7"),
+        ("numvert 4", "numvert 4e9", "line 16 must have a count"), ("2 0 0\n3", "9 0 0\n3", "must name a corner from 0 to 3"),
+        ("0 1 0\nnumsurf", "0 nan\nnumsurf", "must have 3 numbers"), ("refs 4", "refs x", "must have 1 numbers"),
+        ("0 1 0\nnumsurf", "0 nan 0\nnumsurf", "vertices must be finite"), ("SURF 0x20", "SURF red", "must have the flags"),
+        ("SURF 0x20", "SURF 0x1", "must hold faces"),
+    ):  # fmt: skip
+        path.write_text(AC.replace(old, new, 1))
+        with pytest.raises(clsim.InputError, match=problem):
+            clsim.MeshRoom.from_file(path, materials=glass)
+
+
+@pytest.mark.skipif(not MEASURED.exists(), reason="the measured rooms are not here")
+def test_the_seminar_room_of_the_bras_closes() -> None:
+    room = clsim.MeshRoom.from_file(MEASURED / "bras_cr2" / "scene9.ac", up="y", materials=WALL)
+    assert room.is_closed
+    assert room.volume == pytest.approx(146.1, rel=1e-3)
+    assert room.surface_area == pytest.approx(202.5, rel=1e-3)
+    assert any("healed: sides cut at 4 corners" in note for note in room.notes)
+
+
+@pytest.mark.skipif(not MEASURED.exists(), reason="the measured rooms are not here")
+@pytest.mark.parametrize("curtains", ["open", "closed"])
+def test_the_studio_of_the_ptb_closes(curtains: str) -> None:
+    """Phase 3: 654 triangles as published, 8 more about the window that is cut out of a wall, and the curtains."""
+    places: dict[int, list[float]] = {}
+    for row in csv.DictReader((MEASURED / "ptb_studio" / "corners.csv").read_text("utf-8").splitlines()):
+        if int(row["corner"]) not in places or row["phase"] == "3":
+            places[int(row["corner"])] = [float(row[axis]) for axis in ("x_m", "y_m", "z_m")]
+    number = {corner: i for i, corner in enumerate(places)}
+    polygons, sheets = [], []
+    for row in csv.DictReader((MEASURED / "ptb_studio" / "planes.csv").read_text("utf-8").splitlines()):
+        if row["curtains"] not in ("both", curtains) or (row["sheet"] == "planes" and row["plane"] in ("10", "25")):
+            continue
+        sheets += [len(polygons)] if row["double_sided"] == "yes" else []
+        polygons.append([number[int(corner)] for corner in row["corners"].split()])
+    room = clsim.MeshRoom.from_polygons(list(places.values()), polygons, WALL, double_sided=sheets)
+    assert room.is_closed
+    assert len(sheets) == {"open": 6, "closed": 2}[curtains]
+    assert np.count_nonzero(~room.shape.sheets) == 662
+    low, high = room.extent
+    held = room.contains(np.random.default_rng(0).uniform(low, high, (40_000, 3))).mean()
+    assert room.volume == pytest.approx(377.2, rel=1e-3)
+    assert room.volume == pytest.approx(held * np.prod(high - low), rel=3.0 * np.sqrt((1.0 - held) / held / 40_000))
