@@ -46,6 +46,10 @@ def raise_on_interrupt() -> None:
 def ignore_interrupts() -> None:
     """Ignore Ctrl-C from now on: the exit status is known, and the process ends."""
     sys.unraisablehook = _drop_interrupt
+    if "asyncio" in sys.modules:  # reports tasks of Zarr that were interrupted when they are collected
+        import logging
+
+        logging.getLogger("asyncio").disabled = True
     if hasattr(signal, "pthread_sigmask"):  # a handler that a library puts back is not called either
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -191,6 +191,31 @@ def test_a_command_that_is_done_is_not_interrupted_by_a_handler_that_comes_back(
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 
 
+ABANDONED = """
+import asyncio, gc
+from clsim import process
+loop = asyncio.new_event_loop()
+task = loop.create_task(asyncio.sleep(9.0))
+loop.run_until_complete(asyncio.sleep(0.0))
+process.ignore_interrupts()
+del task
+loop.close()
+del loop
+gc.collect()
+"""
+
+
+def test_a_task_that_an_interrupt_left_pending_is_not_reported() -> None:
+    """As those of Zarr, which are collected after the command has said that it was interrupted."""
+    done = subprocess.run(
+        [sys.executable, "-c", ABANDONED], env=ENVIRONMENT, capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    reported = ABANDONED.replace("process.ignore_interrupts()", "")
+    done = subprocess.run([sys.executable, "-c", reported], env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    assert "Task was destroyed but it is pending" in done.stderr
+
+
 def test_a_folder_that_is_still_written_into_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As by a thread of Zarr, which goes on for a moment after the process was interrupted."""
     folder, rmdir, late = tmp_path / "store", os.rmdir, iter(["first", "second"])

@@ -218,7 +218,7 @@ class MeshRoom:
         double_sided : sequence of int
             Numbers of polygons that are sheets in the room, such as curtains; they are not healed, nor cut out.
         heal : {"auto", "off"} or float
-            As in `from_file`.
+            As in `from_file`, m.
         flatness : float
             As in `MeshRoom`, m.
         labels : sequence of str, optional

@@ -23,6 +23,7 @@ WELD = 1e-6  # m; vertices nearer than this are one
 SMALLEST_AREA = 1e-12  # m²
 _FLAT = 1e-3  # of a panel's thickness, by which its two sides may be uneven
 _EVEN = 1e-3  # of the mesh's size, by which a sheet may be bent
+_RAY = np.array([0.3607, 0.4783, 0.8007])  # a direction that no wall is likely to lie along
 _HOLES_LISTED = 5
 
 
@@ -244,10 +245,24 @@ def _sheets(vertices: Floats, triangles: NDArray[np.int64], which: NDArray[np.in
     left = np.bincount(which[~sheets[owner]], minlength=len(uses))
     if sheets.all() or np.any(left % 2 == 1):
         return none
-    room, hung = (vertices[triangles[mask]].reshape(-1, 3) for mask in (~sheets, sheets))
-    near = _EVEN * size
-    within = np.all(hung >= room.min(axis=0) - near) and np.all(hung <= room.max(axis=0) + near)
-    return sheets if within else none
+    middles = vertices[triangles[sheets]].mean(axis=1)
+    return sheets if np.all(_surrounded(middles, vertices[triangles[~sheets]])) else none
+
+
+def _surrounded(points: Floats, corners: Floats) -> NDArray[np.bool_]:
+    """Return mask of points (n, 3) from which a ray leaves through an odd number of triangles (T, 3, 3)."""
+    a, along, up = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(_RAY, up)
+    scale = np.einsum("ti,ti->t", along, across)
+    scale = np.where(np.abs(scale) > 1e-300, scale, np.inf)
+    found = np.zeros(len(points), dtype=bool)
+    for i, point in enumerate(points):
+        away = point - a
+        turned = np.cross(away, along)
+        u, v = np.einsum("ti,ti->t", away, across) / scale, turned @ _RAY / scale
+        met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (np.einsum("ti,ti->t", up, turned) / scale > 0.0)
+        found[i] = np.count_nonzero(met) % 2 == 1
+    return found
 
 
 def describe_mesh(

@@ -64,7 +64,7 @@ SLIDE = clsim.Trajectory.line((3, 2, 3), (4, 3, 3), 0.02)
         ("box", (3, 2, 3), (0, 0, 1), r"flush: must point into the room from z_max"),
         ("mesh", (3, 2, 3), (0, 0, 1), r"sources\[0\]\.trajectory: .*outside the room"),
         ("mesh", (3, 2, 3), (1, 0, 0), r"flush: must point off the wall 'z_max', but 1, 0, 0 runs along it"),
-        ("parted", (4, 2, 1), True, r"flush: must be a direction off the wall .* because the mesh is open"),
+        ("parted", (4, 2, 1), True, r"flush: must be a direction off the wall .* because both sides are inside"),
         ("box", clsim.Trajectory.line((3, 2, 3), (3, 2, 2), 0.02), True, r"stay in the plane of the wall .*\(3, 2, 2\."),
         ("mesh", clsim.Trajectory.line((3, 2, 3), (3, 2, 2), 0.02), True, r"stay in the plane of the wall .*\(3, 2, 2\."),
         ("box", clsim.Trajectory.line((3, 2, 3), (9, 2, 3), 0.1), True, r"must stay inside the room"),
