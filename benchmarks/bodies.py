@@ -16,8 +16,8 @@ import numpy as np
 
 import clsim
 from clsim.paths.path_set import PathSet
-from clsim.render.opencl import node_programs
 from clsim.render.opencl.engine import OpenclEngine
+from clsim.render.opencl.path_columns import COLUMNS
 
 RATE = 192e3
 ROUNDS = 7
@@ -123,9 +123,9 @@ def main() -> None:
             paths = filled(both if not swift else clsim.find_paths(scene(door=True, swift=True), order))
             nodes_of(paths)  # builds programs
             walls, moving = np.min([nodes_of(paths) for _ in range(ROUNDS)], axis=0)
-            program = node_programs.NODE_PROGRAMS.pop("bodies")
+            program = COLUMNS.pop("bodies")
             by_host = min(nodes_of(paths)[1] for _ in range(2))
-            node_programs.NODE_PROGRAMS["bodies"] = program
+            COLUMNS["bodies"] = program
             print(
                 f"  source {'in circles' if swift else 'on a line'}: a node {1e9 * walls:.0f} ns by walls, by the door "
                 f"{moving / walls:.2f} times that; by the door on the host {by_host / walls:.1f} times"

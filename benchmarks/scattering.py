@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 import clsim
-from clsim.render.opencl.node_programs import NODE_PROGRAMS
+from clsim.render.opencl.path_columns import COLUMNS
 
 RATE = 192e3
 PARTS = [  # name, semi-axes, m, height, m, swing along the way, m, and its phase, rad
@@ -71,7 +71,7 @@ def main() -> None:
     spent = []
     for name, scatterers in (("room alone", []), ("a person", walker(duration)), ("nodes by host", walker(duration))):
         if name == "nodes by host":
-            del NODE_PROGRAMS["scatterers"]
+            del COLUMNS["scatterers"]
         count, planning, rendering, wall = measured(duration, scatterers)
         spent.append(rendering)
         print(

@@ -55,12 +55,12 @@ MOTION = {
     "pose_cells": taken("int", "things, pose_count + 1"),
 }  # fmt: skip
 MEDIUM = {"speed_of_sound": DOUBLE, "wind": taken("double", "3")}
-PATHS_HEARD = {
+PATHS_ACTIVE = {
     "reflection": taken("bins", "slots, PARTS, BIN_VECTORS"),
     "wall_of": taken("int", "angular, slots"),
     "normal": taken("float", "angular, 3, slots"),
-    "heard_from": taken("int", "slots"),
-    "heard_until": taken("int", "slots"),
+    "active_from": taken("int", "slots"),
+    "active_until": taken("int", "slots"),
 }  # fmt: skip
 BASIS = {
     "air_and_functions": taken("bins", "2 AIR_TERMS + 1 + function_count PARTS, BIN_VECTORS"),
@@ -75,14 +75,14 @@ TABLES = {
 NODES_MADE = {
     "delay": made("int", "blocks, slots"),
     "polynomials": made("float", "blocks, slots, terms"),
-    "found": made("float4", "walks, slots"),
-    "unheld": made("float", "walks, slots"),
+    "found": made("float4", "segments, slots"),
+    "residual": made("float", "segments, slots"),
     "active_cells": taken("int", "2, cells"),
     "activity": made("int", "blocks, slots"),
 }
 BLOCK_NUMBERS = {
     "subblock_share": FLOAT, "function_count": INT, "angular": INT, "nodes": INT, "blocks": INT, "block_samples": INT,
-    "walk_blocks": INT, "subblock_samples": INT, "cells": INT,
+    "segment_blocks": INT, "subblock_samples": INT, "cells": INT,
 }  # fmt: skip
 FIELD_TABLES = {
     "field_tables": taken("bins", "1 + CELLS 4 PARTS, BIN_VECTORS"),

@@ -29,7 +29,7 @@ from clsim.opencl.arguments import (
     MEETINGS,
     MOTION,
     NODES_MADE,
-    PATHS_HEARD,
+    PATHS_ACTIVE,
     PRESSURE,
     TABLES,
     VIEWS,
@@ -55,10 +55,16 @@ class Program:
 
 _TRIPLES = ("common/float64.h", "common/triple.h")
 _PROPAGATION = (*_TRIPLES, "common/side_by_side.h", "paths/trajectory.h", "paths/delay.h")
-_WAYS = (
-    "paths/pose.h", "nodes/sides.h", "nodes/edge_view.h", "nodes/views.h", "nodes/image.h", "nodes/glint.h",
-    "nodes/capsule.h", "nodes/scattering.h", "nodes/scattered_way.h", "nodes/mirrors.h", "nodes/events.h",
-    "nodes/more.h",
+_PATHS = (
+    "paths/pose.h", "nodes/path.h", "nodes/legs/static.h", "nodes/legs/moving.h", "nodes/legs/events.h",
+    "nodes/vertices/edge.h", "nodes/vertices/ellipsoid.h", "nodes/vertices/capsule.h", "nodes/vertices/scatterer.h",
+    "nodes/vertices/scattered_legs.h",
+)  # fmt: skip
+_FIELDS = (
+    "nodes/prediction.h", "nodes/vertices/transition.h", "nodes/solve.h", "nodes/vertices/edge_end.h",
+    "nodes/vertices/edge_field.h",
+    "nodes/vertices/capsule_field.h", "nodes/vertices/sphere.h", "nodes/vertices/scattered_field.h",
+    "nodes/legs/mirrored_field.h", "nodes/node_gains.h",
 )  # fmt: skip
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
@@ -82,8 +88,9 @@ _NODE_CONSTANTS = {
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
 # What is between the ends, and how it is found where they are scattered.
 _KINDS = {
-    "EDGES", "SCATTERERS", "BODIES", "MORE", "POINT", "CAPSULE", "SPHERE", "LONGEST_STEP", "GLINT_FAR", "GLINT_FOUND",
-    "SETTLED", "FLATTEST", "NO_WAY", "ON_LINE", "PATIENCE", "BEYOND_LEG", "POSE_COLUMNS", "FACE_COLUMNS",
+    "LEG", "STATIC", "MOVING", "MIRRORS", "VERTEX", "NONE", "EDGE", "SCATTERER", "POINT", "CAPSULE", "SPHERE",
+    "LONGEST_STEP", "SPECULAR_FAR", "SPECULAR_FOUND", "SETTLED", "FLATTEST", "NO_PATH", "ON_LINE", "PATIENCE",
+    "BEYOND_LEG", "POSE_COLUMNS", "FACE_COLUMNS",
 }  # fmt: skip
 _OF_GAINS = {
     "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION", "LEFT_OUT", "END_CELLS", "END_TERMS",
@@ -119,40 +126,38 @@ PROGRAMS = {
         frozenset({"LANES", "VECTORS", "OVERSAMPLING", "CELL"}),
     ),
     "coarse_delays": Program(
-        (*_PROPAGATION, *_WAYS, "nodes/coarse_delays.cl"),
+        (*_PROPAGATION, *_PATHS, "nodes/coarse_delays.cl"),
         {
             **MOTION,
             **IMAGES,
             **VIEWS,
             "receivers": taken("receiver_node", "receivers, ends"),
             "ends": INT,
-            "walk_time": DOUBLE,
+            "segment_time": DOUBLE,
             "delays": made("double", "ends, 2, slots"),
-            "more": made("double", "ends, MORE, slots"),
+            "states": made("double", "ends, STATE_NUMBERS, slots"),
         },
         frozenset(_DELAY_CONSTANTS | _KINDS | {"RECEIVER_DIRECTIVITY", "OMNI", "SPHERICAL", "CUBIC_COLUMNS"}),
     ),
     "tracks": Program(
         (
-            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h", *_WAYS,
-            "nodes/transition_table.h", "nodes/edge_end.h", "nodes/edge_field.h", "nodes/capsule_field.h",
-            "nodes/sphere_field.h", "nodes/septic.h", "nodes/scattered_gains.h", "nodes/body_gains.h",
-            "nodes/solve_nodes.h", *_POLYNOMIALS, "nodes/block.h", "nodes/write_delay.h", "nodes/smooth.h",
+            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
+            *_PATHS, *_FIELDS, *_POLYNOMIALS, "nodes/delay_polynomials.h", "nodes/block.h", "nodes/smooth.h",
             "nodes/cell.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **MOTION,
             "run": structure(
                 "run_numbers", sampling_rate=DOUBLE, delay_samples=DOUBLE, emitted_first=DOUBLE, emitted_last=DOUBLE,
-                origin=DOUBLE, max_rate=DOUBLE, middle=DOUBLE, angular_frequency=FLOAT, smooth=FLOAT, first_walk=INT,
+                origin=DOUBLE, max_rate=DOUBLE, middle=DOUBLE, angular_frequency=FLOAT, smooth=FLOAT, first_segment=INT,
                 oversampling=INT, **BLOCK_NUMBERS,
             ),
             **IMAGES,
             **VIEWS,
-            **PATHS_HEARD,
+            **PATHS_ACTIVE,
             "receivers": taken("receiver_node", "receivers, nodes"),
-            "coarse_delays": taken("double", "ends of walks, 2, slots"),
-            "coarse_more": taken("double", "ends of walks, MORE, slots"),
+            "coarse_delays": taken("double", "ends of segments, 2, slots"),
+            "coarse_states": taken("double", "ends of segments, STATE_NUMBERS, slots"),
             **BASIS,
             **TABLES,
             **NODES_MADE,
@@ -174,7 +179,7 @@ PROGRAMS = {
             "image_matrix": taken("float2", "9, slots"),
             "image_offset": taken("float2", "3, slots"),
             "receiver_of": taken("int", "slots"),
-            **PATHS_HEARD,
+            **PATHS_ACTIVE,
             "receivers": taken("pair_receiver", "receivers, nodes"),
             "knots": taken("float", "knot_count, KNOT_COLUMNS"),
             "rests": taken("float", "knot_count, CUBIC_COLUMNS"),

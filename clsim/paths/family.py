@@ -126,7 +126,7 @@ class PathFamily(ABC):
 
     @property
     def device(self) -> str | None:
-        """Program that knows this kind's columns (see ``render/opencl/node_programs.py``), or None.
+        """Program that knows this kind's columns (see ``render/opencl/path_columns.py``), or None.
 
         Without one the host makes the nodes of the same sum.
         """

@@ -29,7 +29,7 @@ from clsim.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from clsim.render.opencl.device_nodes import DeviceNodes
+    from clsim.render.opencl.nodes import Nodes
     from clsim.render.plan import Plan
 
 RATE = 192e3
@@ -105,11 +105,11 @@ class _TimedMaker:
         self._engine, self._maker = engine, maker
         self.prepare = maker.prepare
 
-    def nodes(self, *arguments: Any) -> DeviceNodes:
+    def nodes(self, *arguments: Any) -> Nodes:
         """Make nodes, and add the time taken (s) to the engine's."""
         self._engine.finish()
         begun = time.perf_counter()
-        made: DeviceNodes = self._maker.nodes(*arguments)
+        made: Nodes = self._maker.nodes(*arguments)
         self._engine.seconds += time.perf_counter() - begun
         return made
 

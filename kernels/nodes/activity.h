@@ -3,7 +3,7 @@
 #define NEVER 0x7fffffff
 
 typedef struct {
-    __global const int* following;  // [cells], the next cell that sounds, or `cells`; itself if it does
+    __global const int* following;  // [cells], the next active cell, or `cells`; itself if it does
     __global const int* preceding;  // [cells], the one before, or -1
     int cells;
     real origin;                    // sample of the branches at the run's first sample, without delay
@@ -16,14 +16,14 @@ static int cell_at(const activity_mask* s, real sample)
     return cell < 0 ? 0 : cell < (real)s->cells ? (int)cell : s->cells - 1;
 }
 
-// Whether anything is heard in a block, for delays between two bounds, samples.
+// Whether anything is active in a block, for delays between two bounds, samples.
 static int is_active(const activity_mask* s, int block, real shortest, real longest)
 {
     const real start = s->origin + (real)block * s->block_samples;
     return s->following[cell_at(s, start - longest)] <= cell_at(s, start + s->block_samples - shortest);
 }
 
-// First block, from a given one on, in which anything may be heard, for delays between two bounds, samples.
+// First block, from a given one on, in which anything may be active, for delays between two bounds, samples.
 static int next_active(const activity_mask* s, int block, real shortest, real longest)
 {
     const real start = s->origin + (real)block * s->block_samples;
@@ -32,11 +32,11 @@ static int next_active(const activity_mask* s, int block, real shortest, real lo
     return cell == s->cells ? NEVER : begin > 0 ? block + (int)(begin * ((real)1 / s->block_samples)) : block;
 }
 
-// First block of a walk, from a given one on, in which something may be heard, as far as its ends say: all times are in
+// First block of a segment, from a given one on, in which something may be active, as far as its ends say: all times are in
 // blocks, delays in samples. They are `late0` at the first block and `late1` after the last one, and drift so fast at most.
-static int next_heard(const activity_mask* s, int block, int first, int last, int walk, real late0, real late1, real drift)
+static int next_active_block(const activity_mask* s, int block, int first, int last, int segment, real late0, real late1, real drift)
 {
-    const real before = drift * (real)(block - first), until_end = drift * (real)(walk - (block - first));
+    const real before = drift * (real)(block - first), until_end = drift * (real)(segment - (block - first));
     const real low0 = late0 - before, low1 = late1 - until_end, high0 = late0 + before, high1 = late1 + until_end;
     const real low = low0 > low1 ? low0 : low1, high = high0 < high1 ? high0 : high1;
     const int ahead_of = next_active(s, block, low - until_end - 2, high + until_end + 2);

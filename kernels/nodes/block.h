@@ -1,6 +1,6 @@
 // From four neighbouring nodes to the cubics of the block between the middle two: Hermite for the delay, whose
 // derivatives are exact, Catmull-Rom for the gain. Polynomials are in t, -1 at the block's start and 1 at its end.
-// With DELAY_TERMS == 8, for long blocks of few samples, the delay is Hermite through all four nodes (septic.h), and
+// With DELAY_TERMS == 8, for long blocks of few samples, the delay is Hermite through all four nodes (delay_polynomials.h), and
 // the gain's cubic goes through them.
 
 
@@ -16,12 +16,12 @@ static void write_gains(const gains* gain, int functions, int apart, __global fl
     for (int k = 0; k < functions; k++) g[k * apart] = ((const float*)gain)[k];
 }
 
-// Write four powers of the gains, of a path that is heard or not.
-static void write_terms(gains terms[4][GAIN_VECTORS], int heard, int functions, int apart, __global float* c)
+// Write four powers of the gains, of a path that is active or not.
+static void write_terms(gains terms[4][GAIN_VECTORS], int active, int functions, int apart, __global float* c)
 {
 #pragma unroll
     for (int power = 0; power < 4; power++) {
-        if (!heard) {
+        if (!active) {
             for (int i = 0; i < GAIN_VECTORS; i++) terms[power][i] = 0.0f;
         }
         write_gains(terms[power], functions, apart, c + (DELAY_TERMS + power * functions) * apart);

@@ -1,11 +1,11 @@
 // The four blocks of a cell side by side: what block.h, write_delay.h and smooth.h make of one at a time, to the last bit.
 
-// The largest of all that is found of a path over a walk; `rest` is of what no function holds.
+// The largest of all that is found of a path over a segment; `residual` is of what no function represents.
 typedef struct {
-    float error, strength, rest, shortest, longest;
-} walk_found;
+    float error, strength, residual, shortest, longest;
+} segment_result;
 
-#define CELL_AT_ONCE (DELAY_TERMS == 4 && NODES_AT_ONCE == 4 && !SPARSE && !EDGES)
+#define CELL_AT_ONCE (DELAY_TERMS == 4 && NODES_AT_ONCE == 4 && !SPARSE && VERTEX != EDGE)
 
 #if CELL_AT_ONCE
 typedef reals __attribute__((aligned(8))) loose_reals;  // may start at any double
@@ -55,10 +55,10 @@ static float4 write_cell_gains(const smooth_gains* s, const cell_blocks* b, __gl
     return left_out;
 }
 
-// Write the polynomials of a cell's blocks from `block` on, of a walk from `first` to `last`; whether all of it is there,
-// and heard from sample `from` to `until`.
+// Write the polynomials of a cell's blocks from `block` on, of a segment from `first` to `last`; whether all of it is there,
+// and active from sample `from` to `until`.
 static int write_cell(const smooth_gains* s, const cell_blocks* b, int block, int first, int last, int from, int until,
-                      walk_found* f)
+                      segment_result* f)
 {
     const int end = block + CELL_BLOCKS, at = block - first - s->stretch * STRETCH;
     if ((block - first) % CELL_BLOCKS != 0 || end > last) return 0;
@@ -100,7 +100,7 @@ static int write_cell(const smooth_gains* s, const cell_blocks* b, int block, in
         if (i < CELL_BLOCKS && OF_NODE_LONG(emitted, i)) f->error = OF_BLOCK(squared, i) > f->error ? OF_BLOCK(squared, i) : f->error;
     }
     f->strength = s->loudest > f->strength ? s->loudest : f->strength;
-    f->rest = s->left_over > f->rest ? s->left_over : f->rest;
+    f->residual = s->largest_residual > f->residual ? s->largest_residual : f->residual;
     return 1;
 }
 #endif

@@ -1,14 +1,14 @@
-// Delays and their rates at both ends of every walk, by the receiver's clock, from which those between are predicted.
-// Work-item: dimension 0 counts slots (paths), dimension 1 NODES_AT_ONCE ends of walks, the first one walk before the run.
+// Delays and their rates at both ends of every segment, by the receiver's clock, from which those between are predicted.
+// Work-item: dimension 0 counts slots (paths), dimension 1 NODES_AT_ONCE ends of segments, the first one segment before the run.
 
 __kernel void coarse_delays(const motion_numbers motion, __global const double* knots, __global const double* poses,  // as in tracks.cl
                             __global const int* pose_cells, __global const double* image_matrix,
                             __global const double* image_offset, __global const int* receiver_of, __global const view* views,
                             __global const receiver_node* receivers,  // [receivers][ends, 1 if STATIC_RECEIVERS]
                             int ends,                                 // a multiple of NODES_AT_ONCE
-                            double walk_time,
+                            double segment_time,
                             __global double* delays,  // [ends][2][slots]
-                            __global double* more)    // [ends][MORE][slots]: what else there is to predict
+                            __global double* states)  // [ends][STATE_NUMBERS][slots]: what else there is to predict
 {
     const int slot = get_global_id(0), slots = get_global_size(0), end = get_global_id(1) * NODES_AT_ONCE;
     const trajectory path = trajectory_of(knots, motion.knot_count, motion.first_knot, motion.knot_rate,
@@ -18,22 +18,18 @@ __kernel void coarse_delays(const motion_numbers motion, __global const double* 
                      views + slot,
                      receivers + (STATIC_RECEIVERS ? receiver_of[slot] : receiver_of[slot] * (long)ends + end));
     const double at[4] = {end - 1, end, end + 1, end + 2};
-    const reals walk = SIDE_BY_SIDE(at, );
+    const reals segment = SIDE_BY_SIDE(at, );
     arrivals a;
     a.delay = 0.0;
-#if MORE
-    const pose_table things = {poses, pose_cells, motion.pose_count, motion.first_pose, motion.pose_rate};
-    found_more b[1];
-    begin_more(receiver.ear.position, b);
-#endif
-    SOLVE_ANEW(&path, &things, views + slot, &receiver.ear, motion.start + walk * walk_time + receiver.clock_error, CONVERGED,
+    const pose_table poses_of_path = {poses, pose_cells, motion.pose_count, motion.first_pose, motion.pose_rate};
+    path_state b[1];
+    begin_state(receiver.ear.position, b);
+    SOLVE_ANEW(&path, &poses_of_path, views + slot, &receiver.ear, motion.start + segment * segment_time + receiver.clock_error, CONVERGED,
                &a, b);
     const reals late = a.delay - receiver.clock_error, rate = a.rate * receiver.clock_rate - (receiver.clock_rate - 1.0);
     for (int i = 0; i < NODES_AT_ONCE; i++) {
         delays[2 * (end + i) * (long)slots + slot] = OF_NODE(late, i);
         delays[(2 * (end + i) + 1) * (long)slots + slot] = OF_NODE(rate, i);
-#if MORE
-        tell_more(b, i, more + MORE * (end + i) * (long)slots + slot, slots);
-#endif
+        write_state(b, i, states + STATE_NUMBERS * (end + i) * (long)slots + slot, slots);
     }
 }

@@ -1,6 +1,6 @@
 // Delay and gain of every path as cubics on every block, as tracks.cl makes them, on devices without float64. Work-item:
-// dimension 0 counts slots (paths), dimension 1 walks of `walk_blocks` blocks. Every node has its gains. Delays are predicted from the
-// two nodes before, so that two Newton steps are enough; where signals pause, from that of the walk's first block.
+// dimension 0 counts slots (paths), dimension 1 segments of `segment_blocks` blocks. Every node has its gains. Delays are predicted from the
+// two nodes before, so that two Newton steps are enough; where signals pause, from that of the segment's first block.
 
 // Places of numbers that are pairs.
 #define START 0
@@ -30,32 +30,32 @@ __kernel void pair_tracks(const pair_run_numbers run,         // as in tracks.cl
                           __global const float2* image_offset,  // [3][slots]
                           __global const int* receiver_of,    // [slots]
                           __global const bins* reflection, __global const int* wall_of, __global const float* normal,
-                          __global const int* heard_from, __global const int* heard_until,  // [slots], samples of the run
+                          __global const int* active_from, __global const int* active_until,  // [slots], samples of the run
                           __global const pair_receiver* receivers,  // [receivers][nodes, 1 if STATIC_RECEIVERS]
                           __global const float* knots, __global const float* rests,
                           __global const float2* numbers,  // [6], see above; s from the first knot, s, s/m, 1/s, samples, samples
                           __global const bins* air_and_functions, __global const gains* projection,
                           __global const bins* wall_tables, __global const bins* source_directivity,
                           __global const bins* receiver_directivities, __global const int* directivity_of,
-                          __global int* delay, __global float* polynomials, __global float4* found, __global float* unheld,
+                          __global int* delay, __global float* polynomials, __global float4* found, __global float* residual,
                           __global const int* active_cells, __global int* activity)  // as in tracks.cl
 {
-    const int slot = get_global_id(0), slots = get_global_size(0), walk = get_global_id(1);
-    const int first = walk * run.walk_blocks, apart = BESIDE;
-    const int last = first + run.walk_blocks < run.blocks ? first + run.walk_blocks : run.blocks;
+    const int slot = get_global_id(0), slots = get_global_size(0), segment = get_global_id(1);
+    const int first = segment * run.segment_blocks, apart = BESIDE;
+    const int last = first + run.segment_blocks < run.blocks ? first + run.segment_blocks : run.blocks;
     const pair_trajectory path = {knots, rests, run.knot_count, run.knot_rate, numbers[SLOWNESS]};
     __global const pair_receiver* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : run.nodes);
-    const surroundings around = surroundings_of(air_and_functions, projection, reflection, wall_tables, wall_of, normal,
+    const environment env = environment_of(air_and_functions, projection, reflection, wall_tables, wall_of, normal,
                                                 source_directivity, receiver_directivities + directivity_of[receiver_of[slot]],
                                                 run.function_count, run.angular);
     const float block_time = numbers[BLOCK_TIME].x;
-    const int from = heard_from[slot], until = heard_until[slot];
+    const int from = active_from[slot], until = active_until[slot];
     pair_receiver_in_image receiver;
     gains powers[4][GAIN_VECTORS];
     window w;
     pair_arrival a;
     pair late[4];
-    float error = 0.0f, strength = 0.0f, rest = 0.0f, left_over = 0.0f, shortest = 1e30f, longest = -1e30f;
+    float error = 0.0f, strength = 0.0f, rest = 0.0f, largest_residual = 0.0f, shortest = 1e30f, longest = -1e30f;
     a.delay = (pair)(0.0f, 0.0f);
 #define TIME_OF(n) plus(numbers[START], scaled((float)((n) - 1), numbers[BLOCK_TIME]))
 #define SOLVE(n) \
@@ -102,7 +102,9 @@ __kernel void pair_tracks(const pair_run_numbers run,         // as in tracks.cl
             w.rate[3] = a.rate + (a.rate - 1.0f) * receiver.clock_drift;
             const float length = a.delay.x * run.speed_of_sound;
             const arrival here = {length, length, a.mach_factor, a.departure, a.departure, a.knot, a.u};
-            w.strength[3] = path_gains(&here, &around, slots, slot, receiver.frame, 0, w.gain[3], &left_over);
+            response shared;
+            shared_response(&here, &env, run.angular, slots, slot, &shared);
+            w.strength[3] = channel_gains(&shared, &here, &env, receiver.frame, 0, w.gain[3], &largest_residual);
         }
         solved = block + 3;
         terms_between(&w, powers);
@@ -122,14 +124,14 @@ __kernel void pair_tracks(const pair_run_numbers run,         // as in tracks.cl
             active_subblocks(&mask, block, (p1 < p2 ? p1 : p2) - bulge, (p1 < p2 ? p2 : p1) + bulge);
 #endif
         strength = w.strength[3] > strength ? w.strength[3] : strength;
-        rest = left_over > rest ? left_over : rest;
+        rest = largest_residual > rest ? largest_residual : rest;
         const float time = TIME_OF(block + 3).x;
         if (time - late[3].x >= run.emitted_first && time - 3.0f * block_time - late[0].x <= run.emitted_last) {
             const float squared = delay_error_squared(&w, run.angular_frequency, block_time, run.subblock_share) +
-                                  left_out_squared(powers, around.sizes, run.subblock_share) + gain_error_squared(&w, around.sizes);
+                                  left_out_squared(powers, env.sizes, run.subblock_share) + gain_error_squared(&w, env.sizes);
             error = squared > error ? squared : error;
         }
     }
-    found[walk * (long)slots + slot] = (float4)(error, strength, shortest, longest);
-    unheld[walk * (long)slots + slot] = rest;
+    found[segment * (long)slots + slot] = (float4)(error, strength, shortest, longest);
+    residual[segment * (long)slots + slot] = rest;
 }

@@ -15,9 +15,9 @@ typedef struct {
     __global const bins* source_directivity;    // AXIAL: [CELLS][4][PARTS][BIN_VECTORS]; SPHERICAL: [6][SIDE][SIDE][PARTS][BIN_VECTORS]
     __global const bins* receiver_directivity;  // likewise
     int function_count, angular;         // how many, and of how many walls at most the factor depends on the angle
-} surroundings;
+} environment;
 
-static surroundings surroundings_of(__global const bins* air_and_functions,  // nepers, lead, weight, functions
+static environment environment_of(__global const bins* air_and_functions,  // nepers, lead, weight, functions
                                     __global const gains* projection,        // and then sizes
                                     __global const bins* reflection, __global const bins* walls, __global const int* wall_of,
                                     __global const float* normal, __global const bins* source_directivity,
@@ -25,7 +25,7 @@ static surroundings surroundings_of(__global const bins* air_and_functions,  // 
 {
     __global const bins* lead = air_and_functions + (AIR_TERMS > 0 ? AIR_TERMS : 1) * BIN_VECTORS;
     __global const bins* weight = lead + (AIR_TERMS > 0 ? AIR_TERMS : 1) * BIN_VECTORS;
-    const surroundings out = {air_and_functions, lead, projection, weight + BIN_VECTORS, weight,
+    const environment out = {air_and_functions, lead, projection, weight + BIN_VECTORS, weight,
                               projection + PARTS * FREQUENCIES * GAIN_VECTORS, reflection, walls, wall_of, normal,
                               source_directivity, receiver_directivity, function_count, angular};
     return out;
@@ -66,10 +66,9 @@ static void project(const response* r, __global const gains* projection, gains* 
     }
 }
 
-// Returns the response's mean square over the nodes; `unheld` is that of what the functions do not hold of it. What the
-// path is besides, over free air of its length, is `field`, where that is not 0.
-static float path_gains(const arrival* a, const surroundings* s, int slots, int slot, const triple* receiver_frame,
-                        const response* field, gains* gain, float* unheld)
+// What all channels of a receiver share: spreading, motion, air, walls, of which `angular` depend on the angle, and the source's
+// directivity.
+static void shared_response(const arrival* a, const environment* s, int angular, int slots, int slot, response* r)
 {
     float common = 1.0f / (a->length > NEAREST ? a->length : NEAREST);
 #if MACH_EXPONENT >= 1
@@ -79,19 +78,18 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
     common *= (float)a->mach_factor;
 #endif
     const float raised = (float)(a->mach_factor - 1);
-    response r;
     for (int b = 0; b < BIN_VECTORS; b++) {
         bins loss = of_air(s->nepers, b, raised) * (a->through - 1.0f);
         loss = loss < 80.0f ? loss : (bins)(80.0f);
         const bins air = exponential(-loss) * common;
         for (int part = 0; part < PARTS; part++) {
-            r.part[part][b] = s->reflection[((long)slot * PARTS + part) * BIN_VECTORS + b] * air;
+            r->part[part][b] = s->reflection[((long)slot * PARTS + part) * BIN_VECTORS + b] * air;
         }
 #if AIR_TERMS && PARTS == 2
-        turn(&r, b, of_air(s->lead, b, raised) * (a->through - 1.0f));
+        turn(r, b, of_air(s->lead, b, raised) * (a->through - 1.0f));
 #endif
     }
-    for (int i = 0; i < s->angular; i++) {
+    for (int i = 0; i < angular; i++) {
         int wall = s->wall_of[i * (long)slots + slot];
         if (wall == -1) break;
         const triple along = wall < 0 ? a->arrival : a->departure;
@@ -99,16 +97,24 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
         __global const float* n = s->normal + 3 * i * (long)slots + slot;
         const float cosine = n[0] * (float)along.x + n[slots] * (float)along.y + n[2 * (long)slots] * (float)along.z;
         // Over the root of the cosine: hard walls change within 0.1 degree of grazing.
-        apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), &r);
+        apply_cubics(s->walls + (long)wall * CELLS * 4 * PARTS * BIN_VECTORS, sqrt(cosine < 0.0f ? -cosine : cosine), r);
     }
 #if SOURCE_DIRECTIVITY == AXIAL
     const real cosine = inner(cubic(a->knot + CUBIC_COLUMNS, a->u), a->departure);
-    apply_cubics(s->source_directivity, 0.5f * (float)(1 + cosine), &r);
+    apply_cubics(s->source_directivity, 0.5f * (float)(1 + cosine), r);
 #elif SOURCE_DIRECTIVITY == SPHERICAL
     const triple x = cubic(a->knot + CUBIC_COLUMNS, a->u), y = cubic(a->knot + 2 * CUBIC_COLUMNS, a->u), z = cross_product(x, y);
     apply_sphere(s->source_directivity, (float)inner(x, a->departure), (float)inner(y, a->departure),
-                 (float)inner(z, a->departure), &r);
+                 (float)inner(z, a->departure), r);
 #endif
+}
+
+// The gains of one channel: its directivity, the field of the vertex over free air of its length, where `field` is not 0, and the
+// projection. Returns the response's mean square over the nodes; `residual` is that of what the functions do not represent.
+static float channel_gains(const response* shared, const arrival* a, const environment* s, const triple* receiver_frame,
+                           const response* field, gains* gain, float* residual)
+{
+    response r = *shared;
 #if RECEIVER_DIRECTIVITY == AXIAL
     apply_cubics(s->receiver_directivity, 0.5f * (float)(1 - inner(receiver_frame[0], a->arrival)), &r);
 #elif RECEIVER_DIRECTIVITY == SPHERICAL
@@ -117,20 +123,20 @@ static float path_gains(const arrival* a, const surroundings* s, int slots, int 
 #endif
     if (field) multiply(&r, field);
     project(&r, s->projection, gain);
-    // What is heard, and what of it the functions do not hold.
-    bins heard[PARTS * BIN_VECTORS], rest[PARTS * BIN_VECTORS], whole = 0.0f, left = 0.0f;
+    // What is active, and what of it the functions do not represent.
+    bins weighted[PARTS * BIN_VECTORS], remainder[PARTS * BIN_VECTORS], sum_of_squares = 0.0f, sum_of_residuals = 0.0f;
 #pragma unroll
-    for (int b = 0; b < PARTS * BIN_VECTORS; b++) rest[b] = heard[b] = s->weight[b % BIN_VECTORS] * r.part[b / BIN_VECTORS][b % BIN_VECTORS];
+    for (int b = 0; b < PARTS * BIN_VECTORS; b++) remainder[b] = weighted[b] = s->weight[b % BIN_VECTORS] * r.part[b / BIN_VECTORS][b % BIN_VECTORS];
     for (int k = 0; k < s->function_count; k++) {
-        const float held = ((const float*)gain)[k];
+        const float coefficient = ((const float*)gain)[k];
 #pragma unroll
-        for (int b = 0; b < PARTS * BIN_VECTORS; b++) rest[b] -= s->functions[k * PARTS * BIN_VECTORS + b] * held;
+        for (int b = 0; b < PARTS * BIN_VECTORS; b++) remainder[b] -= s->functions[k * PARTS * BIN_VECTORS + b] * coefficient;
     }
 #pragma unroll
     for (int b = 0; b < PARTS * BIN_VECTORS; b++) {
-        whole += heard[b] * heard[b];
-        left += rest[b] * rest[b];
+        sum_of_squares += weighted[b] * weighted[b];
+        sum_of_residuals += remainder[b] * remainder[b];
     }
-    *unheld = total(left) / FREQUENCIES;
-    return total(whole) / FREQUENCIES;
+    *residual = total(sum_of_residuals) / FREQUENCIES;
+    return total(sum_of_squares) / FREQUENCIES;
 }

@@ -1,5 +1,5 @@
 // Gains that change slowly: those of CELL_BLOCKS blocks from the nodes between such cells, by the polynomial of degree 4
-// through five of them. Cells lie in stretches of STRETCH blocks of a walk and take nodes of their own stretch only, so
+// through five of them. Cells lie in stretches of STRETCH blocks of a segment and take nodes of their own stretch only, so
 // that it does not matter which others are solved. The twin of `cell_polynomials` in render/opencl/block_polynomials.py.
 
 #if DELAY_TERMS == 4
@@ -12,15 +12,15 @@ typedef struct {
     int stretch, made;                  // which one, and what of it: groups of nodes, by bits
     double delay[STRETCH + CELL_BLOCKS], rate[STRETCH + CELL_BLOCKS];
     gains gain[CELLS_EACH + 1][GAIN_VECTORS];
-    float strength[CELLS_EACH + 1], unheld[CELLS_EACH + 1];
-    int cell, smooth;                   // of the walk, and whether that cell's polynomials hold
+    float strength[CELLS_EACH + 1], residual[CELLS_EACH + 1];
+    int cell, smooth;                   // of the segment, and whether that cell's polynomials hold
     gains power[AMONG][GAIN_VECTORS];   // of the place in the cell from its middle, in lengths of it
-    float loudest, left_over;           // strength at the cell's louder end, and most of what no function holds
+    float loudest, largest_residual;           // strength at the cell's louder end, and most of what no function represents
     float error;                        // squared, of the gains, as in block.h
 } smooth_gains;
 
 // Solve a group of nodes of the stretch, if it is not, with the gains between cells.
-static void make_group(smooth_gains* s, path_nodes* nodes, int group, double speed_of_sound, const surroundings* around)
+static void make_group(smooth_gains* s, path_nodes* nodes, int group, double speed_of_sound, const environment* env)
 {
     if (s->made >> group & 1) return;
     s->made |= 1 << group;
@@ -30,7 +30,7 @@ static void make_group(smooth_gains* s, path_nodes* nodes, int group, double spe
         s->delay[group * GROUP + i] = delay_of_node(nodes, i);
         s->rate[group * GROUP + i] = rate_of_node(nodes, i);
     }
-    s->strength[group] = gains_of_node(nodes, 1, speed_of_sound, around, s->gain[group], s->unheld + group);
+    s->strength[group] = gains_of_node(nodes, 1, speed_of_sound, env, s->gain[group], s->residual + group);
 }
 
 // Whether the delay in a cell's middle is what those of the nodes between cells say: gains follow what delays follow.
@@ -52,9 +52,9 @@ static int is_as_expected(const smooth_gains* s, int from, int cell, float large
     return wrong * wrong <= largest * delay * delay;
 }
 
-// Make the polynomials of a cell of the walk; whether their error, squared and relative to the strength, is small enough.
+// Make the polynomials of a cell of the segment; whether their error, squared and relative to the strength, is small enough.
 static int make_cell(smooth_gains* s, path_nodes* nodes, int at, float largest, double speed_of_sound,
-                     const surroundings* around)
+                     const environment* env)
 {
     if (at == s->cell) return s->smooth;
     s->cell = at;
@@ -63,10 +63,10 @@ static int make_cell(smooth_gains* s, path_nodes* nodes, int at, float largest, 
     s->stretch = stretch;
     int from = cell - 1 < CELLS_EACH + 1 - AMONG ? cell - 1 : CELLS_EACH + 1 - AMONG;
     from = from < 0 ? 0 : from;
-    for (int i = 0; i < AMONG; i++) make_group(s, nodes, from + i, speed_of_sound, around);
-    // At the ends of the cell only: farther nodes may lie where the path is not heard.
+    for (int i = 0; i < AMONG; i++) make_group(s, nodes, from + i, speed_of_sound, env);
+    // At the ends of the cell only: farther nodes may lie where the path is not active.
     s->loudest = s->strength[cell] > s->strength[cell + 1] ? s->strength[cell] : s->strength[cell + 1];
-    s->left_over = s->unheld[cell] > s->unheld[cell + 1] ? s->unheld[cell] : s->unheld[cell + 1];
+    s->largest_residual = s->residual[cell] > s->residual[cell + 1] ? s->residual[cell] : s->residual[cell + 1];
     gains change = 0.0f;
     const float place = (float)(cell - from) + 0.5f;
     for (int v = 0; v < GAIN_VECTORS; v++) {
@@ -78,7 +78,7 @@ static int make_cell(smooth_gains* s, path_nodes* nodes, int at, float largest, 
 #pragma unroll
             for (int i = AMONG - 1; i >= order; i--) d[i] -= d[i - 1];
         }
-        const gains wrong = SMOOTH_ERROR * d[AMONG - 1] * around->sizes[v];
+        const gains wrong = SMOOTH_ERROR * d[AMONG - 1] * env->sizes[v];
         change += wrong * wrong;
         // Newton's d0 + s (d1 + (s - 1)/2 (d2 + ...)), from the inside out, in powers of the place from the middle.
         p[0] = d[AMONG - 1];
@@ -112,7 +112,7 @@ static void gains_in_cell(const smooth_gains* s, int i, gains terms[4][GAIN_VECT
     }
 }
 
-// The same, and the block's delays; `block` counts from the walk's first.
+// The same, and the block's delays; `block` counts from the segment's first.
 static void terms_in_cell(const smooth_gains* s, int block, window* w, gains terms[4][GAIN_VECTORS])
 {
     const int of_stretch = block - s->stretch * STRETCH;

@@ -1,6 +1,6 @@
 // Where things are that are neither source nor receiver, and how they are turned, as cubics between knots. Those of scatterers
 // stand at even distances and wherever a motion has a corner: twin of `pose_knots` in paths/pose_cubics.py. Those of mirrors
-// stand at even distances only, one in each cell: nodes/mirrors.h.
+// stand at even distances only, one in each cell: nodes/legs/moving.h.
 
 typedef struct {
     __global const double* knots;  // rows, as wide as the kind of paths says
@@ -9,8 +9,8 @@ typedef struct {
     double first, rate;            // time of the first cell, s, and cells per second
 } pose_table;
 
-#if SCATTERERS
-// Things at nodes side by side. Of a knot POSE_COLUMNS are told: its time, s, knots per second until the next one, and cubics
+#if VERTEX == SCATTERER
+// Things at nodes side by side. Of a knot POSE_COLUMNS are given: its time, s, knots per second until the next one, and cubics
 // of the position and of two axes.
 typedef struct {
     triples place, velocity, axes[3], turning[3];  // turning: by how much the axes change in a second

@@ -155,15 +155,15 @@ def test_both_engines_render_it_by_itself(paths: PathSet, engine: str) -> None:
 
 
 def test_images_on_the_device_and_edges_on_the_host_add_up(paths: PathSet, device: None) -> None:
-    from clsim.render.opencl.device_nodes import DeviceTracks
     from clsim.render.opencl.engine import OpenclEngine
-    from clsim.render.opencl.host_nodes import HostTracks
+    from clsim.render.opencl.host_nodes import HostNodeMaker
+    from clsim.render.opencl.nodes import NodeMaker
 
     plan = clsim.plan_render(paths, RATE, duration=0.1)
     engine = OpenclEngine(plan)
     kinds = {type(pair.family).__name__: type(engine.maker(i)) for i, pair in enumerate(plan.tracks.pair_paths)}
-    assert kinds["RidgePaths"] is HostTracks
-    assert kinds["SpecularPaths"] in (DeviceTracks, HostTracks)  # by whether the device has float64
+    assert kinds["RidgePaths"] is HostNodeMaker
+    assert kinds["SpecularPaths"] in (NodeMaker, HostNodeMaker)  # by whether the device has float64
     both = clsim.render(paths, RATE, duration=0.1).pressure
     parts = [clsim.render(PathSet(paths.scene, (f,)), RATE, duration=0.1).pressure for f in paths.families]
     assert error_db(parts[0] + parts[1], both) < -85.0

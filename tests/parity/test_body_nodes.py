@@ -11,10 +11,10 @@ from mutants import KeptEngines, Mutants
 
 import clsim
 from clsim.paths.path_set import PathSet
-from clsim.render.opencl import node_programs
-from clsim.render.opencl.body_nodes import BodyTracks
+from clsim.render.opencl import path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
-from clsim.render.opencl.host_nodes import HostTracks
+from clsim.render.opencl.host_nodes import HostNodeMaker
+from clsim.render.opencl.nodes import NodeMaker
 from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 
@@ -63,9 +63,9 @@ def plan(way: int) -> Plan:
 @cache
 def by_host(way: int) -> np.ndarray:
     with pytest.MonkeyPatch.context() as patched:
-        patched.delitem(node_programs.NODE_PROGRAMS, "bodies")
+        patched.delitem(path_columns.COLUMNS, "bodies")
         engine = OpenclEngine(plan(way))
-        assert isinstance(engine.maker(0), HostTracks)
+        assert isinstance(engine.maker(0), HostNodeMaker)
         return engine.render(0, SAMPLES)
 
 
@@ -75,7 +75,7 @@ ENGINES = KeptEngines()
 def difference_db(way: int = 0, layout: Layout = CPU_LAYOUT) -> float:
     """Return by how much what is heard with nodes of the device differs."""
     engine = ENGINES.engine((way, layout), lambda: OpenclEngine(plan(way), layout))
-    assert isinstance(engine.maker(0), BodyTracks)
+    assert isinstance(engine.maker(0), NodeMaker)
     try:
         got = engine.render(0, SAMPLES)
     except clsim.ClsimError as error:  # the engine itself found that delays are out of bounds
@@ -118,12 +118,12 @@ MUTANTS = {
     "times of later images": ("late -= rise * mach * slowness", "late += rise * mach * slowness"),
     "rate without stretch": ("(beyond + receding - drift) * pace", "(beyond + receding - drift)"),
     "the receiver's speed": ("slowness * DOT(onwards, heading)", "-slowness * DOT(onwards, heading)"),
-    "pressure without the mirrors' stretch": ("length /= OF_NODE(met->raised, beside);\n#endif\n#if", "\n#endif\n#if"),
-    "the mirrors' share of directions": ("before = further(leaving, -rise, m->normal)", "before = further(leaving, rise, m->normal)"),
-    "arrival for departure": ("triple_of(met->way, beside), triple_of(met->way + BODIES", "triple_of(met->way + BODIES, beside), triple_of(met->way + BODIES"),
-    "angle at a mirror that moves": ("bounce & 1 ? triple_of(met->normal + before, beside) : of_wall", "of_wall"),
-    "angle behind it": ("met->way + before, beside);\n        __global", "met->way, beside);\n        __global"),
-    "angles left out": ("by_mirrors(around, met, beside, s->slots, s->slot, of_angles) ? of_angles : 0", "0"),
+    "pressure without the mirrors' stretch": ("length /= OF_NODE(met->raised, lane);\n#endif\n#if", "\n#endif\n#if"),
+    "the mirrors' share of directions": ("before = plus_scaled(leaving, -rise, m->normal)", "before = plus_scaled(leaving, rise, m->normal)"),
+    "arrival for departure": ("triple_of(met->direction, lane), triple_of(met->direction + MIRRORS", "triple_of(met->direction + MIRRORS, lane), triple_of(met->direction + MIRRORS"),
+    "angle at a mirror that moves": ("bounce & 1 ? triple_of(met->normal + before, lane) : of_wall", "of_wall"),
+    "angle behind it": ("met->direction + before, lane);\n        __global", "met->direction, lane);\n        __global"),
+    "angles left out": ("*fielded = by_mirrors(env, met, lane, s->slots, s->slot, field)", "*fielded = 0"),
     "one round": ("(changed >= EVENT_ERROR) | (changed != changed)", "changed != changed"),
 }  # fmt: skip
 

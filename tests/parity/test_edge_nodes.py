@@ -11,10 +11,10 @@ from mutants import KeptEngines, Mutants
 
 import clsim
 from clsim.paths.path_set import PathSet
-from clsim.render.opencl import node_programs
-from clsim.render.opencl.edge_nodes import EdgeTracks
+from clsim.render.opencl import path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
-from clsim.render.opencl.host_nodes import HostTracks
+from clsim.render.opencl.host_nodes import HostNodeMaker
+from clsim.render.opencl.nodes import NodeMaker
 from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 
@@ -58,9 +58,9 @@ def plan() -> Plan:
 @cache
 def by_host() -> np.ndarray:
     with pytest.MonkeyPatch.context() as patched:
-        patched.delitem(node_programs.NODE_PROGRAMS, "edges")
+        patched.delitem(path_columns.COLUMNS, "edges")
         engine = OpenclEngine(plan())
-        assert isinstance(engine.maker(0), HostTracks)
+        assert isinstance(engine.maker(0), HostNodeMaker)
         return engine.render(0, SAMPLES)
 
 
@@ -70,7 +70,7 @@ ENGINES = KeptEngines()
 def difference_db(layout: Layout = CPU_LAYOUT) -> float:
     """Return by how much what is heard with nodes of the device differs, of the receiver where it does most."""
     engine = ENGINES.engine(layout, lambda: OpenclEngine(plan(), layout))
-    assert isinstance(engine.maker(0), EdgeTracks)
+    assert isinstance(engine.maker(0), NodeMaker)
     try:
         got = engine.render(0, SAMPLES)
     except clsim.ClsimError as error:  # the engine itself found that delays are out of bounds
@@ -104,7 +104,7 @@ def test_inner_corners(degrees: float) -> None:
     found, samples = inner_corner(np.radians(degrees)), 3072
     made = plan_render(found, RATE, duration=samples / RATE, convolve_static=False)
     engine = OpenclEngine(made)
-    assert isinstance(engine.maker(0), EdgeTracks)
+    assert isinstance(engine.maker(0), NodeMaker)
     received = engine.render(0, samples)[0]
     exact = clsim.render(found, RATE, duration=samples / RATE, engine="reference", convolve_static=False).pressure[0]
     error_db = 20.0 * np.log10(np.linalg.norm(received - exact) / np.linalg.norm(exact))

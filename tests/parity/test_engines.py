@@ -13,7 +13,7 @@ from clsim.opencl import device as device_module
 from clsim.paths.specular.family import SpecularPaths
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
-from clsim.render.opencl.pair_nodes import PairTracks
+from clsim.render.opencl.pair_nodes import PairNodeMaker
 from clsim.render.opencl.residual import Residual
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import plan_render
@@ -153,7 +153,7 @@ def test_pairs_of_floats_do_for_float64(make: Callable, layout, without_float64:
     without_float64()
     engine = OpenclEngine(made, layout)
     got = engine.render(first, last)
-    assert [type(maker) for maker in engine._makers.values()] == [PairTracks]
+    assert [type(maker) for maker in engine._makers.values()] == [PairNodeMaker]
     assert difference_db(got, wanted) < -112.0
 
 

@@ -44,13 +44,13 @@ def test_not_a_bit_depends_on_the_number_of_threads(device: None, monkeypatch: p
     plan = plan_render(clsim.find_paths(scene, 0, scattering_order=1), RATE, duration=0.09)
     monkeypatch.setattr(host_nodes, "_PATHS_EACH", 16)  # 49 paths of each pair
     heard, at_work = [], set()
-    part = host_nodes.HostTracks._part
+    part = host_nodes.HostNodeMaker._part
 
     def watched(*arguments):
         at_work.add(threading.get_ident())
         return part(*arguments)
 
-    monkeypatch.setattr(host_nodes.HostTracks, "_part", watched)
+    monkeypatch.setattr(host_nodes.HostNodeMaker, "_part", watched)
     for count in (1, 2, 7):
         at_work.clear()
         monkeypatch.setattr(host_nodes, "thread_count", lambda count=count: count)

@@ -10,10 +10,10 @@ from mutants import KeptEngines, Mutants
 
 import clsim
 from clsim.paths.path_set import PathSet
-from clsim.render.opencl import device_nodes, node_programs
+from clsim.render.opencl import nodes, path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
-from clsim.render.opencl.host_nodes import HostTracks
-from clsim.render.opencl.scatterer_nodes import ScattererTracks
+from clsim.render.opencl.host_nodes import HostNodeMaker
+from clsim.render.opencl.nodes import NodeMaker
 from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 
@@ -83,7 +83,7 @@ ENGINES = KeptEngines()
 
 def heard(of: PathSet, layout: Layout, maker: type, **options: str) -> np.ndarray:
     """Return what is heard with nodes of a maker; not finite where the engine refuses what it finds."""
-    key = of, layout, maker, device_nodes.SMOOTH_SHARE, *options.items()
+    key = of, layout, maker, nodes.SMOOTH_SHARE, *options.items()
     engine = ENGINES.engine(key, lambda: OpenclEngine(plan(of, **options), layout))
     assert type(engine.maker(0)) is maker
     try:
@@ -98,15 +98,15 @@ def heard(of: PathSet, layout: Layout, maker: type, **options: str) -> np.ndarra
 @cache
 def by_host(of: PathSet, **options: str) -> np.ndarray:
     with pytest.MonkeyPatch.context() as patched:
-        patched.delitem(node_programs.NODE_PROGRAMS, "scatterers")
-        return heard(of, CPU_LAYOUT, HostTracks, **options)
+        patched.delitem(path_columns.COLUMNS, "scatterers")
+        return heard(of, CPU_LAYOUT, HostNodeMaker, **options)
 
 
 def difference_db(
     air: clsim.Air | None = None, phased: bool = False, layout: Layout = CPU_LAYOUT, **options: str
 ) -> float:
     """Return by how much what is heard with nodes of the device differs, of the receiver where it does most."""
-    got, wanted = heard(paths(air, phased), layout, ScattererTracks, **options), by_host(paths(air, phased), **options)
+    got, wanted = heard(paths(air, phased), layout, NodeMaker, **options), by_host(paths(air, phased), **options)
     if not np.all(np.isfinite(got)):
         return np.inf
     return float(20 * np.log10((np.linalg.norm(got - wanted, axis=1) / np.linalg.norm(wanted, axis=1)).max()))
@@ -124,7 +124,7 @@ CASES = {
 @pytest.mark.parametrize("case", few(CASES))
 def test_device_and_host_make_the_same(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert difference_db(**CASES[case]) < TOLERANCE_DB
-    monkeypatch.setattr(device_nodes, "SMOOTH_SHARE", 0.0)
+    monkeypatch.setattr(nodes, "SMOOTH_SHARE", 0.0)
     assert difference_db(**CASES[case]) < EVERY_NODE_DB
 
 
@@ -145,7 +145,7 @@ def test_what_is_between_the_ends_in_turns_has_a_way() -> None:
 
 
 MUTANTS = {
-    "the later leg is as late as both": ("RETARDED ? time - b->late : time", "RETARDED ? time - a->delay : time"),
+    "the later leg is as late as both": ("RETARDED ? time - b->onward : time", "RETARDED ? time - a->delay : time"),
     "the weight of the way to the receiver": ("(1.0 - coming) / (1.0 - leaving) * faster;", "(1.0 - coming) * (1.0 - leaving) * faster;"),
     "Mach number of the scatterer": ("later * (mach - coming)) / (1.0 - mach)", "later * (mach + coming)) / (1.0 + mach)"),
     "rate of the delay": ("coming - mach - leaving * (1.0 - mach)", "coming - mach - leaving * (1.0 + mach)"),
@@ -155,18 +155,18 @@ MUTANTS = {
     "frame of what turns": ("b->receiver.y = DOT(r, p->axes[1])", "b->receiver.y = DOT(r, p->axes[2])"),
     "the third axis": ("across(out.axes[0], out.axes[1])", "across(out.axes[1], out.axes[0])"),
     "the specular point": ("(b.bend_both * b.slope_other - b.bend_other * b.slope_one)", "(b.bend_both * b.slope_one - b.bend_other * b.slope_one)"),
-    "curvature": ("bends_at(g, u, (reals)1.0)", "bends_at(g, u, (reals)2.0)"),
-    "along a capsule": ("held_to(at - (b.gz", "held_to(at + (b.gz"),
-    "an end of a capsule": ("flatter + inward / OF_NODE(radius, beside)", "flatter + 2.0 * inward / OF_NODE(radius, beside)"),
+    "curvature": ("derivatives_at(g, u, (reals)1.0)", "derivatives_at(g, u, (reals)2.0)"),
+    "along a capsule": ("clamped(at - (b.gz", "clamped(at + (b.gz"),
+    "an end of a capsule": ("flatter + inward / OF_NODE(radius, lane)", "flatter + 2.0 * inward / OF_NODE(radius, lane)"),
     "phases along a capsule": ("t->waves[b] * (float)(-late)", "t->waves[b] * (float)(late)"),
     "angle at a sphere": ("s->cosine * legendre - n * last", "s->cosine * legendre - (n + 1) * last"),
     "distance from a sphere": ("step2 = s->receiver * step", "step2 = s->source * step"),
     "phase of a sphere": ("rint(late) - late", "late - rint(late)"),
-    "strength of a sphere": ("return 0.5 * radius * OF_NODE(near1, beside)", "return 0.6 * radius * OF_NODE(near1, beside)"),
+    "strength of a sphere": ("return 0.5 * radius * OF_NODE(near1, lane)", "return 0.6 * radius * OF_NODE(near1, lane)"),
     "a sphere is a mirror": ("b->leaving = (leaving - coming) / (1.0 - coming)", "b->leaving = leaving"),
-    "grazing incidence": ("OF_NODE(full, beside) * (1.0 - exp(-steep * steep * steep))", "OF_NODE(full, beside) * (1.0 - exp(-steep * steep))"),
+    "grazing incidence": ("OF_NODE(full, lane) * (1.0 - exp(-steep * steep * steep))", "OF_NODE(full, lane) * (1.0 - exp(-steep * steep))"),
     "strength of a point": ("double strength = seen->strength", "double strength = 2.0 * seen->strength"),
-    "Doppler of the pressure": ("spread *= 1.0 - OF_NODE(b->leaving, beside);\n#endif\n#if MACH_EXPONENT >= 2", "spread *= 1.0 + OF_NODE(b->leaving, beside);\n#endif\n#if MACH_EXPONENT >= 2"),
+    "Doppler of the pressure": ("spread *= 1.0 - OF_NODE(b->leaving, lane);\n#endif\n#if MACH_EXPONENT >= 2", "spread *= 1.0 + OF_NODE(b->leaving, lane);\n#endif\n#if MACH_EXPONENT >= 2"),
     "lengths of both legs": ("squared1 * inverse1 * DOT(leaving1, direction1) * squared2", "squared1 * DOT(leaving1, direction1) * squared2"),
 }  # fmt: skip
 

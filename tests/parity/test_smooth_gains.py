@@ -8,7 +8,7 @@ import pytest
 
 import clsim
 from clsim.opencl.launch import Launch
-from clsim.render.opencl import device_nodes
+from clsim.render.opencl import nodes
 from clsim.render.opencl.block_polynomials import cell_polynomials
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.planning import plan_render
@@ -69,7 +69,7 @@ def test_twin_holds_quartics_but_for_their_fourth_power_in_a_block() -> None:
 def test_gains_of_every_fourth_node_are_as_good_as_those_of_every_one(layout, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = _plan()
     few = OpenclEngine(plan, layout).render(0, 2 * SEGMENT)[0, SEGMENT:]
-    monkeypatch.setattr(device_nodes, "SMOOTH_SHARE", 0.0)
+    monkeypatch.setattr(nodes, "SMOOTH_SHARE", 0.0)
     every = OpenclEngine(plan, layout).render(0, 2 * SEGMENT)[0, SEGMENT:]
     difference_db = 20.0 * np.log10(np.linalg.norm(few - every) / np.linalg.norm(every))
     assert difference_db > -200.0  # they are not the same: some cells are smooth

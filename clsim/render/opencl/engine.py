@@ -16,9 +16,11 @@ from clsim.opencl.limits import check_group
 from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
 from clsim.render.opencl.fades import boundaries, find_fades
-from clsim.render.opencl.host_nodes import HostTracks
+from clsim.render.opencl.host_nodes import HostNodeMaker
 from clsim.render.opencl.limits import Limits
-from clsim.render.opencl.node_programs import NODE_PROGRAMS, PAIR_PROGRAMS
+from clsim.render.opencl.nodes import NodeMaker
+from clsim.render.opencl.pair_nodes import PairNodeMaker
+from clsim.render.opencl.path_columns import COLUMNS
 from clsim.render.opencl.residual import Residual
 from clsim.render.plan import BATCH
 
@@ -28,11 +30,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.paths.family import PathFamily
-    from clsim.render.opencl.device_nodes import DeviceTracks
     from clsim.render.opencl.fades import Fades
     from clsim.render.plan import Plan
 
-    NodeMaker = DeviceTracks | HostTracks
+    Maker = NodeMaker | HostNodeMaker
 
 _TILE = 128  # paths whose branch signals stay in cache together
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
@@ -91,7 +92,7 @@ class OpenclEngine:
         self.skips_silence = True
         self.unheld = [Residual(plan.receiver_count) for _ in plan.source_filters]
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
-        self._makers: dict[PathFamily | None, NodeMaker] = {}  # None: the host, whatever the kind of paths
+        self._makers: dict[PathFamily | None, Maker] = {}  # None: the host, whatever the kind of paths
 
     def render(self, start: int, stop: int) -> NDArray[Any]:
         """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
@@ -138,7 +139,7 @@ class OpenclEngine:
         """Remember the largest error that the shortest blocks leave of a source, and when."""
         self._coarse[source] = max(self._coarse[source], (wrong, time))
 
-    def maker(self, pair: int) -> NodeMaker:
+    def maker(self, pair: int) -> Maker:
         """Return the maker of the nodes of a pair: the device, where it has a program for such paths.
 
         Without float64 there is none for envelopes, whose delays are septics, and for wind.
@@ -146,13 +147,13 @@ class OpenclEngine:
         plan, of_scene = self._plan, self._plan.tracks.of_scene
         family = None if of_scene is None else of_scene.pair_paths[pair].family
         in_pairs = of_scene is not None and plan.baseband is None and of_scene.scene.air.wind is None
-        programs = NODE_PROGRAMS if self._info.fp64 else PAIR_PROGRAMS if in_pairs else {}
-        program = None if family is None else programs.get(family.device or "")
-        kind = None if program is None else family
+        known = COLUMNS.keys() if self._info.fp64 else {"images"} if in_pairs else set()
+        kind = None if family is None or family.device not in known else family
         if kind not in self._makers:
+            device = NodeMaker if self._info.fp64 else PairNodeMaker
             self._makers[kind] = (
-                HostTracks(plan, self._queue) if program is None or of_scene is None
-                else program(plan, of_scene, family, self._queue, self._compiler, self._layout.nodes)
+                HostNodeMaker(plan, self._queue) if kind is None or of_scene is None
+                else device(plan, of_scene, kind, self._queue, self._compiler, self._layout.nodes)
             )  # fmt: skip
         return self._makers[kind]
 
@@ -283,7 +284,7 @@ class Run:
                     self._cover(at + a, at + b, level + 1)
                 else:
                     number = self._start // segment + at + a
-                    self._engine.unheld[self._source].add(number, self._batch.receiver, nodes.unheld[:, a:b])
+                    self._engine.unheld[self._source].add(number, self._batch.receiver, nodes.residual[:, a:b])
                     self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
 
     def _fits(self, block: int) -> bool:

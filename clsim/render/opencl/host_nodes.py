@@ -12,6 +12,7 @@ import numpy as np
 
 from clsim.opencl.launch import upload
 from clsim.render.opencl.block_polynomials import SMOOTH_SHARE, between, block_error, block_polynomials
+from clsim.render.opencl.nodes import Nodes
 from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:
@@ -35,19 +36,6 @@ _BESIDE = 8  # paths whose terms stand side by side, as in polynomials.h
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HostNodes:
-    """Block polynomials of a run, uploaded, and what was found while they were made."""
-
-    delay: Any
-    polynomials: Any
-    activity: None
-    error: Floats
-    unheld: Floats  # (2, segments, receivers), squares: nothing is looked for here, and what is heard
-    shortest: float
-    longest: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Run:
     """Inputs of nodes: source, blocks of a length from a sample on, and the active interval of each slot."""
 
@@ -67,7 +55,7 @@ class _Found:
     longest: float
 
 
-class HostTracks:
+class HostNodeMaker:
     """Makes block polynomials in NumPy, in threads, and uploads them."""
 
     def __init__(self, plan: Plan, queue: Any) -> None:
@@ -93,7 +81,7 @@ class HostTracks:
         block: int,
         blocks: int,
         meanwhile: Callable[[], None] | None = None,
-    ) -> HostNodes:
+    ) -> Nodes:
         """Make the polynomials of `blocks` blocks from a sample on, in threads; other work can be done meanwhile."""
         source, batch, bounds = state
         plan, filters = self._plan, self._plan.source_filters[source]
@@ -109,18 +97,18 @@ class HostTracks:
         parts = [(index, slots) for i, index in enumerate(batch.pairs) for slots in _parts(batch, i)]
         made = side_by_side(make, parts, meanwhile)
         error = np.zeros(-(-blocks * block // plan.segment))
-        unheld = np.zeros((2, len(error), len(batch.pairs)))
+        residual = np.zeros((2, len(error), len(batch.pairs)))
         for i, index in enumerate(batch.pairs):
             squares = np.sum(
                 [found.squares for found, (pair, _) in zip(made, parts, strict=True) if pair == index], axis=0
             )
-            unheld[1, :, i] = squares[1]
+            residual[1, :, i] = squares[1]
             wrong, heard = np.sqrt(squares)
             np.maximum(error, wrong / np.maximum(heard, 1e-30), out=error)
         beside = 1 if plan.delay_terms == 8 else _BESIDE
         laid_out = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
         shortest, longest = min(found.shortest for found in made), max(found.longest for found in made)
-        return HostNodes(self._upload(whole), self._upload(laid_out), None, error, unheld, shortest, longest)
+        return Nodes(self._upload(whole), self._upload(laid_out), None, error, residual, shortest, longest)
 
     def _part(
         self, run: _Run, pair: int, rows: NDArray[np.int64], slots: NDArray[np.int64]

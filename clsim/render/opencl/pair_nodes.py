@@ -8,7 +8,7 @@ import numpy as np
 
 from clsim.opencl.launch import work
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS
-from clsim.render.opencl.device_nodes import DeviceTracks
+from clsim.render.opencl.nodes import NodeMaker
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
-    from clsim.render.opencl.device_nodes import DeviceChunk
     from clsim.render.opencl.fades import Boundaries
+    from clsim.render.opencl.nodes import DeviceChunk
 
 _MOST_COUNTED = 2**23  # samples that floats count to the half: of more, silence is not left out
 # A receiver at a node, as in nodes/pair_delay.h.
@@ -33,7 +33,7 @@ def pairs(values: Floats) -> NDArray[np.float32]:
     return np.stack([large, (values - large).astype(np.float32)], axis=-1)
 
 
-class PairTracks(DeviceTracks):
+class PairNodeMaker(NodeMaker):
     """Makes block polynomials with ``pair_tracks.cl``: every node has its gains."""
 
     def prepare(
@@ -50,7 +50,7 @@ class PairTracks(DeviceTracks):
         counted = start + length - first < _MOST_COUNTED
         return super().prepare(source, batch, bounds, start, length, activity if counted else None, first)
 
-    def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+    def _views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
         return self._uploaded(image_matrix=pairs(matrix.reshape(-1, 9).T), image_offset=pairs(offset.T))
 
@@ -65,7 +65,7 @@ class PairTracks(DeviceTracks):
         return {}
 
     def _launch(
-        self, chunk: DeviceChunk, start: int, walks: int, receivers: NDArray[Any], more: dict[str, Any]
+        self, chunk: DeviceChunk, start: int, segments: int, receivers: NDArray[Any], more: dict[str, Any]
     ) -> None:
         rate, filters, block = self._plan.sampling_rate, self._plan.source_filters[chunk.source], more["block_samples"]
         trajectory = chunk.trajectory.copy()
@@ -89,7 +89,7 @@ class PairTracks(DeviceTracks):
         constants = self._constants(chunk.source) | {"SPARSE": int(more["activity"] is not None)}
         kernel = self._compiler.kernel("pair_tracks", constants)
         kernel(
-            self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **trajectory, **more,
+            self._queue, work(chunk.batch.count, segments), **chunk.images, **chunk.columns, **trajectory, **more,
             receivers=told, numbers=pairs(np.array(numbers)), speed_of_sound=c, emitted_first=first - origin,
             emitted_last=last - origin,
         )  # fmt: skip

@@ -13,11 +13,9 @@ from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, layout, upload
 from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
-from clsim.render.opencl.body_nodes import BODY_VIEW
-from clsim.render.opencl.edge_nodes import EDGE_VIEW
+from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR
 from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
-from clsim.render.opencl.scatterer_nodes import SCATTERER_VIEW
-from clsim.render.opencl.surroundings import RECEIVER_NODE, VECTOR
+from clsim.render.opencl.path_columns import EDGE_VIEW, MIRROR_VIEW, SCATTERER_VIEW
 
 KNOWN = {"CLK_LOCAL_MEM_FENCE", "OPENCL", "FP_CONTRACT", "OFF"}  # of OpenCL C itself
 TYPEDEFS = {"bins", "gains"}  # vectors of float, as wide as constants say
@@ -38,7 +36,7 @@ STRUCTURES = {
     ),
     "edge_view": ("tracks", EDGE_VIEW),
     "scatterer_view": ("tracks", SCATTERER_VIEW),
-    "body_view": ("tracks", BODY_VIEW),
+    "mirror_view": ("tracks", MIRROR_VIEW),
     **{
         argument.type: (name, layout(argument))
         for name, program in PROGRAMS.items()

@@ -1,4 +1,4 @@
-"""Tracks computed on the device, in float64, from the images of a scene."""
+"""Nodes of paths made on the device, in float64, whatever their leg and vertex, and block polynomials from them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
+from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR, Environment, receiver_at
 from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL
-from clsim.render.opencl.path_kinds import KINDS, OF_GAINS
-from clsim.render.opencl.surroundings import RECEIVER_NODE, VECTOR, Surroundings, receiver_at
+from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rendered
 from clsim.render.plan import Plan, node_times
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
-    from clsim.paths.family import Rows
     from clsim.render.opencl.activity import Activity
     from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.fades import Boundaries
@@ -35,14 +34,14 @@ _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster ar
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeviceNodes:
-    """Block polynomials of a run on the device, and what was found while they were made."""
+class Nodes:
+    """Block polynomials of a run on the device, and the errors, levels and delays of their nodes."""
 
     delay: Any
     polynomials: Any
     activity: Any  # subblocks of each block and path in which something sounds; None if all are looked at
     error: Floats  # (segments,), of all paths together, relative to what is heard, of the receiver where it is most
-    unheld: Floats  # (2, segments, receivers), squares of what no function of frequency holds, and of what is heard
+    residual: Floats  # (2, segments, receivers), squares of what no function of frequency represents, and of the level
     shortest: float  # s
     longest: float
 
@@ -66,8 +65,8 @@ class DeviceChunk:
     turn: float  # at which the source's beam turns at most, rad/s
 
 
-class DeviceTracks:
-    """Makes block polynomials with ``tracks.cl``."""
+class NodeMaker:
+    """Makes block polynomials of the paths of one family with ``tracks.cl``."""
 
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
@@ -89,10 +88,11 @@ class DeviceTracks:
             self._knot_rates.append(
                 knot_rate(source, min(filters.signal.duration + source.start, plan.duration), tolerance)
             )
-        self._surroundings = [
-            Surroundings(scene, i, self._mach(i), filters.basis, self._upload)
+        self._environments = [
+            Environment(scene, i, self._mach(i), filters.basis, self._upload)
             for i, filters in enumerate(plan.source_filters)
         ]
+        self._columns = COLUMNS[family.device](Rendered(plan, tracks, family, self._environments, self._upload))
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._static = {
             i: receiver_at(r, np.zeros(1))
@@ -100,9 +100,9 @@ class DeviceTracks:
             if math.isinf(r.trajectory.end) and r.electronics is None
         }
         self._all_static = len(self._static) == len(scene.receivers)
-        for i, around in enumerate(self._surroundings):
+        for i, env in enumerate(self._environments):
             mine = [pair for pair in tracks.pair_paths if pair.family is family and pair.source == i]
-            around.most_bounces(self._met(pair.rows) for pair in mine)
+            env.most_bounces(self._columns.met(pair.rows) for pair in mine)
 
     def prepare(
         self,
@@ -119,10 +119,10 @@ class DeviceTracks:
         Where `activity` is given, what is silent is left out; `first` is the sample at which branch signals begin.
         """
         plan, scene = self._plan, self._tracks.scene
-        around, pairs = self._surroundings[source], self._tracks.pair_paths
+        env, pairs = self._environments[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
-        walls = self._met(rows)
-        reflection = np.where(batch.padding[:, None, None], 0.0, around.reflection(walls)).astype(np.float32)
+        walls = self._columns.met(rows)
+        reflection = np.where(batch.padding[:, None, None], 0.0, env.reflection(walls)).astype(np.float32)
         receiver_of = np.repeat(np.arange(len(batch.pairs), dtype=np.int32), np.diff(batch.first_slot))
         rate = plan.sampling_rate
         longest, shortest = batch.longest, min(0.0, batch.shortest)  # below 0 s by a receiver's own clock
@@ -130,15 +130,15 @@ class DeviceTracks:
         knots, knot_first = motion_knots(
             scene.sources[source], start / rate - longest - 0.01 * abs(longest) - spare,
             (start + length) / rate - shortest + spare,
-            self._knot_rates[source], sideways=around.source_kind == SPHERICAL,
+            self._knot_rates[source], sideways=env.source_kind == SPHERICAL,
         )  # fmt: skip
-        images = self._images(source, rows) | self._uploaded(receiver_of=receiver_of)
-        wall_of, normal = self._bounces(source, rows)
+        images = self._views(source, rows) | self._uploaded(receiver_of=receiver_of)
+        wall_of, normal = self._columns.bounces(source, rows)
         columns = self._uploaded(reflection=reflection, wall_of=wall_of, normal=normal)
         trajectory = self._trajectory(knots) | {
             "knot_count": len(knots), "first_knot": knot_first, "knot_rate": self._knot_rates[source],
         }  # fmt: skip
-        poses = self._poses(start / rate - longest - spare, (start + length) / rate - shortest + spare)
+        poses = self._columns.poses(start / rate - longest - spare, (start + length) / rate - shortest + spare)
         paths = images | trajectory | poses
         coarse = self._coarse_delays(source, batch, paths, start, -(-length // plan.segment) + 3)
         cells = None
@@ -146,41 +146,20 @@ class DeviceTracks:
             cells = self._uploaded(active_cells=np.stack([activity.following, activity.preceding]))
             cells["cells"] = len(activity.cells)
         turn = 0.0
-        if around.source_kind != OMNI:
+        if env.source_kind != OMNI:
             turn = self._knot_rates[source] * _largest_turn(knots[:, CUBIC_COLUMNS : CUBIC_COLUMNS + 3])
-        field = self._field(source, rows)
+        field = self._columns.field(source, rows)
         return DeviceChunk(
             source, batch, start, images, columns, field, bounds, coarse, trajectory, poses, cells, first, turn
         )
 
-    def _kinds(self) -> dict[str, int]:
-        """Return the constants of the program that are not 0 for this kind of paths."""
-        return {}
-
-    def _met(self, rows: Rows) -> NDArray[np.signedinteger[Any]]:
-        """Return the reflecting walls of paths, as rows of the scene's materials (P, N), -1 for none."""
-        return np.asarray(self._family.walls[rows])
-
-    def _images(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Return the images of paths (slots,) as columns, the program's arguments."""
-        matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
-        return self._uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
-
-    def _bounces(self, source: int, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Return the walls of paths (slots,) that depend on the angle, see `Surroundings.bounces`."""
-        return self._surroundings[source].bounces(self._met(rows))
-
-    def _field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Return tables of the diffracted or scattered field of paths (slots,); empty for images."""
-        return {"field_tables": None, "faces": None, "middle": 0.0, "modes": None}
+    def _views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Images of paths (slots,) and what their leg and vertex add, as the program takes them."""
+        return self._columns.views(source, rows)
 
     def _trajectory(self, knots: Floats) -> dict[str, Any]:
-        """Return the knots of motion as the program takes them."""
+        """Knots of motion as the program takes them."""
         return self._uploaded(knots=knots)
-
-    def _poses(self, start: float, end: float) -> dict[str, Any]:
-        """Return the poses of scatterers or bodies that paths meet between two times, s; none for images."""
-        return {"poses": None, "pose_cells": None, "pose_count": 0, "first_pose": 0.0, "pose_rate": 0.0}
 
     def _coarse_delays(
         self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int
@@ -191,7 +170,7 @@ class DeviceTracks:
         rate, segment = self._plan.sampling_rate, self._plan.segment
         groups = -(-ends // self._together)
         ends = groups * self._together
-        numbers = {"coarse_delays": 2, "coarse_more": self._kinds().get("MORE", 0)}
+        numbers = {"coarse_delays": 2, "coarse_states": self._columns.state_numbers}
         out = {
             name: cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, 8 * count * ends * batch.count)
             if count else None
@@ -205,64 +184,66 @@ class DeviceTracks:
         kernel = self._compiler.kernel("coarse_delays", constants)
         kernel(
             self._queue, work(batch.count, groups), **paths, receivers=self._receivers_at(batch, times), ends=ends,
-            start=start / rate, walk_time=segment / rate, **self._media[source],
-            delays=out["coarse_delays"], more=out["coarse_more"],
+            start=start / rate, segment_time=segment / rate, **self._media[source],
+            delays=out["coarse_delays"], states=out["coarse_states"],
         )  # fmt: skip
         return out
 
     def nodes(
         self, chunk: DeviceChunk, start: int, block: int, blocks: int, meanwhile: Callable[[], None] | None = None
-    ) -> DeviceNodes:
+    ) -> Nodes:
         """Make the polynomials of `blocks` blocks from a sample on; something else can be done meanwhile."""
         import pyopencl as cl
 
         plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
         filters = plan.source_filters[chunk.source]
-        walks = -(-blocks * block // plan.segment)
+        segments = -(-blocks * block // plan.segment)
         terms = plan.delay_terms + 4 * len(filters.basis)
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
         polynomials = self._scratch.take(("polynomials", block), 4 * (terms * blocks * batch.count + VECTOR))
-        found = np.empty((walks, batch.count, 4), dtype=np.float32)
-        unheld = np.empty((walks, batch.count), dtype=np.float32)
-        found_there, unheld_there = (self._scratch.take(a, b.nbytes) for a, b in (("found", found), ("unheld", unheld)))
-        receivers = self._receivers_at(batch, node_times(start, block, walks * (plan.segment // block) + 4, rate))
-        heard_from, heard_until = chunk.bounds.samples_from(start)
-        around = self._surroundings[chunk.source]
+        found = np.empty((segments, batch.count, 4), dtype=np.float32)
+        residual = np.empty((segments, batch.count), dtype=np.float32)
+        there = [self._scratch.take(name, to.nbytes) for name, to in (("found", found), ("residual", residual))]
+        receivers = self._receivers_at(batch, node_times(start, block, segments * (plan.segment // block) + 4, rate))
+        active_from, active_until = chunk.bounds.samples_from(start)
+        env = self._environments[chunk.source]
         activity: Any = None
         cells: dict[str, Any] = {"active_cells": None, "cells": 0}
         if chunk.cells is not None:
             activity, cells = self._scratch.take(("activity", block), 4 * blocks * batch.count), chunk.cells
             cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * batch.count)
         made = {
-            "delay": delay, "polynomials": polynomials, "found": found_there, "unheld": unheld_there, "blocks": blocks,
-            "directivity_of": around.directivity_of[batch.receiver], "nodes": receivers.shape[1],
-            "heard_from": heard_from, "heard_until": heard_until, "activity": activity,
+            "delay": delay, "polynomials": polynomials, "found": there[0], "residual": there[1], "blocks": blocks,
+            "directivity_of": env.directivity_of[batch.receiver], "nodes": receivers.shape[1],
+            "active_from": active_from, "active_until": active_until, "activity": activity,
             "angular_frequency": 2.0 * math.pi * filters.swiftness, "max_rate": self._max_rates[chunk.source],
             "origin": start - chunk.first,
         }  # fmt: skip
         shape = self._shape(chunk.source, block)
-        self._launch(chunk, start, walks, receivers, made | around.basis | around.tables | cells | shape)
+        self._launch(chunk, start, segments, receivers, made | env.basis | env.tables | cells | shape)
         if meanwhile is not None:
             meanwhile()
-        cl.enqueue_copy(self._queue, found, found_there)
-        cl.enqueue_copy(self._queue, unheld, unheld_there)
-        return _nodes_made(batch.first_slot[:-1], (delay, polynomials, activity), found, unheld)
+        cl.enqueue_copy(self._queue, found, there[0])
+        cl.enqueue_copy(self._queue, residual, there[1])
+        nodes = _nodes_made(batch.first_slot[:-1], (delay, polynomials, activity), found, residual)
+        self._columns.check(nodes.shortest, start / rate, (start + block * blocks) / rate)
+        return nodes
 
     def _launch(
-        self, chunk: DeviceChunk, start: int, walks: int, receivers: NDArray[Any], more: dict[str, Any]
+        self, chunk: DeviceChunk, start: int, segments: int, receivers: NDArray[Any], more: dict[str, Any]
     ) -> None:
-        """Make the nodes of some walks from a sample on."""
+        """Make the nodes of some segments from a sample on."""
         rate, source, segment = self._plan.sampling_rate, chunk.source, self._plan.segment
         filters = self._plan.source_filters[source]
         first, last = filters.emitted_between(rate)
         constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
-        constants |= {"HALF_TURN": math.pi} | OF_GAINS
+        constants |= OF_GAINS
         kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
-            self._queue, work(chunk.batch.count, walks), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
+            self._queue, work(chunk.batch.count, segments), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
             **chunk.field, **chunk.poses, **chunk.coarse, **self._media[source], receivers=receivers,
             start=start / rate,
-            first_walk=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
+            first_segment=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
             delay_samples=filters.delay_samples, oversampling=filters.oversampling,
             smooth=self._smooth(chunk, receivers, more["block_samples"]),
         )  # fmt: skip
@@ -271,7 +252,7 @@ class DeviceTracks:
         """Constants of the program in float64."""
         wind = int(self._tracks.scene.air.wind is not None)
         smooth = np.float32(SMOOTH_ERROR)
-        return KINDS | self._kinds() | {
+        return OF_DELAYS | self._columns.constants | {
             "SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind,
         }  # fmt: skip
 
@@ -280,10 +261,10 @@ class DeviceTracks:
 
         They are where beams turn fast or lack symmetry: tables over a sphere have bends between such nodes.
         """
-        around, turn = self._surroundings[chunk.source], chunk.turn * block / self._plan.sampling_rate
-        if SPHERICAL in (around.source_kind, around.receiver_kind):
+        env, turn = self._environments[chunk.source], chunk.turn * block / self._plan.sampling_rate
+        if SPHERICAL in (env.source_kind, env.receiver_kind):
             return 0.0
-        if around.receiver_kind != OMNI:
+        if env.receiver_kind != OMNI:
             turn = max(turn, _largest_turn(receivers["axes"][..., 0, :]), _largest_turn(receivers["axes"][..., 1, :]))
         return SMOOTH_SHARE * 10 ** (self._plan.motion_error_db / 10) if turn <= _MOST_TURN else 0.0
 
@@ -293,7 +274,7 @@ class DeviceTracks:
         return speed / float(self._family.medium(source).slowest)
 
     def _motion_constants(self, source: int) -> dict[str, int]:
-        sideways = self._surroundings[source].source_kind == SPHERICAL
+        sideways = self._environments[source].source_kind == SPHERICAL
         return {
             "KNOT_COLUMNS": CUBIC_COLUMNS * (3 if sideways else 2),
             "RETARDED": int(self._tracks.motion == "retarded"),
@@ -305,30 +286,30 @@ class DeviceTracks:
         subblock = self._plan.subblock(source, block)
         return {
             "block_samples": block,
-            "walk_blocks": self._plan.segment // block,
+            "segment_blocks": self._plan.segment // block,
             "subblock_samples": subblock,
             "subblock_share": 0.0 if self._plan.is_fine(block) else subblock / block,
             "function_count": len(self._plan.source_filters[source].basis),
-            "angular": self._surroundings[source].angular,
+            "angular": self._environments[source].angular,
         }
 
     def _constants(self, source: int) -> dict[str, Any]:
-        retarded, around = self._tracks.motion == "retarded", self._surroundings[source]
+        retarded, env = self._tracks.motion == "retarded", self._environments[source]
         functions = len(self._plan.source_filters[source].basis)
         return self._motion_constants(source) | {
             "CELL": CELL,
             "DELAY_TERMS": self._plan.delay_terms,
             "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
-            "FREQUENCIES": around.count,
-            "PARTS": around.parts,
-            "AIR_TERMS": around.air_terms,
+            "FREQUENCIES": env.count,
+            "PARTS": env.parts,
+            "AIR_TERMS": env.air_terms,
             "CELLS": CELLS,
             "SIDE": SIDE,
             "FACE_CELLS": FACE_CELLS,
             "CUBIC_COLUMNS": CUBIC_COLUMNS,
             "MACH_EXPONENT": MACH_EXPONENT[self._tracks.amplitude] if retarded else 0,
-            "SOURCE_DIRECTIVITY": around.source_kind,
-            "RECEIVER_DIRECTIVITY": around.receiver_kind,
+            "SOURCE_DIRECTIVITY": env.source_kind,
+            "RECEIVER_DIRECTIVITY": env.receiver_kind,
             "OMNI": OMNI,
             "AXIAL": AXIAL,
             "SPHERICAL": SPHERICAL,
@@ -354,14 +335,14 @@ class DeviceTracks:
 
 
 def _nodes_made(
-    first: NDArray[np.int32], on_device: tuple[Any, Any, Any], found: NDArray[np.float32], unheld: NDArray[np.float32]
-) -> DeviceNodes:
+    first: NDArray[np.int32], on_device: tuple[Any, Any, Any], found: NDArray[np.float32], residual: NDArray[np.float32]
+) -> Nodes:
     """Return nodes with what was found of each walk and path, by receivers that begin at given paths."""
     # Errors of paths add up like the paths themselves: as the root of the sum of squares.
-    wrong, heard, left = (np.add.reduceat(square, first, axis=1) for square in (found[..., 0], found[..., 1], unheld))
+    wrong, heard, left = (np.add.reduceat(square, first, axis=1) for square in (found[..., 0], found[..., 1], residual))
     error = np.sqrt(wrong, dtype=np.float64) / np.maximum(np.sqrt(heard, dtype=np.float64), 1e-30)
     shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
-    return DeviceNodes(*on_device, error.max(axis=1), np.stack([left, heard], dtype=np.float64), shortest, longest)
+    return Nodes(*on_device, error.max(axis=1), np.stack([left, heard], dtype=np.float64), shortest, longest)
 
 
 def _largest_turn(axes: Floats) -> float:

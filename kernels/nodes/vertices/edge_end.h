@@ -1,6 +1,6 @@
 // Fields at ends of edges: the transitions of both at once, twin of acoustics/edge_end.py.
 
-#if EDGES
+#if VERTEX == EDGE
 // By how much a leg to a place `off` from the apex is longer than to it, less what cancels over both: see `end_detour`.
 static double longer_leg(double r, double along, double off)
 {
@@ -17,7 +17,7 @@ static double root_at_end(__global const edge_view* edge, double r_s, double z_s
 }
 
 // A weight times `end_transition` for roots of detours by the end and by the edge of which neither is negative.
-static void transition_of_both(const edge_tables* t, double end, const response* of_end, double root, float weight, response* r)
+static void transition_of_both(const vertex_tables* t, double end, const response* of_end, double root, float weight, response* r)
 {
     const float phi = (float)(root > end ? atan2(end, root) : atan2(root, end));
     const float x = phi * phi * (float)(32.0 / (HALF_TURN * HALF_TURN)) - 1.0f;
@@ -53,7 +53,7 @@ static void transition_of_both(const edge_tables* t, double end, const response*
 }
 
 // The same for roots that are negative beyond their boundaries; `of_end` is the transition function of the end's alone.
-static void transition_at_end(const edge_tables* t, double end, const response* of_end, double root, float weight, int lit, response* r)
+static void transition_at_end(const vertex_tables* t, double end, const response* of_end, double root, float weight, int lit, response* r)
 {
     const double beyond = end < 0.0 ? -end : end;
     if (end * end + root * root < AT_CORNER * AT_CORNER) {

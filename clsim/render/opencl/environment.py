@@ -27,7 +27,7 @@ _AIR_ERROR = 1e-6  # of polynomials of what air does, relative to its absorption
 VECTOR = 8  # numbers of a vector of gains or of frequencies in kernels
 
 
-class Surroundings:
+class Environment:
     """Air, walls and directivities at the nodes of one source's basis, as the device takes them; see ``response.h``."""
 
     def __init__(
@@ -128,7 +128,7 @@ def air_polynomials(at: SceneResponse, mach: float) -> tuple[Floats, Floats]:
     return found[0], found[1]
 
 
-# A receiver at a node, as in nodes/image.h.
+# A receiver at a node, as in nodes/legs/static.h.
 RECEIVER_NODE = np.dtype(
     [("position", "f8", 3), ("velocity", "f8", 3), ("axes", "f8", (2, 3)), ("clock_error", "f8"), ("clock_rate", "f8")]
 )

@@ -1,79 +1,79 @@
 // What is known of where paths are scattered, at nodes side by side, and the specular point there.
 
-#if SCATTERERS
+#if VERTEX == SCATTERER
 #define PREDICTED 1  // what the first step is made from
 #define UNKNOWN 2
 #define KNOWN 0      // of a further one
 #define LASTING -1   // likewise; what is hidden stays so
-#define GLINT_STEPS 40
-#define ROUNDED 1e-15  // of a way, by which it may be longer and counts as shorter
+#define SPECULAR_STEPS 40
+#define ROUNDED 1e-15  // of a length, by which it may be longer and counts as shorter
 
 // What is known of where a path is scattered, at nodes side by side.
 typedef struct {
-    reals late, late_rate;     // of the delay, what comes after it, s, and its derivative by the time of reception
-    reals weight, change;      // of the way to the receiver, and of the glint by the last step, rad
-    triples glint;             // its unit vector; of capsules its place, m
+    reals onward, onward_rate;  // delay of the leg to the receiver, s, and its derivative by the time of reception
+    reals weight, change;      // of the leg to the receiver, and of the specular point by the last step, rad
+    triples specular;             // its unit vector; of capsules its place, m
     triples source, receiver;  // the ends in the frame of the scatterer, m
-    triples arrival;           // unit vector along the way at the receiver, in the room
+    triples arrival;           // unit vector along the path at the receiver, in the room
     reals spread, leaving;     // product of the lengths of both legs, m^2; Mach number of the scatterer towards the receiver
 #if WIND
     triples start, stop;       // the ends as the air carries their wavefronts, m
 #endif
     choices hidden;            // whether it is between both ends
-} scattering;
+} scatterer_state;
 
-// By what is known of a glint: its place, m, and a step nearer to the shortest way.
-static triples glint_place(const glint_of* g, triples glint) { return g->shape == CAPSULE ? glint : along_axes(g->scale, glint); }
-static triples nearer(const glint_of* g, triples glint, reals longest, reals* change)
+// By what is known of a specular point: its place, m, and a step nearer to the shortest path.
+static triples specular_place(const scatterer_frame* g, triples specular) { return g->shape == CAPSULE ? specular : along_axes(g->scale, specular); }
+static triples step_closer(const scatterer_frame* g, triples specular, reals longest, reals* change)
 {
-    return g->shape == CAPSULE ? capsule_step(g, glint, longest, change) : glint_step(g, glint, longest, change);
+    return g->shape == CAPSULE ? capsule_step(g, specular, longest, change) : specular_step(g, specular, longest, change);
 }
-static reals way_by(const glint_of* g, triples glint)
+static reals length_by(const scatterer_frame* g, triples specular)
 {
-    const triples place = glint_place(g, glint), to = apart(place, g->source), back = apart(place, g->receiver);
+    const triples place = specular_place(g, specular), to = apart(place, g->source), back = apart(place, g->receiver);
     return root(DOT(to, to)) + g->weight * root(DOT(back, back));
 }
 
-// The place between the ends that is nearest to what reflects, m, and the glint there; whether it lies inside.
-static triples between_them(const glint_of* g, triples* glint, choices* hidden)
+// The place between the ends that is nearest to what reflects, m, and the specular point there; whether it lies inside.
+static triples nearest_between(const scatterer_frame* g, triples* specular, choices* hidden)
 {
     if (g->shape == CAPSULE) {
         reals at;
         const triples nearest = between_capsule_ends(g, &at, hidden);
-        *glint = joined(g, at, of_length_one(apart(nearest, on_axis(at))));
+        *specular = joined(g, at, of_length_one(apart(nearest, on_axis(at))));
         return nearest;
     }
     const triples nearest = between_ends(g, hidden);
-    *glint = of_length_one(nearest);
+    *specular = of_length_one(nearest);
     return along_axes(g->scale, nearest);
 }
 
-// The glint of the shortest way by steps that make it shorter, from `glint` or from another one. What a node comes to does
+// The specular point of the shortest path by steps that make it shorter, from `specular` or from another one. What a node comes to does
 // not depend on those beside it.
-static __attribute__((noinline)) triples glint_search(const glint_of* g, triples glint, triples other, reals* change)
+static __attribute__((noinline)) triples specular_search(const scatterer_frame* g, triples specular, triples other, reals* change)
 {
-    const reals from_it = way_by(g, glint), from_other = way_by(g, other);
-    choose(from_other < from_it, other, &glint);
-    reals way = smaller(from_it, from_other), longest = LONGEST_STEP;
+    const reals from_it = length_by(g, specular), from_other = length_by(g, other);
+    choose(from_other < from_it, other, &specular);
+    reals length = smaller(from_it, from_other), longest = LONGEST_STEP;
     *change = LONGEST_STEP;
-    for (int i = 0; i < GLINT_STEPS; i++) {
-        const choices open = *change > GLINT_FOUND;
+    for (int i = 0; i < SPECULAR_STEPS; i++) {
+        const choices open = *change > SPECULAR_FOUND;
         if (!ANY(open)) break;
         reals moved;
-        const triples next = nearer(g, glint, longest, &moved);
-        const reals shorter = way_by(g, next);
-        const choices better = shorter <= way * (1.0 + ROUNDED);
+        const triples next = step_closer(g, specular, longest, &moved);
+        const reals shorter = length_by(g, next);
+        const choices better = shorter <= length * (1.0 + ROUNDED);
         const reals longer = better ? smaller(2.0 * longest, (reals)LONGEST_STEP) : 0.25 * smaller(longest, moved);
         longest = open ? longer : longest;
-        choose(open & better, next, &glint);
-        way = (open & better) ? shorter : way;
+        choose(open & better, next, &specular);
+        length = (open & better) ? shorter : length;
         *change = open ? moved : *change;
     }
-    return glint;
+    return specular;
 }
 
-// From what is predicted of the glint, or from nothing.
-static triples begin_from(const glint_of* g, triples predicted, int first)
+// From what is predicted of the specular point, or from nothing.
+static triples begin_from(const scatterer_frame* g, triples predicted, int first)
 {
     if (first == UNKNOWN) {
         if (g->shape == CAPSULE) return capsule_guess(g);
@@ -83,8 +83,8 @@ static triples begin_from(const glint_of* g, triples predicted, int first)
 }
 
 // The specular point and its velocity in the place of the centre's; both ends are images.
-static void reflect_at(__global const view* seen, const pose* p, triples source, triples receiver, int first, triples* place,
-                       triples* velocity, scattering* b)
+static void locate_specular(__global const view* seen, const pose* p, triples source, triples receiver, int first, triples* place,
+                       triples* velocity, scatterer_state* b)
 {
     b->source = apart(source, p->place);
     b->receiver = apart(receiver, p->place);
@@ -94,20 +94,20 @@ static void reflect_at(__global const view* seen, const pose* p, triples source,
         b->receiver.x = DOT(r, p->axes[0]), b->receiver.y = DOT(r, p->axes[1]), b->receiver.z = DOT(r, p->axes[2]);
     }
     const triples scale = {seen->semi_axes[0], seen->semi_axes[1], seen->semi_axes[2]};
-    const glint_of g = {scale, b->source, b->receiver, b->weight, seen->shape};
+    const scatterer_frame g = {scale, b->source, b->receiver, b->weight, seen->shape};
     triples other;
     choices hidden;
-    const triples between = between_them(&g, &other, &hidden), before = begin_from(&g, b->glint, first);
+    const triples between = nearest_between(&g, &other, &hidden), before = begin_from(&g, b->specular, first);
     b->hidden = first == LASTING ? hidden | b->hidden : hidden;
-    b->glint = nearer(&g, before, (reals)LONGEST_STEP, &b->change);
-    const choices far = b->change > GLINT_FAR;
+    b->specular = step_closer(&g, before, (reals)LONGEST_STEP, &b->change);
+    const choices far = b->change > SPECULAR_FAR;
     if (first > KNOWN && ANY(far)) {
         reals change;
-        const triples found = glint_search(&g, before, other, &change);
-        choose(far, found, &b->glint);
+        const triples found = specular_search(&g, before, other, &change);
+        choose(far, found, &b->specular);
         b->change = far ? change : b->change;
     }
-    triples offset = glint_place(&g, b->glint);
+    triples offset = specular_place(&g, b->specular);
     choose(b->hidden, between, &offset);
     b->change = b->hidden ? (reals)0.0 : b->change;
     if (seen->turned) {
@@ -121,20 +121,20 @@ static void reflect_at(__global const view* seen, const pose* p, triples source,
 static void choose_reals(choices open, reals other, reals* kept) { *kept = open ? other : *kept; }
 
 // Take over what a further step has found at some nodes.
-static void keep(choices open, const arrivals* next, const scattering* met, arrivals* a, scattering* b)
+static void keep(choices open, const arrivals* next, const scatterer_state* met, arrivals* a, scatterer_state* b)
 {
     choose_reals(open, next->delay, &a->delay);
     choose_reals(open, next->rate, &a->rate);
     choose_reals(open, next->mach_factor, &a->mach_factor);
     choose_reals(open, next->u, &a->u);
     choose(open, next->departure, &a->departure);
-    choose_reals(open, met->late, &b->late);
-    choose_reals(open, met->late_rate, &b->late_rate);
+    choose_reals(open, met->onward, &b->onward);
+    choose_reals(open, met->onward_rate, &b->onward_rate);
     choose_reals(open, met->weight, &b->weight);
     choose_reals(open, met->change, &b->change);
     choose_reals(open, met->spread, &b->spread);
     choose_reals(open, met->leaving, &b->leaving);
-    choose(open, met->glint, &b->glint);
+    choose(open, met->specular, &b->specular);
 #if WIND
     choose(open, met->start, &b->start);
     choose(open, met->stop, &b->stop);

@@ -1,8 +1,8 @@
-// Mirrors on paths by bodies, BODIES of them at most, and images of events in these, as the source's own room sees them, where
+// Mirrors of moving legs (faces of bodies), MIRRORS of them at most, and images of events in these, as the source's own room sees them, where
 // walls at rest are isometries. Twin of paths/moving/events.py. In wind, which all is seen from the air's own frame for, walls
 // at rest move, too.
 
-#if BODIES
+#if LEG == MOVING
 #define EVENT_ERROR 1e-17  // s^2, of where and when mirrors were met from what was taken for it: delays are wrong by its square
 #define MOST_ROUNDS 20
 
@@ -15,27 +15,27 @@ typedef struct {
 
 // About when sound is emitted, and when, s from reception on, and where, m, mirrors are met.
 typedef struct {
-    reals delay, time[BODIES];
-    triples place[BODIES];
+    reals delay, time[MIRRORS];
+    triples place[MIRRORS];
 } events;
 
 // What paths by mirrors have besides arrivals.
 typedef struct {
     events about;                // what was taken for the events, that were found to be there
-    triples way[BODIES + 1];     // directions between mirrors
-    triples normal[BODIES];
+    triples direction[MIRRORS + 1];  // directions between mirrors
+    triples normal[MIRRORS];
     reals through, length;       // m of air, and over which pressure falls
     reals raised;                // by what mirrors raise frequencies
-} mirrored;
+} mirror_state;
 
-static triples further(triples a, reals factor, triples b)
+static triples plus_scaled(triples a, reals factor, triples b)
 {
     const triples out = {a.x + factor * b.x, a.y + factor * b.y, a.z + factor * b.z};
     return out;
 }
 
 // Vectors by the transposed matrix of a view.
-static triples untwisted(__global const double* m, triples v)
+static triples turned_back_by(__global const double* m, triples v)
 {
     const triples out = {m[0] * v.x + m[3] * v.y + m[6] * v.z, m[1] * v.x + m[4] * v.y + m[7] * v.z,
                          m[2] * v.x + m[5] * v.y + m[8] * v.z};
@@ -46,13 +46,13 @@ static triples untwisted(__global const double* m, triples v)
 static int mirrors_of(__global const view* seen)
 {
     int count = 0;
-    while (count < BODIES && seen->mirror[count].face >= 0) count++;
+    while (count < MIRRORS && seen->mirror[count].face >= 0) count++;
     return count;
 }
 
-// A mirror at events of paths received at times `now`. Of a knot FACE_COLUMNS are told: cubics [power][xyz] of the normal, and
+// A mirror at events of paths received at times `now`. Of a knot FACE_COLUMNS are given: cubics [power][xyz] of the normal, and
 // [power] of the offset, m.
-static mirror mirror_at(const trajectory* path, const pose_table* poses, __global const body_view* of, reals now, reals event,
+static mirror mirror_at(const trajectory* path, const pose_table* poses, __global const mirror_view* of, reals now, reals event,
                         triples place)
 {
     const reals at = ((RETARDED ? now + event : now) - poses->first) * poses->rate;
@@ -72,8 +72,8 @@ static mirror mirror_at(const trajectory* path, const pose_table* poses, __globa
     const reals height = COLUMN(12) + u * (COLUMN(13) + u * (COLUMN(14) + u * COLUMN(15)));
     const reals rising = COLUMN(13) + u * (2 * COLUMN(14) + u * 3 * COLUMN(15));
     mirror m;
-    m.normal = untwisted(of->turn, normal);
-    const triples turns = untwisted(of->turn, turning);
+    m.normal = turned_back_by(of->turn, normal);
+    const triples turns = turned_back_by(of->turn, turning);
     const reals rise = rising - (turning.x * shift[0] + turning.y * shift[1] + turning.z * shift[2]);
     const reals speed = poses->rate * (rise - DOT(turns, place)), most = of->most;
     m.moving = speed > most ? most : speed < -most ? -most : speed;
@@ -92,7 +92,7 @@ static reals height_of(const mirror* m, reals time, triples place) { return DOT(
 static triples before_mirror(const mirror* m, triples leaving, double slowness)
 {
     const reals mach = m->speed * slowness, rise = 2.0 * (DOT(m->normal, leaving) - mach) / (1.0 - mach * mach);
-    const triples before = further(leaving, -rise, m->normal);
+    const triples before = plus_scaled(leaving, -rise, m->normal);
     const reals longer = 1.0 / (1.0 - rise * mach);
     const triples out = {before.x * longer, before.y * longer, before.z * longer};
     return out;
@@ -100,10 +100,10 @@ static triples before_mirror(const mirror* m, triples leaving, double slowness)
 
 // Directions between mirrors, from the last one back, and what the delay's rate and the pressure follow.
 static void directions(const trajectory* path, const mirror* met, int count, const listener* ear, triples velocity, reals beyond,
-                       arrivals* a, mirrored* b)
+                       arrivals* a, mirror_state* b)
 {
     const double slowness = path->slowness;
-    triples way = b->way[count];
+    triples way = b->direction[count];
     const triples onwards = way;
     reals growth = 0.0, carried = 1.0;
 #if WIND
@@ -120,9 +120,9 @@ static void directions(const trajectory* path, const mirror* met, int count, con
         growth += met[k].moving * (arriving * DOT(before, met[k].normal) - leaving * DOT(way, met[k].normal));
 #endif
         b->normal[k] = met[k].normal;
-        b->way[k] = way = before;
+        b->direction[k] = way = before;
     }
-    for (int k = count + 1; k <= BODIES; k++) b->way[k] = onwards;
+    for (int k = count + 1; k <= MIRRORS; k++) b->direction[k] = onwards;
     reals mach = slowness * DOT(way, velocity);
 #if WIND
     mach /= 1.0 + slowness * DOT(way, wind);

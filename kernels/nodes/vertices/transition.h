@@ -7,11 +7,11 @@ typedef struct {
     __global const bins* waves;       // [BIN_VECTORS], waves in a metre
     double middle;                    // root of a detour, m^(1/2)
     __global const double* modes;     // of spheres, see sphere_field.h
-} edge_tables;
+} vertex_tables;
 
-#if EDGES || SCATTERERS
+#if VERTEX != NONE
 // A weight times the transition function of the root of a detour, m^(1/2); beyond a boundary the root is below 0.
-static void transition_of(const edge_tables* t, double root, float weight, response* r)
+static void transition_of(const vertex_tables* t, double root, float weight, response* r)
 {
     const double size = root < 0.0 ? -root : root;
     for (int b = 0; b < BIN_VECTORS; b++) {
@@ -19,7 +19,7 @@ static void transition_of(const edge_tables* t, double root, float weight, respo
         r->part[0][b] = weight;
     }
     apply_cubics(t->transition, (float)(t->middle / (t->middle + size)), r);
-#if PARTS == 2  // all that sounds has phases where there are edges
+#if PARTS == 2  // all responses have phases where there are edges
     if (root >= 0.0) return;
     response beyond;
     for (int b = 0; b < BIN_VECTORS; b++) {

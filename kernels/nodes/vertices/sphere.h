@@ -1,7 +1,7 @@
 // The field of rigid spheres, by the sum over their modes in float64: twin of `sphere_aspects` and `sphere_field` in
 // acoustics/sphere.py. A sphere has in a table ka at FREQUENCIES, and of each mode the recurrence's two factors and the weight.
 
-#if SCATTERERS && PARTS == 2
+#if VERTEX == SCATTERER && PARTS == 2
 #if FREQUENCIES == 1
 typedef double waves;  // numbers at neighbouring frequencies side by side
 #define WAVES 1
@@ -51,17 +51,17 @@ static void sum_of_modes(__global const double* ka, int modes, int least, const 
     *imaginary = twice * sum_real;
 }
 
-// The field over the strength, which is returned, m. The place is that of the glint, or between the ends.
-static double sphere_field(const edge_tables* t, const glint_of* g, triples place, __global const view* seen, int beside,
+// The field over the strength, which is returned, m. The place is that of the specular point, or between the ends.
+static double sphere_field(const vertex_tables* t, const scatterer_frame* g, triples place, __global const view* seen, int lane,
                            response* field)
 {
     const triples to = apart(place, g->source), back = apart(place, g->receiver);
     const reals near1 = root(DOT(to, to)), near2 = root(DOT(back, back));
     const reals far1 = root(DOT(g->source, g->source)), far2 = root(DOT(g->receiver, g->receiver));
     const reals cosine = DOT(g->source, g->receiver) / (far1 * far2), longer = (far1 - near1) + (far2 - near2);
-    const double radius = OF_NODE(g->scale.x, beside), held = OF_NODE(cosine, beside);
-    const sphere_aspects s = {fmin(fmax(held, -1.0), 1.0), radius / OF_NODE(far1, beside), radius / OF_NODE(far2, beside),
-                              OF_NODE(longer, beside)};
+    const double radius = OF_NODE(g->scale.x, lane), clamped_cosine = OF_NODE(cosine, lane);
+    const sphere_aspects s = {fmin(fmax(clamped_cosine, -1.0), 1.0), radius / OF_NODE(far1, lane), radius / OF_NODE(far2, lane),
+                              OF_NODE(longer, lane)};
     __global const double* ka = t->modes + seen->first_mode;
     float* parts[2] = {(float*)field->part[0], (float*)field->part[1]};
     const double turns_of_ka = s.longer / (2.0 * HALF_TURN * radius);
@@ -77,6 +77,6 @@ static double sphere_field(const edge_tables* t, const glint_of* g, triples plac
         }
     }
     for (int b = 0; b < BIN_VECTORS; b++) turn(field, b, turns[b]);
-    return 0.5 * radius * OF_NODE(near1, beside) * OF_NODE(near2, beside) / (OF_NODE(far1, beside) * OF_NODE(far2, beside));
+    return 0.5 * radius * OF_NODE(near1, lane) * OF_NODE(near2, lane) / (OF_NODE(far1, lane) * OF_NODE(far2, lane));
 }
 #endif

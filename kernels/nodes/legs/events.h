@@ -1,44 +1,44 @@
 // Events on paths by bodies: rounds until they are found.
 
-#if BODIES
+#if LEG == MOVING
 // One round from guesses, which it betters where they are `open` and wrong, which is returned. What a node comes to does not
 // depend on those beside it: from a guess that stays the same it comes to the same again.
 static choices event_round(const trajectory* path, const pose_table* poses, __global const view* seen, int count, const listener* ear,
-                           reals time, choices open, arrivals* a, mirrored* b)
+                           reals time, choices open, arrivals* a, mirror_state* b)
 {
     const double slowness = path->slowness;
     events* about = &b->about;
-    mirror met[BODIES];
+    mirror met[MIRRORS];
     for (int k = 0; k < count; k++) met[k] = mirror_at(path, poses, seen->mirror + k, time, about->time[k], about->place[k]);
     locate(path, RETARDED ? time - about->delay : time, a);
-    triples image[BODIES + 1], moved = {0.0, 0.0, 0.0};
-    reals at[BODIES + 1], late = 0.0;
+    triples image[MIRRORS + 1], moved = {0.0, 0.0, 0.0};
+    reals at[MIRRORS + 1], late = 0.0;
     image[0] = cubics(a->knot, a->u), at[0] = -about->delay;
     triples velocity = cubic_rates(a->knot, a->u);
     velocity.x *= path->rate, velocity.y *= path->rate, velocity.z *= path->rate;
     if (RETARDED) moved = velocity;
 #if WIND
     const triples wind = {path->wind.x, path->wind.y, path->wind.z};
-    image[0] = further(image[0], about->delay, wind);
-    moved = further(moved, -1.0, wind);
+    image[0] = plus_scaled(image[0], about->delay, wind);
+    moved = plus_scaled(moved, -1.0, wind);
 #endif
     for (int k = 0; k < count; k++) {
         const mirror* m = met + k;
         const reals mach = m->speed * slowness, twice = 2.0 / (1.0 - mach * mach);
         const reals height = height_of(m, at[k], image[k]) * twice;
         const reals rise = (DOT(m->normal, moved) - m->speed * (1.0 + late)) * twice;
-        image[k + 1] = further(image[k], -height, m->normal);
+        image[k + 1] = plus_scaled(image[k], -height, m->normal);
         at[k + 1] = at[k] - height * mach * slowness;
-        moved = further(moved, -rise, m->normal);
+        moved = plus_scaled(moved, -rise, m->normal);
         late -= rise * mach * slowness;
     }
-    const triples apart = further(ear->position, -1.0, image[count]);
+    const triples apart = plus_scaled(ear->position, -1.0, image[count]);
     const reals squared = DOT(apart, apart), inverse = inverse_root(squared);
     const triples onwards = {apart.x * inverse, apart.y * inverse, apart.z * inverse};
     b->through = squared * inverse;
     const reals beyond = late - slowness * DOT(onwards, moved), step = (at[count] + b->through * slowness) / (1.0 + beyond);
     a->delay = about->delay + step;
-    b->way[count] = onwards;
+    b->direction[count] = onwards;
     directions(path, met, count, ear, velocity, beyond, a, b);
     events next;
     next.delay = a->delay;
@@ -49,13 +49,13 @@ static choices event_round(const trajectory* path, const pose_table* poses, __gl
         const reals across = near - far, share = near / (across == 0.0 ? (reals)1.0 : across);
         const reals low = -BEYOND_LEG, high = 1.0 + BEYOND_LEG, part = share < low ? low : share > high ? high : share;
         met_at += part * (at[k + 1] - met_at);
-        place = further(place, part, further(image[k + 1], -1.0, place));
+        place = plus_scaled(place, part, plus_scaled(image[k + 1], -1.0, place));
         next.time[k] = met_at, next.place[k] = place;
 #if WIND
-        next.place[k] = further(place, met_at, wind);
+        next.place[k] = plus_scaled(place, met_at, wind);
 #endif
         const reals later = met_at - about->time[k];
-        const triples off = further(next.place[k], -1.0, about->place[k]);
+        const triples off = plus_scaled(next.place[k], -1.0, about->place[k]);
         changed += later * later + slowness * slowness * DOT(off, off);
     }
     open &= (changed >= EVENT_ERROR) | (changed != changed);
@@ -69,7 +69,7 @@ static choices event_round(const trajectory* path, const pose_table* poses, __gl
 
 // Rounds from guesses on. What is not found stays as it was expected, and at rest.
 static void solve_events(const trajectory* path, const pose_table* poses, __global const view* seen, const listener* ear,
-                         reals time, arrivals* a, mirrored* b)
+                         reals time, arrivals* a, mirror_state* b)
 {
     const int count = mirrors_of(seen);
     const reals expected = b->about.delay = a->delay;
@@ -82,4 +82,23 @@ static void solve_events(const trajectory* path, const pose_table* poses, __glob
     a->rate = open ? (reals)0.0 : a->rate;
 }
 #define SOLVE_DELAY(path, poses, seen, receiver, time, small, a, b) solve_events(path, poses, seen, receiver, time, a, b)
+#define SOLVE_ANEW SOLVE_DELAY
+
+typedef mirror_state path_state;
+static void begin_state(triples ear, path_state* b)
+{
+    for (int k = 0; k < MIRRORS; k++) {
+        b->about.time[k] = 0.0;
+        b->about.place[k] = ear;
+    }
+}
+static void write_state(const path_state* b, int node, __global double* told, int slots)
+{
+    for (int k = 0; k < MIRRORS; k++, told += 4 * (long)slots) {
+        const triples* place = b->about.place + k;
+        const double numbers[4] = {OF_NODE(b->about.time[k], node), OF_NODE(place->x, node), OF_NODE(place->y, node),
+                                   OF_NODE(place->z, node)};
+        for (int i = 0; i < 4; i++) told[i * (long)slots] = numbers[i];
+    }
+}
 #endif

@@ -1,6 +1,6 @@
 // The field beyond an edge: twin of `EdgePaths._edge_field` in paths/diffraction/family.py and of acoustics/diffraction.py.
 
-#if EDGES
+#if VERTEX == EDGE
 // Coordinates of a place along the axes of an edge, and a vector of these in the room.
 static triple place_by_edge(__global const double* turn, __global const double* shift, triple v)
 {
@@ -33,12 +33,12 @@ static triple towards_edge(triple at, double place)
 }
 
 // Multiply by the factor of a face, at the cosine of the angle of incidence of a reflection by it.
-static void by_face(const surroundings* around, const edge_tables* t, __global const edge_view* edge, int slot, int face,
+static void by_face(const environment* env, const vertex_tables* t, __global const edge_view* edge, int slot, int face,
                     double cosine, response* r)
 {
     const int table = edge->face[face];
     if (table >= 0) {
-        apply_cubics(around->walls + (long)table * CELLS * 4 * PARTS * BIN_VECTORS,
+        apply_cubics(env->walls + (long)table * CELLS * 4 * PARTS * BIN_VECTORS,
                      sqrt((float)(cosine < 0.0 ? -cosine : cosine)), r);
         return;
     }
@@ -52,12 +52,12 @@ static void by_face(const surroundings* around, const edge_tables* t, __global c
 }
 
 // The same for all reflections of a term's partner in turn, as `partner_factors`: by half the sum or the difference of angles.
-static void by_faces(const surroundings* around, const edge_tables* t, __global const edge_view* edge, int slot, int first,
+static void by_faces(const environment* env, const vertex_tables* t, __global const edge_view* edge, int slot, int first,
                      int count, double angle, double slope, response* r)
 {
     for (int bounce = 0; bounce < count; bounce++) {
         const double cosine = cos(angle + (bounce - count / 2) * HALF_TURN * edge->n) * slope;
-        by_face(around, t, edge, slot, (first + bounce) & 1, cosine, r);
+        by_face(env, t, edge, slot, (first + bounce) & 1, cosine, r);
     }
 }
 
@@ -77,9 +77,9 @@ static double4 sines(double4 angle, double4* cosines)
     return ((of_turn < -0.5) | (of_turn > 1.5)) ? -sine : sine;
 }
 
-// The field over that of free air of the length of the shortest way, which is returned, m, and where it meets the edge; ends
+// The field over that of free air of the length of the shortest path, which is returned, m, and where it meets the edge; ends
 // are along the edge's axes.
-static double edge_field(const surroundings* around, const edge_tables* t, __global const edge_view* edge, int slot, triple s,
+static double edge_field(const environment* env, const vertex_tables* t, __global const edge_view* edge, int slot, triple s,
                          triple r, double raised, double* place, response* field)
 {
     const double r_s = off_edge(s), r_r = off_edge(r), across = r_s + r_r, along = s.z - r.z, n = edge->n;
@@ -119,7 +119,7 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
         const double root = side * rise * breadth, weight = -0.5 * side * steep;
         if (edge->end_side) transition_at_end(t, end, &of_end, root, (float)(-edge->end_side * weight), edge->lit[term], &one);
         else transition_of(t, root, (float)weight, &one);
-        by_faces(around, t, edge, slot, term < 2 ? 0 : term, edge->bounces[term / 2], 0.5 * (term < 2 ? together : -between),
+        by_faces(env, t, edge, slot, term < 2 ? 0 : term, edge->bounces[term / 2], 0.5 * (term < 2 ? together : -between),
                  across / length, &one);
         for (int part = 0; part < PARTS; part++) {
             for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] += one.part[part][b];
@@ -127,5 +127,21 @@ static double edge_field(const surroundings* around, const edge_tables* t, __glo
     }
     *place = edge->end_side ? edge->end : apex;
     return length;
+}
+
+static arrival arrival_of(const path_nodes* s, int i, double through, const environment* env, response* field, int* fielded)
+{
+    const arrivals* a = s->node + VECTOR(i);
+    const int lane = LANE(i);
+    __global const view* edge = s->seen;
+    const triple from = place_by_edge(edge->source_turn, edge->source_shift, cubic(a->knot[lane], OF_NODE(a->u, lane)));
+    const triple to = triple_of(&RECEIVER_AT(s, i).ear.position, lane);
+    double place;
+    *fielded = 1;
+    const double length = edge_field(env, &s->tables, edge, s->slot, from, to, OF_NODE(a->mach_factor, lane), &place, field);
+    const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, lane),
+                          into_room(edge->source_turn, towards_edge(from, place)),
+                          times(-1.0, into_room(edge->receiver_turn, towards_edge(to, place))), a->knot[lane], OF_NODE(a->u, lane)};
+    return here;
 }
 #endif

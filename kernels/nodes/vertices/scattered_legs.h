@@ -1,10 +1,10 @@
 // Ways by a scatterer: the delay equation of each leg, the later one first, together with the specular point. Twin of
 // paths/scattering/way.py.
 
-#if SCATTERERS
+#if VERTEX == SCATTERER
 #define ROUNDS 60
 
-// How sound passes a leg: time, s, and by how much it grows with the length and with the wind's share of the way.
+// How sound passes a leg: time, s, and by how much it grows with the length and with the wind's share of the leg.
 typedef struct {
     reals time, slowness, carried;
 } passage;
@@ -27,9 +27,9 @@ static passage passing(const trajectory* path, reals squared, reals inverse, rea
 
 // One Newton step from `a->delay` and what is known in `b`; returns at which nodes another one is of use.
 static choices scattered_step(const trajectory* path, const pose_table* poses, __global const view* seen, const listener* receiver,
-                              reals time, double small, int first, arrivals* a, scattering* b)
+                              reals time, double small, int first, arrivals* a, scatterer_state* b)
 {
-    const reals early = a->delay - b->late, event = RETARDED ? time - b->late : time;
+    const reals early = a->delay - b->onward, event = RETARDED ? time - b->onward : time;
     locate(path, RETARDED ? event - early : time, a);
     const triples at = cubics(a->knot, a->u), rates = cubic_rates(a->knot, a->u), speed = scaled((reals)path->rate, rates);
     const triples from = seen_at(seen->source_turn, seen->source_shift, at);
@@ -37,7 +37,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
     triples place = p.place, velocity = p.velocity;
     if (seen->shape == POINT) {
         const triples none = {0.0, 0.0, 0.0};
-        b->glint = b->source = b->receiver = none;
+        b->specular = b->source = b->receiver = none;
         b->change = 0.0;
         b->hidden = (choices)0;
     } else {
@@ -46,7 +46,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
 #else
         const triples start = from, stop = receiver->position;
 #endif
-        reflect_at(seen, &p, start, stop, first, &place, &velocity, b);
+        locate_specular(seen, &p, start, stop, first, &place, &velocity, b);
     }
     const triples there = apart(place, from), back = apart(receiver->position, place);
     const reals squared1 = DOT(there, there), inverse1 = inverse_root(squared1);
@@ -87,19 +87,19 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
     }
     const choices unsettled = WIND && first > KNOWN && seen->shape != POINT ? b->weight == b->weight : b->change > SETTLED;
 #if RETARDED
-    const reals later = (on.time - b->late) / (1.0 - leaving);
+    const reals later = (on.time - b->onward) / (1.0 - leaving);
     const reals more = (to.time - early + later * (mach - coming)) / (1.0 - mach);
     b->weight = (1.0 - coming) / (1.0 - leaving) * faster;
-    b->late += later;
-    b->late_rate = (receding - leaving) / (1.0 - leaving);
-    a->delay = b->late + early + more;
+    b->onward += later;
+    b->onward_rate = (receding - leaving) / (1.0 - leaving);
+    a->delay = b->onward + early + more;
     a->mach_factor = 1.0 / (1.0 - mach);
     a->rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) * a->mach_factor / (1.0 - leaving);
     return later * later >= small | more * more >= small | unsettled;
 #else
     b->weight = faster;
-    b->late = on.time;
-    b->late_rate = receding - leaving;
+    b->onward = on.time;
+    b->onward_rate = receding - leaving;
     a->delay = to.time + on.time;
     a->mach_factor = 1.0;
     a->rate = receding - leaving + coming - mach;
@@ -109,18 +109,33 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
 
 // As solve_delay of delay.h; NO_WAY where none is found.
 static void solve_scattered(const trajectory* path, const pose_table* poses, __global const view* seen, const listener* receiver,
-                            reals time, double small, int first, arrivals* a, scattering* b)
+                            reals time, double small, int first, arrivals* a, scatterer_state* b)
 {
     choices open = scattered_step(path, poses, seen, receiver, time, small, first, a, b);
     for (int k = 1; k < ROUNDS && ANY(open); k++) {
         arrivals next = *a;
-        scattering met = *b;
+        scatterer_state met = *b;
         const choices still = scattered_step(path, poses, seen, receiver, time, small, k < PATIENCE ? KNOWN : LASTING, &next, &met);
         keep(open, &next, &met, a, b);
         open &= still;
     }
-    a->delay = open ? (reals)NO_WAY : a->delay;
+    a->delay = open ? (reals)NO_PATH : a->delay;
 }
 #define SOLVE_DELAY(path, poses, seen, receiver, time, small, a, b) \
     solve_scattered(path, poses, seen, receiver, time, small, PREDICTED, a, b)
+#define SOLVE_ANEW(path, poses, seen, receiver, time, small, a, b) \
+    solve_scattered(path, poses, seen, receiver, time, small, UNKNOWN, a, b)
+
+typedef scatterer_state path_state;
+static void begin_state(triples ear, path_state* b)
+{
+    b->onward = 0.0;
+    b->weight = 1.0;
+}
+static void write_state(const path_state* b, int node, __global double* told, int slots)
+{
+    const double numbers[STATE_NUMBERS] = {OF_NODE(b->onward, node), OF_NODE(b->onward_rate, node), OF_NODE(b->weight, node),
+                                  OF_NODE(b->specular.x, node), OF_NODE(b->specular.y, node), OF_NODE(b->specular.z, node)};
+    for (int i = 0; i < STATE_NUMBERS; i++) told[i * (long)slots] = numbers[i];
+}
 #endif

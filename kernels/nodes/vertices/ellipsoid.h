@@ -1,6 +1,6 @@
 // Where ellipsoids reflect, at nodes side by side, and how strongly: twin of acoustics/scattering.py.
 
-#if SCATTERERS
+#if VERTEX == SCATTERER
 #define LEAST 1e-100  // in divisors: what is divided by it is squared, too
 
 static reals larger(reals a, reals b) { return a > b ? a : b; }
@@ -23,21 +23,21 @@ static triples apart(triples a, triples b)
 }
 static triples of_length_one(triples v) { return scaled(inverse_root(larger(DOT(v, v), (reals)LEAST)), v); }
 
-// Both ends in the frame of what reflects, m, and the weight of the way to the receiver. Of capsules `scale` is the radius
+// Both ends in the frame of what reflects, m, and the weight of the leg to the receiver. Of capsules `scale` is the radius
 // and, along z, half of the whole length.
 typedef struct {
     triples scale, source, receiver;
     reals weight;
     int shape;
-} glint_of;
+} scatterer_frame;
 
-// Slopes and second derivatives of the way by a unit vector, along two vectors across it.
+// Slopes and second derivatives of the path by a unit vector, along two vectors across it.
 typedef struct {
     triples one, other;
     reals slope_one, slope_other, bend_one, bend_both, bend_other, determinant;
-} bends;
+} derivatives;
 
-static void add_end(triples place, triples p, triples q, triples end, reals weight, reals* inward, bends* b)
+static void add_end(triples place, triples p, triples q, triples end, reals weight, reals* inward, derivatives* b)
 {
     const triples away = apart(place, end);
     const reals near = inverse_root(DOT(away, away)), size = weight * near;
@@ -50,10 +50,10 @@ static void add_end(triples place, triples p, triples q, triples end, reals weig
     b->bend_other += (DOT(q, q) - second * second) * size;
 }
 
-static bends bends_at(const glint_of* g, triples u, reals weight)
+static derivatives derivatives_at(const scatterer_frame* g, triples u, reals weight)
 {
     const reals sign = u.z >= 0.0 ? (reals)1.0 : (reals)-1.0, a = -1.0 / (sign + u.z), b = u.x * u.y * a;
-    bends out = {{1.0 + sign * u.x * u.x * a, sign * b, -sign * u.x}, {b, sign + u.y * u.y * a, -u.y}};
+    derivatives out = {{1.0 + sign * u.x * u.x * a, sign * b, -sign * u.x}, {b, sign + u.y * u.y * a, -u.y}};
     const triples p = along_axes(g->scale, out.one), q = along_axes(g->scale, out.other), place = along_axes(g->scale, u);
     reals inward = 0.0;
     out.slope_one = out.slope_other = out.bend_one = out.bend_both = out.bend_other = 0.0;
@@ -65,20 +65,20 @@ static bends bends_at(const glint_of* g, triples u, reals weight)
     return out;
 }
 
-// A unit vector one Newton step nearer to the shortest way; `change` is by how much, rad.
-static triples glint_step(const glint_of* g, triples u, reals longest, reals* change)
+// A unit vector one Newton step nearer to the shortest path; `change` is by how much, rad.
+static triples specular_step(const scatterer_frame* g, triples u, reals longest, reals* change)
 {
-    const bends b = bends_at(g, u, g->weight);
+    const derivatives b = derivatives_at(g, u, g->weight);
     const reals size = 1.0 / larger(b.determinant, (reals)LEAST);
     const reals first = (b.bend_both * b.slope_other - b.bend_other * b.slope_one) * size;
     const reals second = (b.bend_both * b.slope_one - b.bend_one * b.slope_other) * size;
-    const reals length = root(first * first + second * second), held = smaller((reals)1.0, longest / length);
-    *change = length * held;
-    return of_length_one(plus(u, plus(scaled(held * first, b.one), scaled(held * second, b.other))));
+    const reals length = root(first * first + second * second), damping = smaller((reals)1.0, longest / length);
+    *change = length * damping;
+    return of_length_one(plus(u, plus(scaled(damping * first, b.one), scaled(damping * second, b.other))));
 }
 
 // The point between both ends that is nearest to the centre, as a multiple of the axes; whether it lies inside.
-static triples between_ends(const glint_of* g, choices* hidden)
+static triples between_ends(const scatterer_frame* g, choices* hidden)
 {
     const triples s = {g->source.x / g->scale.x, g->source.y / g->scale.y, g->source.z / g->scale.z};
     const triples r = {g->receiver.x / g->scale.x, g->receiver.y / g->scale.y, g->receiver.z / g->scale.z};
@@ -90,13 +90,13 @@ static triples between_ends(const glint_of* g, choices* hidden)
 }
 
 // The strength but for the share that is lit, m, and the cosine of the angle of incidence.
-static reals glint_strength(const glint_of* g, triples u, reals* cosine)
+static reals specular_strength(const scatterer_frame* g, triples u, reals* cosine)
 {
     const triples normal = {u.x / g->scale.x, u.y / g->scale.y, u.z / g->scale.z};
     const triples away = apart(along_axes(g->scale, u), g->source);
     const reals steep = root(DOT(normal, normal));
     *cosine = larger(-DOT(normal, away) / (steep * root(DOT(away, away))), (reals)0.0);
-    const bends b = bends_at(g, u, (reals)1.0);
+    const derivatives b = derivatives_at(g, u, (reals)1.0);
     return *cosine * g->scale.x * g->scale.y * g->scale.z * steep * inverse_root(larger(b.determinant, (reals)LEAST));
 }
 #endif

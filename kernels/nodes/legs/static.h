@@ -1,5 +1,22 @@
-// Images of the source, and receivers as these are heard by them: the receiver, mirrored back into the source's own room.
-// One image per slot, as columns: a 3 x 3 matrix and an offset; or receivers as the edge or the scatterer of a path sees them.
+// Static legs: images of the source by walls at rest, which are isometries, and receivers as these see them. Of a path without a
+// vertex one image per slot, as columns: a 3 x 3 matrix and an offset, by which the receiver is mirrored back into the source's own
+// room. At an edge or a scatterer (TWO_SIDED) both ends are seen from the vertex: rows of a matrix and a shift.
+
+#define TWO_SIDED (VERTEX != NONE)
+
+#if TWO_SIDED
+static triples turned(__global const double* m, triples v)
+{
+    const triples out = {m[0] * v.x + m[1] * v.y + m[2] * v.z, m[3] * v.x + m[4] * v.y + m[5] * v.z,
+                         m[6] * v.x + m[7] * v.y + m[8] * v.z};
+    return out;
+}
+static triples seen_at(__global const double* turn, __global const double* shift, triples place)
+{
+    const triples v = turned(turn, place), out = {v.x + shift[0], v.y + shift[1], v.z + shift[2]};
+    return out;
+}
+#endif
 
 typedef struct {
     double position[3], velocity[3], axes[2][3];  // of the receiver; its third axis is the product of both

@@ -1,13 +1,13 @@
 // The field of capsules: twin of `capsule_aspects` and `capsule_field` in acoustics/capsule.py.
 
-#if SCATTERERS && PARTS == 2
+#if VERTEX == SCATTERER && PARTS == 2
 typedef struct {
     reals way, slope, steep, bend, inward;
-} capsule_ways;
+} capsule_lengths;
 
 static reals positive(reals x) { return larger(x, (reals)0.0); }
 
-static capsule_ways ways_by(const glint_of* g, triples place, triples normal, triples around, triples along)
+static capsule_lengths lengths_by(const scatterer_frame* g, triples place, triples normal, triples around, triples along)
 {
     reals way = 0.0, inward = 0.0, g0 = 0.0, g1 = 0.0, h0 = 0.0, h1 = 0.0, h2 = 0.0;
     const triples ends[2] = {g->source, g->receiver};
@@ -24,7 +24,7 @@ static capsule_ways ways_by(const glint_of* g, triples place, triples normal, tr
         h2 += (1.0 - b * b) * near;
     }
     const reals steep = larger(h0 + positive(inward) / g->scale.x, (reals)FLATTEST), off = g0 / steep;
-    const capsule_ways out = {way - 0.5 * g0 * off, g1 - h1 * off, steep, positive(h2 - h1 * h1 / steep), inward};
+    const capsule_lengths out = {way - 0.5 * g0 * off, g1 - h1 * off, steep, positive(h2 - h1 * h1 / steep), inward};
     return out;
 }
 
@@ -35,11 +35,11 @@ static double obliquity(double cosine)
     return held * (1.0 - exp(-steep * steep * steep));
 }
 
-// Add a part of an end: a weight times the transition function of a root of a way, m^(1/2), later by `late`, m.
-static void add_part(const edge_tables* t, double weight, double root_of_way, double late, response* field)
+// Add a part of an end: a weight times the transition function of a root of a detour, m^(1/2), later by `late`, m.
+static void add_part(const vertex_tables* t, double weight, double root_of_detour, double late, response* field)
 {
     response one;
-    transition_of(t, root_of_way, (float)weight, &one);
+    transition_of(t, root_of_detour, (float)weight, &one);
     for (int b = 0; b < BIN_VECTORS; b++) {
         turn(&one, b, t->waves[b] * (float)(-late));
         for (int part = 0; part < PARTS; part++) field->part[part][b] += one.part[part][b];
@@ -47,7 +47,7 @@ static void add_part(const edge_tables* t, double weight, double root_of_way, do
 }
 
 // The field over the strength, which is returned, m; no field where it stands between the ends.
-static double capsule_field(const edge_tables* t, const glint_of* g, triples place, int hidden, int beside, response* field)
+static double capsule_field(const vertex_tables* t, const scatterer_frame* g, triples place, int hidden, int lane, response* field)
 {
     for (int part = 0; part < PARTS; part++) {
         for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
@@ -58,15 +58,15 @@ static double capsule_field(const edge_tables* t, const glint_of* g, triples pla
     const reals level = normal.x * normal.x + normal.y * normal.y;
     const triples flat = {normal.x, normal.y, level > 0.0 ? (reals)0.0 : (reals)1.0};
     const triples aside = of_length_one(flat), around = {-aside.y, aside.x, (reals)0.0};
-    const capsule_ways here = ways_by(g, place, normal, around, across(normal, around));
+    const capsule_lengths here = lengths_by(g, place, normal, around, across(normal, around));
     double on_end = 0.0;
     for (int i = 0; i < 2; i++) {
         const reals sign = i ? (reals)1.0 : (reals)-1.0;
         const triples junction = plus(scaled(radius, aside), on_axis(sign * reach(g)));
-        const capsule_ways there = ways_by(g, junction, aside, around, on_axis(sign));
-        const double slope = OF_NODE(there.slope, beside), flatter = OF_NODE(there.bend, beside), inward = OF_NODE(there.inward, beside);
-        const double behind = OF_NODE(there.way, beside) - OF_NODE(here.way, beside), late = behind > 0.0 ? behind : 0.0;
-        double sharp = flatter + inward / OF_NODE(radius, beside);
+        const capsule_lengths there = lengths_by(g, junction, aside, around, on_axis(sign));
+        const double slope = OF_NODE(there.slope, lane), flatter = OF_NODE(there.bend, lane), inward = OF_NODE(there.inward, lane);
+        const double behind = OF_NODE(there.way, lane) - OF_NODE(here.way, lane), late = behind > 0.0 ? behind : 0.0;
+        double sharp = flatter + inward / OF_NODE(radius, lane);
         sharp = sharp > FLATTEST ? sharp : FLATTEST;
         if (slope < 0.0) {
             on_end = 1.0;
@@ -80,11 +80,11 @@ static double capsule_field(const edge_tables* t, const glint_of* g, triples pla
         add_part(t, lit / sqrt(sharp), size / sqrt(2.0 * sharp), late, field);
         add_part(t, -lit / sqrt(plain), size / sqrt(2.0 * plain), late, field);
     }
-    const double inward = OF_NODE(here.inward, beside), pressed = inward > 0.0 ? inward : 0.0;
-    double bend = OF_NODE(here.bend, beside) + on_end * pressed / OF_NODE(radius, beside);
+    const double inward = OF_NODE(here.inward, lane), pressed = inward > 0.0 ? inward : 0.0;
+    double bend = OF_NODE(here.bend, lane) + on_end * pressed / OF_NODE(radius, lane);
     bend = bend > FLATTEST ? bend : FLATTEST;
     const float main = (float)(obliquity(0.5 * pressed) / sqrt(bend));
     for (int b = 0; b < BIN_VECTORS; b++) field->part[0][b] += main;
-    return 1.0 / sqrt(OF_NODE(here.steep, beside));
+    return 1.0 / sqrt(OF_NODE(here.steep, lane));
 }
 #endif

@@ -1,24 +1,9 @@
-// Paths over an edge (EDGES): both ends as the edge sees them, and delays. Rolled out, the shortest way over an edge is
+// Paths over an edge (VERTEX == EDGE): both ends as the edge sees them, and delays. Rolled out, the shortest path over an edge is
 // straight, and the change of the place where it meets the edge does not change its length: twin of
 // paths/diffraction/ways.py.
 
-typedef struct {
-    double source_turn[9], source_shift[3];      // from the room to across, out and along the edge, seen by the walls between
-    double receiver_turn[9], receiver_shift[3];
-    double n;                                    // exterior angle over half a turn
-    double low[2];                               // where angles of source and receiver begin
-    double wide[2], narrow[2];                   // sine and cosine of n half turns, and of a quarter turn over n
-    double even[2], odd[2];                      // the same of n half turns for every two reflections of a term's partner
-    double end;                                  // m along the edge, where `end_side` is not 0
-    int lit[4];                                  // of its terms: 1 or -1, 0 for those that are left out
-    int end_side;                                // of the end that the path runs over; 0 for one over the edge itself
-    int face[2];                                 // tables of the 0-face and the n-face; -1 for the same at every angle
-    int bounces[2];                              // reflections of partners: of the first two terms, and of the others
-    int unused;
-} edge_view;
-
-#if EDGES
-// One Newton step from `a->delay`, as newton_step of delay.h; directions are not told.
+#if VERTEX == EDGE
+// One Newton step from `a->delay`, as newton_step of delay.h; directions are not computed.
 static reals edge_step(const trajectory* path, __global const edge_view* edge, const listener* receiver, reals time, arrivals* a)
 {
     locate(path, RETARDED ? time - a->delay : time, a);
@@ -27,7 +12,7 @@ static reals edge_step(const trajectory* path, __global const edge_view* edge, c
     const reals least = (reals)(ON_LINE * ON_LINE);  // see `off_line`
     const reals s2 = fmax(from.x * from.x + from.y * from.y, least), r2 = fmax(to.x * to.x + to.y * to.y, least);
     const reals s = inverse_root(s2), r = inverse_root(r2);  // of the distances from the edge
-    reals length, inward, outward, rising, leaving;  // what of the way goes off the edge or towards it, and along it
+    reals length, inward, outward, rising, leaving;  // what of the path goes off the edge or towards it, and along it
     if (edge->end_side) {
         const reals up = edge->end - from.z, on = to.z - edge->end, first = s2 + up * up, second = r2 + on * on;
         const reals near = inverse_root(first), far = inverse_root(second);
@@ -80,6 +65,5 @@ static void solve_edge_delay(const trajectory* path, __global const edge_view* e
     }
 }
 #define SOLVE_DELAY(path, poses, edge, receiver, time, small, a, b) solve_edge_delay(path, edge, receiver, time, small, a)
-#elif !SCATTERERS && !BODIES
-#define SOLVE_DELAY(path, poses, edge, receiver, time, small, a, b) solve_delay(path, receiver, time, small, a)
+#define SOLVE_ANEW SOLVE_DELAY
 #endif

@@ -1,0 +1,345 @@
+"""Columns of paths as the programs of nodes take them, by leg and vertex."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
+from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE, partner_reflections
+from clsim.acoustics.edge_end import AT_CORNER, END_TERMS
+from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
+from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
+from clsim.errors import InputError
+from clsim.paths.diffraction.end_pieces import BOTH
+from clsim.paths.diffraction.family import least_angle
+from clsim.paths.diffraction.ways import EdgeView
+from clsim.paths.moving.events import BEYOND_LEG
+from clsim.paths.moving.face_cubics import FACE_COLUMNS, face_knots, face_rate
+from clsim.paths.moving.mirrors import ROOM
+from clsim.paths.pose_cubics import POSE_COLUMNS, pose_knots, pose_rate
+from clsim.paths.scattering.way import PATIENCE
+from clsim.render.opencl.lookup_tables import end_table, field_tables, transition_table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.family import Rows
+    from clsim.render.opencl.environment import Environment, Walls
+    from clsim.render.plan import Plan
+    from clsim.tracks.basis import Basis
+    from clsim.tracks.tracks import SceneTracks
+
+    Bounces = tuple[NDArray[np.int32], NDArray[np.float32]]  # see `Environment.bounces`
+
+STATIC, MOVING = range(2)  # legs
+NONE, EDGE, SCATTERER = range(3)  # vertices
+POINT, ELLIPSOID, CAPSULE, SPHERE = range(4)  # shapes of scatterers; from CAPSULE on fields have phases
+END_CELLS = 128  # of the tables of ends of edges
+NO_PATH = -1e6  # s, delay that reports that no path by a scatterer is found
+_SETTLED = 1e-5  # rad of a specular point: after the step its error, and that of its strength, is about the square
+_FACE_SHARE = 0.1  # of a source's allowed error: a mirror's error displaces images twice as far, and each mirror adds
+# Constants of every program of nodes, whatever its leg and vertex.
+OF_DELAYS = {
+    "STATIC": STATIC, "MOVING": MOVING, "NONE": NONE, "EDGE": EDGE, "SCATTERER": SCATTERER,
+    "POINT": POINT, "CAPSULE": CAPSULE, "SPHERE": SPHERE,
+    "LONGEST_STEP": LONGEST_STEP, "SPECULAR_FAR": FAR, "SPECULAR_FOUND": FOUND, "SETTLED": _SETTLED,
+    "FLATTEST": FLATTEST, "NO_PATH": NO_PATH, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
+    "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
+}  # fmt: skip
+OF_GAINS = {
+    "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION, "LEFT_OUT": LEFT_OUT,
+    "END_CELLS": END_CELLS, "END_TERMS": END_TERMS, "BOTH": BOTH, "AT_CORNER": AT_CORNER, "HALF_TURN": math.pi,
+}  # fmt: skip
+_SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
+# Structures of kernels/nodes/path.h.
+_TWO_SIDES = [
+    ("source_turn", "f8", 9),
+    ("source_shift", "f8", 3),
+    ("receiver_turn", "f8", 9),
+    ("receiver_shift", "f8", 3),
+]
+EDGE_VIEW = np.dtype(
+    [*_TWO_SIDES, ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("even", "f8", 2),
+     ("odd", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("bounces", "i4", 2),
+     ("unused", "i4")]
+)  # fmt: skip
+SCATTERER_VIEW = np.dtype(
+    [*_TWO_SIDES, ("semi_axes", "f8", 3), ("strength", "f8"), ("thing", "i4"), ("turned", "i4"), ("shape", "i4"),
+     ("first_mode", "i4"), ("modes", "i4"), ("least", "i4")]
+)  # fmt: skip
+MIRROR_VIEW = np.dtype([("turn", "f8", 9), ("shift", "f8", 3), ("most", "f8"), ("face", "i4"), ("unused", "i4")])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """What columns are made from: the plan, the paths of one family, tables by source, and an upload to the device."""
+
+    plan: Plan
+    tracks: SceneTracks
+    family: Any
+    environments: list[Environment]
+    put: Callable[[NDArray[Any]], Any]
+
+    def uploaded(self, **columns: NDArray[Any]) -> dict[str, Any]:
+        """Upload arrays by name."""
+        return {name: self.put(column) for name, column in columns.items()}
+
+    def tolerance(self, speed: float) -> float:
+        """Convert the allowed error of the phase at the end of the band to a length, m, by the speed of sound, m/s."""
+        swiftest = max(filters.swiftness for filters in self.plan.source_filters)
+        return float(10 ** (self.plan.motion_error_db / 20) * speed / (2.0 * math.pi * swiftest))
+
+
+class StaticColumns:
+    """Columns of paths by one static leg: images."""
+
+    leg, vertex, mirrors = STATIC, NONE, 0
+    state_numbers = 0  # of the state that goes with a delay, see kernels/nodes/path.h
+
+    def __init__(self, of: Rendered) -> None:
+        self._of, self._family = of, of.family
+
+    @property
+    def constants(self) -> dict[str, int]:
+        """Leg, vertex and most moving mirrors of the program."""
+        return {"LEG": self.leg, "VERTEX": self.vertex, "MIRRORS": self.mirrors}
+
+    def met(self, rows: Rows) -> Walls:
+        """Reflecting walls of paths, as rows of the scene's materials (P, N), -1 for none."""
+        return np.asarray(self._family.walls[rows])
+
+    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Images of paths (slots,) and what their leg and vertex add, as arguments of programs."""
+        matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
+        return self._of.uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
+
+    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
+        """Walls of paths (slots,) whose factor depends on the angle."""
+        return self._of.environments[source].bounces(self.met(rows))
+
+    def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Tables of the vertex's field of paths (slots,)."""
+        return {"field_tables": None, "faces": None, "middle": 0.0, "modes": None}
+
+    def poses(self, start: float, end: float) -> dict[str, Any]:
+        """Poses of scatterers or faces that paths meet between two times, s."""
+        return {"poses": None, "pose_cells": None, "pose_count": 0, "first_pose": 0.0, "pose_rate": 0.0}
+
+    def check(self, shortest: float, start: float, end: float) -> None:
+        """Refuse delays that report that a path was not found between two times, s."""
+
+
+class EdgeColumns(StaticColumns):
+    """Columns of paths over one edge: both sides' isometries and the edge's axes."""
+
+    vertex = EDGE
+
+    def __init__(self, of: Rendered) -> None:
+        super().__init__(of)
+        self._transitions = [self._tables(filters.basis) for filters in of.plan.source_filters]
+
+    def _tables(self, basis: Basis) -> dict[str, Any]:
+        """Tables of the transition functions of edges and of their ends at the frequencies of a basis."""
+        waves = basis.nodes / self._of.tracks.scene.air.speed_of_sound
+        table, middle = transition_table(waves, basis.parts)
+        both = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
+        return self._of.uploaded(field_tables=field_tables(waves, both)) | {"middle": middle, "modes": None}
+
+    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Edges as both ends are seen from them."""
+        family = self._family
+        edges = np.zeros(len(rows), dtype=EDGE_VIEW)
+        sides = (family.before_matrix, family.before_offset), (family.after_matrix, family.after_offset)
+        for end, (matrix, offset) in zip(("source", "receiver"), sides, strict=True):
+            view = EdgeView.of(matrix[rows], offset[rows], family.frame[rows])
+            edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
+        for name in ("n", "lit", "end_side"):
+            edges[name] = getattr(family, name)[rows]
+        half_turns, edges["bounces"] = np.pi * edges["n"], partner_reflections(edges["n"])[:, 1:3]
+        even, odd = (half_turns * (count // 2) for count in edges["bounces"].T)
+        angles = {"wide": half_turns, "narrow": 0.5 * np.pi / edges["n"], "even": even, "odd": odd}
+        for name, angle in angles.items():
+            edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        edges["low"] = np.stack([least_angle(family.n[rows], beside) for beside in family.beside[rows].T], axis=1)
+        edges["end"] = np.nan_to_num(family.end_place[rows])
+        edges["face"] = self._of.environments[source].tables_of(family.faces[rows])
+        return self._of.uploaded(views=edges) | {"image_matrix": None, "image_offset": None}
+
+    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
+        """Walls of both sides whose factor depends on the angle."""
+        return self._of.environments[source].bounces_of_sides(*self._family.walls_of_sides(rows))
+
+    def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Transition functions, and factors of faces that are the same at every angle."""
+        factors = self._of.environments[source].reflection(self._family.faces[rows].reshape(-1, 1))
+        return self._transitions[source] | self._of.uploaded(faces=factors.astype(np.float32))
+
+
+class ScattererColumns(StaticColumns):
+    """Columns of paths by a scatterer: both sides' isometries, and poses and shapes of scatterers."""
+
+    vertex, state_numbers = SCATTERER, 6
+
+    def __init__(self, of: Rendered) -> None:
+        super().__init__(of)
+        scatterers = of.tracks.scene.scatterers
+        self._motions = [scatterer.trajectory for scatterer in scatterers]
+        radii = [scatterer.shape.radius for scatterer in scatterers]
+        # Either leg changes by as much as a scatterer moves.
+        tolerance = 0.25 * of.tolerance(of.tracks.scene.air.speed_of_sound)
+        self._pose_rate = pose_rate(self._motions, radii, of.plan.duration, tolerance)
+        of_shape = np.zeros(len(scatterers), dtype=SCATTERER_VIEW)
+        for row, scatterer in zip(of_shape, scatterers, strict=True):
+            shape = scatterer.shape
+            row["shape"] = _SHAPES[shape.kind]
+            row["strength"], row["semi_axes"] = getattr(shape, "strongest", 0.0), shape.semi_axes
+            row["turned"] = scatterer.trajectory.has_orientation and shape.radius > 0.0
+        of_shape["thing"] = np.arange(len(scatterers))
+        self._shapes = [of_shape.copy() for _ in of.plan.source_filters]
+        self._fields = [self._tables(v, f.basis) for v, f in zip(self._shapes, of.plan.source_filters, strict=True)]
+
+    def _tables(self, views: NDArray[Any], basis: Basis) -> dict[str, Any]:
+        """Tables of capsules and spheres; views are given the places where those of spheres begin."""
+        if views["shape"].max() < CAPSULE:
+            return {}
+        waves = basis.nodes / self._of.tracks.scene.air.speed_of_sound
+        table, middle = transition_table(waves, basis.parts)
+        parts: list[Floats] = [np.zeros((0, len(waves)))]
+        for view in np.flatnonzero(views["shape"] == SPHERE):
+            modes = sphere_modes(tuple((2.0 * np.pi * waves * views["semi_axes"][view, 0]).tolist()))
+            factors = np.stack([modes.step, modes.back, modes.weight.real, modes.weight.imag], axis=1)
+            views["first_mode"][view] = sum(part.size for part in parts)
+            views["modes"][view], views["least"][view] = len(factors), math.ceil(float(modes.ka.max()))
+            parts += [modes.ka[None], factors.reshape(-1, len(waves))]
+        known = np.concatenate(parts)
+        found = self._of.uploaded(field_tables=field_tables(waves, table))
+        return found | {"middle": middle, "modes": self._of.put(known) if known.size else None}
+
+    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Scatterers as both ends are seen from them."""
+        family = self._family
+        views = self._shapes[source][family.scatterer[rows]]
+        for end, side in (("source", "before"), ("receiver", "after")):
+            views[f"{end}_turn"] = getattr(family, f"{side}_matrix")[rows].reshape(-1, 9)
+            views[f"{end}_shift"] = getattr(family, f"{side}_offset")[rows]
+        return self._of.uploaded(views=views) | {"image_matrix": None, "image_offset": None}
+
+    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
+        """Walls of both sides whose factor depends on the angle."""
+        return self._of.environments[source].bounces_of_sides(*self._family.walls_of_sides(rows))
+
+    def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Transition functions and modes."""
+        return super().field(source, rows) | self._fields[source]
+
+    def poses(self, start: float, end: float) -> dict[str, Any]:
+        """Cubics of poses of all scatterers."""
+        knots, cells, first = pose_knots(self._motions, start, end, self._pose_rate)
+        count = {"pose_count": cells.shape[1] - 1, "first_pose": first, "pose_rate": self._pose_rate}
+        return self._of.uploaded(poses=knots, pose_cells=cells) | count
+
+    def check(self, shortest: float, start: float, end: float) -> None:
+        """Refuse scatterers that are between both ends, or in them."""
+        if shortest < 0.5 * NO_PATH:  # less a clock's error
+            raise InputError(
+                "scatterers",
+                f"must be seen from both ends, but no way by one of them was found from {start:.6g} to {end:.6g} s",
+            )
+
+
+class MirrorColumns(StaticColumns):
+    """Columns of paths by one moving leg: walls at rest as isometries, and faces of bodies that move."""
+
+    leg = MOVING
+
+    def __init__(self, of: Rendered) -> None:
+        super().__init__(of)
+        mirrors = of.family.mirrors
+        still = np.array([body.is_static for body in mirrors.bodies])
+        # In wind everything moves through the air.
+        self._moves = (mirrors.owner != ROOM) & ~still[mirrors.owner] | (of.tracks.scene.air.wind is not None)
+        of_paths = self._moving(of.family.surfaces)
+        self.mirrors = max(int(of_paths.sum(axis=1).max(initial=0)), 1)
+        self.state_numbers = 4 * self.mirrors
+        self._faces = np.unique(of.family.surfaces[of_paths])
+        every, nothing = np.arange(len(mirrors.owner)), np.zeros((len(mirrors.owner), 1))
+        planes = mirrors.planes(every, nothing, nothing, None)  # of those at rest; the last row is that of no mirror
+        self._normal = np.concatenate([np.where(self._moves[:, None], 0.0, planes.normal[:, 0]), np.zeros((1, 3))])
+        self._offset = np.append(np.where(self._moves, 0.0, planes.offset[:, 0]), 0.0)
+        peak = np.array([body.peak_speed for body in mirrors.bodies])[mirrors.owner]
+        c = float(of.family.speed_range.slowest)
+        self._peak = np.where(mirrors.owner == ROOM, 0.0, np.minimum(2.0 * peak, 0.5 * (peak + c)))
+        self._face_rate = face_rate(mirrors, of.plan.duration, _FACE_SHARE * of.tolerance(c))
+
+    def _moving(self, surfaces: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Mask (P, N) of the mirrors of paths that move."""
+        return np.asarray((surfaces >= 0) & self._moves[surfaces])
+
+    def met(self, rows: Rows) -> Walls:
+        """Faces and walls of paths (P, N), -1 for none."""
+        return np.asarray(self._family.surfaces[rows])
+
+    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Images by the walls at rest, and the mirrors that move."""
+        matrix, offset, views, _ = self._seen(self._family.surfaces[rows])
+        return self._of.uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T, views=views)
+
+    def _seen(self, surfaces: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], Floats]:
+        """View the receiver and the mirrors of paths (P, N) from the source's own room.
+
+        Shapes: result (P, 3, 3), (P, 3), (P, MIRRORS), (P, N, 3).
+        """
+        count, every = len(surfaces), np.arange(len(surfaces))
+        matrix, offset = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+        views, filled = np.zeros((count, self.mirrors), dtype=MIRROR_VIEW), np.zeros(count, dtype=np.int64)
+        views["face"] = -1
+        normal = np.zeros((*surfaces.shape, 3))
+        moving = self._moving(surfaces)
+        for bounce, met in enumerate(surfaces.T):
+            here = every[moving[:, bounce]]
+            view = np.zeros(len(here), dtype=MIRROR_VIEW)
+            view["turn"], view["shift"] = matrix[here].reshape(-1, 9), offset[here]
+            view["most"], view["face"] = self._peak[met[here]], np.searchsorted(self._faces, met[here])
+            views[here, filled[here]] = view
+            filled[here] += 1
+            wall, height = self._normal[met], self._offset[met]
+            normal[:, bounce] = np.einsum("pji,pj->pi", matrix, wall)
+            matrix = matrix - 2.0 * wall[:, :, None] * np.einsum("pi,pij->pj", wall, matrix)[:, None]
+            offset = offset - 2.0 * (np.sum(wall * offset, axis=1) - height)[:, None] * wall
+        return matrix, offset, views, normal
+
+    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
+        """Mirrors that depend on the angle, coded as in ``mirrored_field.h``, with the normals of those at rest."""
+        env, surfaces = self._of.environments[source], self._family.surfaces[rows]
+        wall_of, columns = env.no_bounces(len(rows))
+        if not env.angular:
+            return wall_of, columns
+        table, moving, normal = env.tables_of(surfaces), self._moving(surfaces), self._seen(surfaces)[3]
+        before, filled = np.zeros(len(rows), dtype=np.int64), np.zeros(len(rows), dtype=np.int64)
+        for bounce in range(surfaces.shape[1]):
+            here = np.flatnonzero(table[:, bounce] >= 0)
+            code = table[here, bounce] * (self.mirrors + 1) + before[here]
+            wall_of[filled[here], here] = 2 * code + moving[here, bounce]
+            columns[filled[here], :, here] = normal[here, bounce]
+            filled[here] += 1
+            before += moving[:, bounce]
+        return wall_of, columns
+
+    def poses(self, start: float, end: float) -> dict[str, Any]:
+        """Cubics of the faces that move."""
+        knots, first = face_knots(self._family.mirrors, self._faces, start, end, self._face_rate)
+        given = {"pose_cells": None, "pose_count": knots.shape[1], "first_pose": first, "pose_rate": self._face_rate}
+        return self._of.uploaded(poses=knots) | given
+
+
+# By `PathFamily.device`; families of other values have their nodes made on the host.
+COLUMNS: dict[str, type[StaticColumns]] = {
+    "images": StaticColumns, "edges": EdgeColumns, "bodies": MirrorColumns, "scatterers": ScattererColumns,
+}  # fmt: skip
