@@ -45,9 +45,9 @@ study-kills: .venv/tested
 fuzz: .venv/tested
 	CLSIM_FUZZ=20000 $(BIN)/python -m pytest -m "" -n 2 --dist load tests/integration/test_fuzz.py
 
-# Commands killed at 200 random moments, and interrupted at 100, of which the exhaustive tests have a few; some minutes.
+# Commands killed at 200 random moments, and interrupted at 150, of which the exhaustive tests have a few; some minutes.
 kills: .venv/tested
-	CLSIM_KILLS=200 CLSIM_INTERRUPTS=100 $(BIN)/python -m pytest -m "" -n 0 tests/integration/test_kills.py tests/integration/test_interrupts.py
+	CLSIM_KILLS=200 CLSIM_INTERRUPTS=150 $(BIN)/python -m pytest -m "" -n 0 tests/integration/test_kills.py tests/integration/test_interrupts.py
 
 # The site is in out/site: open out/site/index.html.
 docs: .venv/documented

@@ -3,7 +3,15 @@
 import sys
 from typing import NoReturn
 
-from clsim.process import INTERRUPTED, end_on_interrupt, flushed, ignore_interrupts, open_streams, raise_on_interrupt
+from clsim.process import (
+    INTERRUPTED,
+    end,
+    end_on_interrupt,
+    flushed,
+    ignore_interrupts,
+    open_streams,
+    raise_on_interrupt,
+)
 
 
 def run() -> NoReturn:
@@ -25,7 +33,7 @@ def run() -> NoReturn:
     if not flushed() and not status:
         print("clsim: error: standard output cannot be written", file=sys.stderr)
         status = 2
-    sys.exit(status)
+    end(status)
 
 
 if __name__ == "__main__":

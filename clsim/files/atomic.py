@@ -8,6 +8,7 @@ import re
 import secrets
 import shutil
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -16,8 +17,8 @@ from typing import TYPE_CHECKING
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import IO
+    from collections.abc import Callable, Iterator
+    from typing import IO, Any
 
 _NEXT_TO_NOTHING = 2**16  # bytes; a disk with less is full
 _TEMPORARY = re.compile(r"\.clsim-([0-9a-f]{8})-(\d{1,9})-[0-9a-f]{8}\.partial(\..*)?")
@@ -81,6 +82,16 @@ def atomic_path(path: str | os.PathLike[str], within: Path | None = None) -> Ite
     finally:
         if os.path.lexists(temporary):  # on a read-only disk not even a name that is not there can be deleted
             temporary.unlink(missing_ok=True)
+
+
+def uninterrupted(work: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
+    """Call a function in a thread, and let an interrupt wait until it has ended.
+
+    Interrupted itself, a library that writes by threads returns while these go on, and they write into folders that are
+    being deleted.
+    """
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(work, *arguments, **more).result()
 
 
 def not_written(path: str | os.PathLike[str], error: Exception) -> OSError:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.files.atomic import to_disk, tree_to_disk
+from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
 from clsim.output.hdf5_file import CHECKSUM_BYTES, LARGEST_CHUNK, chunk_places, create_file, fletcher32
 from clsim.output.raw_rows import RawRows
@@ -298,10 +298,10 @@ class _ZarrStore(SoundStore):
         path, sound = self.paths[0], self._sound
         shutil.rmtree(path, ignore_errors=True)
         write_zarr(sound.coordinates(), path, "w-")
-        zarr.open_group(path, mode="r+").create_array(
-            "sound", shape=(len(sound.receiver_names), sound.samples), chunks=(1, min(sound.chunk, sound.samples)),
-            dtype=sound.sample_type, fill_value=np.nan, dimension_names=("receiver", "time"),
-            attributes=sound.sound_attributes, compressors=_compressors(),
+        uninterrupted(
+            zarr.open_group(path, mode="r+").create_array, "sound", shape=(len(sound.receiver_names), sound.samples),
+            chunks=(1, min(sound.chunk, sound.samples)), dtype=sound.sample_type, fill_value=np.nan,
+            dimension_names=("receiver", "time"), attributes=sound.sound_attributes, compressors=_compressors(),
         )  # fmt: skip
         consolidate(path)
         tree_to_disk(path)
@@ -321,7 +321,8 @@ class _ZarrStore(SoundStore):
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
         """Write whole chunks `(receivers, n)` from sample `start` on, of receiver `first` and those behind it."""
         last = first + len(samples)
-        self._array[first:last, start : start + samples.shape[1]] = samples
+        part = slice(first, last), slice(start, start + samples.shape[1])
+        uninterrupted(self._array.__setitem__, part, samples)
         for r in range(first, last):
             key = self._array.metadata.encode_chunk_key((r, start // self._sound.chunk))
             self._written.append(self.paths[0] / "sound" / key)
@@ -386,9 +387,10 @@ def write_zarr(content: Any, path: Path, mode: str) -> None:
     """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum."""
     fresh = [name for name in content.variables if not (path / name).exists()]  # others keep theirs
     encoding = {name: {"compressors": _compressors()} for name in fresh}
-    content.assign_attrs(ALL_CHUNKS).to_zarr(
-        path, mode=mode, consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
-    )
+    uninterrupted(
+        content.assign_attrs(ALL_CHUNKS).to_zarr, path, mode=mode, consolidated=False, zarr_format=3,
+        encoding=encoding, write_empty_chunks=True,
+    )  # fmt: skip
 
 
 def consolidate(path: Path) -> None:
@@ -397,4 +399,4 @@ def consolidate(path: Path) -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know this yet
-        zarr.consolidate_metadata(path)
+        uninterrupted(zarr.consolidate_metadata, path)

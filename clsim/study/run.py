@@ -17,7 +17,7 @@ from clsim.arrays import texts
 from clsim.cluster.dispatch import Dispatch
 from clsim.cluster.workers import Workers
 from clsim.errors import InputError, in_one_line, warn
-from clsim.files.atomic import locked, safe_path
+from clsim.files.atomic import locked, safe_path, uninterrupted
 from clsim.output.stores import consolidate, write_zarr
 from clsim.study.content import metrics_function
 from clsim.study.file import DEFAULT_LIMIT, Study, checked, load_study
@@ -133,7 +133,7 @@ def create_store(folder: Path) -> None:
         good = False
     if not good:
         root.unlink(missing_ok=True)
-        zarr.open_group(folder / STORE, mode="a", zarr_format=3, attributes=root_attributes())
+        uninterrupted(zarr.open_group, folder / STORE, mode="a", zarr_format=3, attributes=root_attributes())
 
 
 def write_summary(folder: Path, index: Index) -> None:
