@@ -19,6 +19,7 @@ from clsim.errors import InputError
 
 PROMISED_DB = -85.0  # of what all paths give together, without a warning
 MARGIN_DB = 3.0  # to what a warning states: it is a bound of functions and filters, each of which has its own error
+REFUSED_DB = -40.0  # of the best that is reached, above which a scene is refused
 REMOVED_DB = -60.0  # of the signal's energy above the band, without a warning
 # One scene of each kind of walls, and one whose band limit takes away more than lies above it.
 EVERYDAY = (7, 46, 66, 101, 107, 162)
@@ -33,7 +34,10 @@ def test_errors_are_within_what_is_promised_or_stated(seed: int, measured: Calla
     try:
         found = outcome(drawn(seed))
     except InputError as error:  # what is held worse than -40 dB is refused, with the best that is reached
-        assert "dB is the best" in str(error)
+        assert "so near to 0 Hz" in str(error)
+        assert float(str(error).split(" dB is the best")[0].split()[-1]) > REFUSED_DB
+        one = drawn(seed)  # only where a reactance is held down to 0 Hz, which no real wall has
+        assert any(isinstance(wall, Impedance) for wall in one.walls)
         return
     assert found.removed_db <= max(REMOVED_DB, found.stated_removed_db + MARGIN_DB), found.warnings
     if found.stated_db > -np.inf:
