@@ -92,6 +92,70 @@ def test_lengths_that_nobody_knew_and_padding_are_no_cuts(tmp_path: Path) -> Non
     assert clsim.Signal.from_wav(path).count == 1001
 
 
+def mp3(folder: Path, rng: np.random.Generator, channels: int, rate: int, mode: str = "CONSTANT") -> bytes:
+    path = folder / "made.mp3"
+    samples = rng.uniform(-0.5, 0.5, (rate // 2, channels))
+    soundfile.write(path, samples, rate, format="MP3", bitrate_mode=mode)
+    return path.read_bytes()
+
+
+TAGS = {"none": (b"", b""), "of both kinds": (b"ID3\x04\0\0\0\0\x01\x02" + bytes(130), b"TAG" + bytes(125))}
+
+
+@pytest.mark.parametrize("tags", TAGS)
+@pytest.mark.parametrize(("channels", "rate", "mode"), few([
+    (1, 44100, "CONSTANT"), (2, 44100, "CONSTANT"), (1, 24000, "VARIABLE"), (2, 8000, "CONSTANT"), (2, 48000, "VARIABLE")
+], kept=(0, 2)))  # fmt: skip
+def test_a_cut_mp3_is_refused_to_the_byte(
+    channels: int, rate: int, mode: str, tags: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Cuts are seen in a tag of the title, in the last frame, and between frames; a tag that was cut costs no sound."""
+    path, sound = tmp_path / "sound.mp3", mp3(tmp_path, rng, channels, rate, mode)
+    before, behind = TAGS[tags]
+    for whole in (before + sound + behind, before + sound + behind[:60], before + sound):
+        path.write_bytes(whole)
+        assert clsim.Signal.from_wav(path).count == rate // 2
+    for cut in (1, 2, 3, 4, 40, 300, 1000, len(sound) // 2):
+        path.write_bytes((before + sound)[:-cut])
+        with pytest.raises(InputError, match=r"^path: must be whole, but .* bytes before its header says; truncated="):
+            clsim.Signal.from_wav(path)
+        assert clsim.Signal.from_wav(path, truncated=True).count
+
+
+def test_an_mp3_without_a_length_is_refused_within_a_frame_and_warned_of_else(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Frames of 417 or 418 bytes: 144 * 128000 / 44100, and a byte of padding in some."""
+    path, sound = tmp_path / "sound.mp3", mp3(tmp_path, rng, 1, 44100)
+    frames = sound[sound.index(b"\xff\xfb", 4) :]  # without the first one, which has the header
+    path.write_bytes(frames)
+    with pytest.warns(clsim.ClsimWarning, match="does not tell its length"):
+        clsim.Signal.from_wav(path)
+    for cut in (1, 2, 100, 200):
+        path.write_bytes(frames[:-cut])
+        with pytest.raises(InputError, match="ends within a frame; truncated=True"):
+            clsim.Signal.from_wav(path)
+    # A header that gives frames alone: a cut between two of them.
+    at = max(sound.find(b"Info"), sound.find(b"Xing"))
+    known = sound[: at + 7] + b"\x01" + sound[at + 8 :]
+    last = max(i for i in range(len(sound) - 420, len(sound)) if sound[i : i + 2] == b"\xff\xfb")
+    path.write_bytes(known)
+    clsim.Signal.from_wav(path)
+    path.write_bytes(known[:last])
+    with pytest.raises(InputError, match="ends 1 frames before its header says"):
+        clsim.Signal.from_wav(path)
+
+
+@pytest.mark.parametrize("form", ["VOC", "NIST", "PAF", "IRCAM", "AVR"])
+def test_formats_that_do_not_tell_their_length_are_warned_of(
+    form: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    path = tmp_path / "sound"
+    soundfile.write(path, rng.uniform(-0.5, 0.5, 1000), 8000, format=form, subtype="PCM_16")
+    with pytest.warns(clsim.ClsimWarning, match=r"sound does not tell its length \("):
+        clsim.Signal.from_wav(path)
+
+
 @pytest.mark.parametrize(
     ("form", "subtype", "cuts"),
     [
