@@ -7,7 +7,7 @@ SITE := out/site
 # Tests start some hundred processes: with bytecode on disk each of them is there in half the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo docs test test-exhaustive test-all measured drivers study-kills fuzz kills clean
+.PHONY: demo docs test test-exhaustive test-all measured drivers study-kills fuzz kills attacks clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
@@ -48,6 +48,11 @@ fuzz: .venv/tested
 # Commands killed at 200 random moments, and interrupted at 150, of which the exhaustive tests have a few; some minutes.
 kills: .venv/tested
 	CLSIM_KILLS=200 CLSIM_INTERRUPTS=150 $(BIN)/python -m pytest -m "" -n 0 tests/integration/test_kills.py tests/integration/test_interrupts.py
+
+# Damaged results, files of others in the way, full disks (as root), and many renders in one process: some twenty minutes.
+attacks: .venv/tested
+	CLSIM_DAMAGED=1448 CLSIM_FOREIGN=132 CLSIM_DISKS=30 CLSIM_RENDERS=570 CLSIM_THREADS=96 $(BIN)/python -m pytest -m "" -n 2 --dist load \
+		tests/integration/test_damaged_results.py tests/integration/test_full_disks.py tests/integration/test_many_renders.py
 
 # The site is in out/site: open out/site/index.html.
 docs: .venv/documented

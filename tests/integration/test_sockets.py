@@ -73,9 +73,38 @@ def check_closed(processes: set[int], before: set[int]) -> None:
                     "PermissionError" in tried.stderr or "FileNotFoundError" in tried.stderr
                 )  # it has ended meanwhile
     if shutil.which("ss"):
-        told = subprocess.run(["ss", "-ltnpH"], capture_output=True, text=True, check=True).stdout
-        mine = [line for line in told.splitlines() if any(f"pid={process}," in line for process in processes)]
-        assert {int(line.split()[3].rpartition(":")[2]) for line in mine} <= before
+        assert ports_by_ss(processes) <= before
+
+
+def ports_by_ss(processes: set[int]) -> set[int]:
+    """Return the TCP ports at which processes listen, as the system's own tool tells."""
+    told = subprocess.run(["ss", "-ltnpH"], capture_output=True, text=True, check=True).stdout
+    mine = [line for line in told.splitlines() if any(f"pid={process}," in line for process in processes)]
+    return {int(line.split()[3].rpartition(":")[2]) for line in mine}
+
+
+LISTEN = """
+import socket, sys
+with socket.create_server(("127.0.0.1", 0)) as server:
+    print(server.getsockname()[1], flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_socket_that_listens_is_seen() -> None:
+    """By both ways to look: a test of something that is not there must be able to fail."""
+    with subprocess.Popen(
+        [sys.executable, "-c", LISTEN], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        port = int(process.stdout.readline())
+        assert listening({process.pid})[0] == {port}
+        if shutil.which("ss") is None:
+            process.stdin.close()
+            pytest.skip("ss is not installed: sockets that listen are looked for in /proc alone")
+        assert ports_by_ss({process.pid}) == {port}
+        with pytest.raises(AssertionError):
+            check_closed({process.pid}, set())
+        process.stdin.close()
 
 
 def test_nothing_listens_while_processes_work(tmp_path: Path) -> None:
