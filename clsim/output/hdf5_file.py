@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 CHECKSUM_BYTES = 4
 LARGEST_CHUNK = 2**32 - 1 - CHECKSUM_BYTES  # bytes: its length is a number of 32 bits
 _PAGE = 1 << 14  # bytes
-_BLOCK = 1 << 12  # words: their weighted sums are exact in float64
-_ROWS = 64  # blocks summed at a time: 2 MB as float64
+_COLUMNS, _ROWS = 1 << 10, 1 << 5  # of integers of four words that are added at a time: 256 KiB
+_LANES = np.uint64(0x0000FFFF0000FFFF)  # every other word
 
 
 class _Image(io.RawIOBase):
@@ -134,20 +134,39 @@ def missing_chunks(path: Path) -> int:
 def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,).
 
+    Notes
+    -----
+    Four words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
+    follows. Modulo 65535 a factor of 256 exchanges the bytes of a word.
+
     References
     ----------
     H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535.
     """
-    words = data.view(">u2")
-    # Zeros before the first word change neither sum.
-    words = np.concatenate([np.zeros(-len(words) % _BLOCK, words.dtype), words]).reshape(-1, _BLOCK)
-    weights = np.stack([np.ones(_BLOCK), np.arange(_BLOCK, 0.0, -1.0)], axis=1)
-    parts = (words[i : i + _ROWS].astype(np.float64) @ weights for i in range(0, len(words), _ROWS))
-    sums = np.concatenate([np.empty((0, 2)), *parts])
-    # Exact: below 2^53 in a block, and below 2^63 of remainders over as many blocks as a chunk can have.
-    totals, weighted = (sums % 65535).astype(np.int64).T
-    following = np.arange(len(words))[::-1]
-    first, second = int(totals.sum()), int(weighted.sum()) + _BLOCK * int(following @ totals)
+    missing = -len(data) % (8 * _COLUMNS)
+    if missing:  # zeros before the first word change neither sum
+        data = np.concatenate([np.zeros(missing, np.uint8), data])
+    quads = data.view("<u8").reshape(-1, _COLUMNS)
+    rows, columns = np.empty(len(quads), np.int64), np.zeros((_COLUMNS, 4), np.int64)
+    for i in range(0, len(quads), _ROWS):
+        part = quads[i : i + _ROWS]
+        even = part & _LANES
+        odd = part >> np.uint64(16)
+        odd &= _LANES
+        for first, words in enumerate((even, odd)):
+            columns[:, first::2] += _lanes(words.sum(axis=0))
+        even += odd
+        rows[i : i + _ROWS] = _lanes(even.sum(axis=1)).sum(axis=1)
+    # Exact: below 2^63 with remainders, for as many rows as a chunk can have.
+    rows, columns = rows % 65535, columns.ravel() % 65535
+    following = np.arange(len(rows))[::-1]
+    within = int(np.arange(len(columns), 0, -1) @ columns)
+    first, second = int(rows.sum()), len(columns) * int(following @ rows) + within
     # Sums with an end-around carry: a multiple of 65535 is 65535, and only zeros have the sum 0.
-    first, second = ((s - 1) % 65535 + 1 if words.any() else 0 for s in (first, second))
+    first, second = ((256 * s - 1) % 65535 + 1 if data.any() else 0 for s in (first, second))
     return np.array([second << 16 | first], "<u4").view(np.uint8)
+
+
+def _lanes(sums: NDArray[np.uint64]) -> NDArray[np.int64]:
+    """Lower and upper 32 bits of numbers (n,), shape (n, 2)."""
+    return sums.astype("<u8").view("<u4").reshape(-1, 2).astype(np.int64)
