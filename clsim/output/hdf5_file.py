@@ -158,10 +158,10 @@ def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
         even += odd
         rows[i : i + _ROWS] = _lanes(even.sum(axis=1)).sum(axis=1)
     # Exact: below 2^63 with remainders, for as many rows as a chunk can have.
-    rows, columns = rows % 65535, columns.ravel() % 65535
+    rows, sums = rows % 65535, columns.ravel() % 65535
     following = np.arange(len(rows))[::-1]
-    within = int(np.arange(len(columns), 0, -1) @ columns)
-    first, second = int(rows.sum()), len(columns) * int(following @ rows) + within
+    within = int(np.arange(len(sums), 0, -1) @ sums)
+    first, second = int(rows.sum()), len(sums) * int(following @ rows) + within
     # Sums with an end-around carry: a multiple of 65535 is 65535, and only zeros have the sum 0.
     first, second = ((256 * s - 1) % 65535 + 1 if data.any() else 0 for s in (first, second))
     return np.array([second << 16 | first], "<u4").view(np.uint8)
