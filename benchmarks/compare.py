@@ -188,7 +188,7 @@ def numba_seconds() -> Callable[[int], float]:
 
     def seconds(order: int) -> float:
         images = clsim.find_paths(make_scene(1.0), order).families[0]
-        matrix, offset = images.image_matrix.astype(np.float32), images.image_offset.astype(np.float32)
+        matrix, offset = images.legs[0].matrix.astype(np.float32), images.legs[0].offset.astype(np.float32)
         gain = REFLECTION ** images.order.astype(np.float32)
         count = min(max(256, int(4e6 / len(gain))), int(RATE))  # the signal is there for a second
         return timed(lambda: loop(matrix, offset, gain, 100_000, count)) * RATE / count

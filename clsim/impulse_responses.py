@@ -10,6 +10,7 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
+from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.coverage import check_band_coverage
 from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
 from clsim.paths.path_set import PathSet
@@ -239,7 +240,7 @@ def _left(paths: PathSet, band: ResponseBand) -> tuple[str, ...]:
 
 def _earliest(pair: PairPaths, now: Floats) -> float:
     """Return the delay of the earliest of a pair's paths, s."""
-    found = pair.arrivals(now, "quasi-static")
+    found = pair.arrivals(now, QUASI_STATIC)
     return float((found.delay + pair.group_lag(found)).min())
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, Self, get_args
+
+from clsim.arrays import as_choice
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,6 +22,32 @@ MACH_EXPONENT = {"static": 0, "wave-equation": 1, "convective": 2}
 _AT_A_TIME = 16384  # arrivals of paths at times that are computed at a time, where they are many
 
 
+@dataclass(frozen=True, slots=True)
+class Kinematics:
+    """Motion while sound is on its way, and how the source's motion changes the amplitude; as in `render`."""
+
+    motion: str = "retarded"
+    amplitude: str = "wave-equation"
+
+    def __post_init__(self) -> None:
+        as_choice("motion", self.motion, MOTIONS)
+        as_choice("amplitude", self.amplitude, AMPLITUDES)
+
+    @property
+    def retarded(self) -> bool:
+        """Whether everything is where it was when the sound passed, not where it is at reception."""
+        return self.motion == "retarded"
+
+    @property
+    def exponent(self) -> int:
+        """Exponent of the Doppler factor in the amplitude."""
+        return MACH_EXPONENT[self.amplitude]
+
+
+RETARDED = Kinematics()
+QUASI_STATIC = Kinematics("quasi-static")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrivals:
     """What P paths bring at T times, each array (P, T) or (P, T, 3).
@@ -29,6 +57,8 @@ class Arrivals:
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the real source along the path, and from the receiver back along it; in wind the normals
         of the wavefront.
+    more : dict of ndarray (P, T, ...)
+        Quantities that only responses of a kind of path need, by name.
     """
 
     delay: Floats  # (P, T) from emission to reception, s
@@ -41,12 +71,13 @@ class Arrivals:
     emission_time: Floats  # (P, T) when it was emitted, s
     mach_factor: Floats  # (P, T) factor of the amplitude by the source's motion
     frequency_ratio: Floats  # (P, T) frequency on the way over that emitted: ``1 / (1 - M)``
+    more: dict[str, Floats] = field(default_factory=dict)
 
     def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Self:
         """Arrivals of some of the paths at some of the times."""
-        columns = {f.name: getattr(self, f.name) for f in fields(self)}
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "more"}
         some: dict[str, Any] = {name: None if x is None else x[rows, times] for name, x in columns.items()}
-        return replace(self, **some)
+        return replace(self, **some, more={name: x[rows, times] for name, x in self.more.items()})
 
 
 def slices_of(times: int, paths: int) -> list[slice]:

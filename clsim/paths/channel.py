@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_number, short_repr, texts
+from clsim.arrays import Floats, as_number, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.numerics.band_kernels import BandKernels
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
+from clsim.paths.arrivals import slices_of
 from clsim.paths.coverage import check_band_coverage
 from clsim.paths.labelled import labelled_dataset
 from clsim.paths.response import SceneResponse
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes
-    from clsim.paths.arrivals import Arrivals
+    from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import PairPaths
     from clsim.scene.scene import Scene
 
@@ -140,11 +140,9 @@ class DelayDoppler:
 
 
 def channel_paths(
-    scene: Scene, pairs: Pairs, span: tuple[Floats, Floats], times: Floats, carrier: float, motion: str, amplitude: str
+    scene: Scene, pairs: Pairs, span: tuple[Floats, Floats], times: Floats, carrier: float, kinematics: Kinematics
 ) -> tuple[Floats, Floats, Complexes]:
     """Return delays, their rates and complex gains (P, T) of paths that are heard from `span[0]` to `span[1]`, s."""
-    as_choice("motion", motion, MOTIONS)
-    as_choice("amplitude", amplitude, AMPLITUDES)
     carrier = as_number("carrier", carrier, above=0.0, unit="Hz")
     check_band_coverage(scene, range(len(scene.sources)), carrier, carrier, "the carrier")
     shape = (len(span[0]), len(times))
@@ -152,7 +150,7 @@ def channel_paths(
     for rows, pair in pairs:
         at = SceneResponse(scene, pair.source, np.array([carrier]))
         for part in slices_of(len(times), len(rows)):
-            found = pair.arrivals(times[part], motion, amplitude)
+            found = pair.arrivals(times[part], kinematics)
             delay[rows, part], rate[rows, part] = found.delay + pair.group_lag(found, carrier), found.delay_rate
             turned = np.exp(-2j * np.pi * _fraction(carrier * found.delay))
             gain[rows, part] = pair.response(found, times[part], at)[..., 0] * turned
@@ -167,30 +165,27 @@ def channel_taps(
     span: tuple[Floats, Floats],
     times: Floats,
     band: ChannelBand,
-    motion: str,
-    amplitude: str,
+    kinematics: Kinematics,
 ) -> tuple[Complexes, int]:
     """Return taps (sources, receivers, L, T) of paths heard from `span[0]` to `span[1]`, s, and the first's index.
 
     A path's response over the band is a Chebyshev series of as many terms as it needs; each term has a band-limited
     impulse of its own, laid at the path's delay with the carrier's phase. Nothing is interpolated in time.
     """
-    as_choice("motion", motion, MOTIONS)
-    as_choice("amplitude", amplitude, AMPLITUDES)
     low, high = band.carrier - 0.5 * band.bandwidth, band.carrier + 0.5 * band.bandwidth
     check_band_coverage(scene, range(len(scene.sources)), low, high, "the band of the taps")
     kernels = BandKernels(band.bandwidth / band.sampling_rate)
     heard = [(rows, pair) for rows, pair in pairs]
     ends = len(scene.sources), len(scene.receivers)
     _check_size((*ends, 2 * kernels.reach, len(times)))  # at least, before delays are known
-    first, last = _reach(heard, times, motion, band.sampling_rate, kernels.reach)
+    first, last = _reach(heard, times, kinematics, band.sampling_rate, kernels.reach)
     shape = (*ends, last - first + 1, len(times))
     _check_size(shape)
     out = np.zeros((*shape[:2], shape[3], shape[2]), dtype=np.complex128)
     for rows, pair in heard:
         for part in slices_of(len(times), len(rows)):
             now = times[part]
-            found = pair.arrivals(now, motion, amplitude)
+            found = pair.arrivals(now, kinematics)
             series = _series(scene, pair, found, now, band)
             there = (now >= span[0][rows, None]) & (now < span[1][rows, None])
             series *= (np.exp(-2j * np.pi * _fraction(band.carrier * found.delay)) * there)[..., None]
@@ -233,13 +228,17 @@ def _fraction(turns: Floats) -> Floats:
 
 
 def _reach(
-    pairs: list[tuple[NDArray[np.int64], PairPaths]], times: Floats, motion: str, sampling_rate: float, reach: int
+    pairs: list[tuple[NDArray[np.int64], PairPaths]],
+    times: Floats,
+    kinematics: Kinematics,
+    sampling_rate: float,
+    reach: int,
 ) -> tuple[int, int]:
     """Return the first tap, 0 or less, and the last that paths need at times."""
     earliest, latest = math.inf, 0.0
     for rows, pair in pairs:
         for part in slices_of(len(times), len(rows)):
-            delay = pair.arrivals(times[part], motion).delay
+            delay = pair.arrivals(times[part], kinematics).delay
             earliest, latest = min(earliest, float(delay.min())), max(latest, float(delay.max()))
     if not math.isfinite(earliest):
         return 0, 0

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import InputError
+from clsim.paths.arrivals import RETARDED
 from clsim.paths.propagation import SpeedRange, delay_bounds, max_delay_rate, medium_of
 from clsim.paths.response import SceneResponse, is_complex
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals
+    from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.propagation import Medium
     from clsim.scene.ends import Receiver, Source
     from clsim.scene.scatterer import Scatterer
@@ -44,9 +45,6 @@ class PathFamily(ABC):
         `NONE`.
     objects : ndarray (paths, N) int
         To which wall that happens (specular) or to which of `object_names`; filled up with -1.
-    costly : bool
-        Whether responses cost so much that they are taken at few instants where they change slowly, see
-        `HostTracks`.
     object_names : tuple of str
         Of things that are no walls.
     """
@@ -61,19 +59,14 @@ class PathFamily(ABC):
     objects: NDArray[np.signedinteger[Any]]
 
     columns: ClassVar[tuple[str, ...]] = ()  # a kind's own fields with a row per path
-    costly: ClassVar[bool] = False
 
     @abstractmethod
-    def arrivals(
-        self, rows: Rows, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
-    ) -> Arrivals:
+    def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver.
 
         Shapes: rows (P,); times (T,) s.
 
         times: times of reception, s; any at which the ends' trajectories are known, heard or not.
-
-        motion: whether everything is where it was when the sound passed, or where it is at reception.
         """
 
     @abstractmethod
@@ -81,7 +74,7 @@ class PathFamily(ABC):
         """Return received over emitted pressure at 1 m, (P, T, F), without the delay."""
 
     @abstractmethod
-    def vertices(self, rows: Rows, time: float, motion: str = "retarded") -> Floats:
+    def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
         """Return source, points of interaction and receiver (P, N + 2, 3) of paths between one source and one receiver.
 
         They are those of what is received at a time, s; NaN behind the receiver of paths of fewer interactions.
@@ -138,6 +131,11 @@ class PathFamily(ABC):
         return is_complex(self.scene)
 
     @property
+    def costly(self) -> bool:
+        """Whether responses cost so much that they are taken at few instants where they change slowly."""
+        return False
+
+    @property
     def varies(self) -> bool:
         """Whether the response of a path changes over a run so much that a few instants do not tell of all."""
         return False
@@ -164,12 +162,22 @@ class PathFamily(ABC):
 
     def digest(self) -> str:
         """Return a hash of all fields but the scene."""
-        found = hashlib.sha256(f"{type(self).__module__}.{type(self).__qualname__}".encode())
+        found = hashlib.sha256(self.identity.encode())
+        for name, value in self.hashed():
+            found.update(name.encode())
+            _hash_value(found, value)
+        return found.hexdigest()
+
+    @property
+    def identity(self) -> str:
+        """Name of the kind, which never changes: runs are resumed by it."""
+        return f"{type(self).__module__}.{type(self).__qualname__}"
+
+    def hashed(self) -> Iterator[tuple[str, Any]]:
+        """Yield names and values of all fields but the scene."""
         for field in fields(self):
             if field.name != "scene":
-                found.update(field.name.encode())
-                _hash_value(found, getattr(self, field.name))
-        return found.hexdigest()
+                yield field.name, getattr(self, field.name)
 
     def part(self, rows: Rows) -> Self:
         """Return some of the paths."""
@@ -230,9 +238,9 @@ class PairPaths:
         """Return some of the paths, by their places among these."""
         return PairPaths(self.family, self.index[rows], self.source, self.receiver)
 
-    def arrivals(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Arrivals:
+    def arrivals(self, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
         """Return delays, directions and lengths; see `PathFamily.arrivals`."""
-        return self.family.arrivals(self.rows, times, motion, amplitude)
+        return self.family.arrivals(self.rows, times, kinematics)
 
     def response(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return responses (P, T, F); see `PathFamily.response`."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
-from clsim.paths.diffraction.search import DIFFRACTION_MODELS, double_edge_paths, edge_paths
+from clsim.paths.diffraction.search import double_edge_paths, edge_paths
 from clsim.paths.moving.edge_search import moving_edge_paths
 from clsim.paths.moving.hidden import behind_bodies
 from clsim.paths.moving.scattered_search import body_scattered_paths
@@ -19,6 +19,7 @@ from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
 from clsim.paths.specular.cross_talk import direct_levels, with_direct
 from clsim.paths.specular.mesh import FINDERS, mesh_paths, report
 from clsim.paths.specular.shoebox import shoebox_paths
+from clsim.paths.vertices.edge import LAWS
 from clsim.paths.without_edges import warn_without_edges
 from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.room.mesh import MeshRoom
@@ -28,9 +29,9 @@ from clsim.scene.scene import Scene
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from clsim.paths.chain import Chain
     from clsim.paths.family import PathFamily
     from clsim.paths.specular.cross_talk import DirectSound
-    from clsim.paths.specular.family import SpecularPaths
 
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 LARGEST_DIFFRACTION = 2
@@ -126,7 +127,7 @@ def find_paths(
     if resolution is not None:
         resolution = as_number("resolution", resolution, at_least=1e-9, at_most=1.0, unit="s")
     limit, levels = as_count("path_limit", path_limit, at_least=1), direct_levels(scene, direct)
-    as_choice("diffraction_model", diffraction_model, tuple(DIFFRACTION_MODELS))
+    as_choice("diffraction_model", diffraction_model, tuple(LAWS))
     edges = as_count("diffraction", diffraction, at_most=LARGEST_DIFFRACTION)
     tell = progress or (lambda share: None)
     legs = as_count("scattering_order", scattering_order, at_most=LARGEST_SCATTERING_ORDER)
@@ -165,7 +166,7 @@ def _scattered(scene: Scene, search: PathSearch) -> list[PathFamily]:
             bodies = BodySearch(side, asked)
             found = behind_bodies(bodies, found)
             by_bodies.append(bodies.paths())
-        legs.append(cast("SpecularPaths", found))
+        legs.append(cast("Chain", found))
     both: list[PathFamily] = [scattered_paths(scene, search, *legs)]
     if scene.bodies:
         both.append(body_scattered_paths(scene, search, *zip(legs, by_bodies, strict=True)))

@@ -11,10 +11,10 @@ from clsim.arrays import as_choice, as_floats, texts
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.packages import check_packages
-from clsim.paths.arrivals import MOTIONS, slices_of
+from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.labelled import categories, labelled_dataset, labelled_frame
+from clsim.paths.legs.static import direct_paths
 from clsim.paths.path_set import PathSet
-from clsim.paths.specular.family import SpecularPaths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -164,17 +164,17 @@ def direct_path(
         raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
     if (times is None) == (emitted is None):
         raise InputError("times", f"must be given or else emitted, but {'neither is' if times is None else 'both are'}")
-    as_choice("motion", motion, MOTIONS)
+    kinematics = Kinematics(motion)
     scene, by_emission = paths.scene, emitted is not None
     instants = as_floats("emitted" if by_emission else "times", emitted if by_emission else times, (None,))
     names = tuple(s.name for s in scene.sources), tuple(r.name for r in scene.receivers)
     shape = (len(scene.sources), len(scene.receivers), len(instants))
     found = {name: np.empty(shape) for name in ("delay", "rate", "reception_time")}
     found |= {name: np.empty((*shape, 3)) for name in VECTORS}
-    for pair in SpecularPaths.direct(scene).pairs():
+    for pair in direct_paths(scene).pairs():
         for part in slices_of(len(instants), 1):
-            received = reception_times(pair, instants[part], motion) if by_emission else instants[part]
-            for name, values in _direct_sound(pair, received, motion).items():
+            received = reception_times(pair, instants[part], kinematics) if by_emission else instants[part]
+            for name, values in _direct_sound(pair, received, kinematics).items():
                 found[name][pair.source, pair.receiver, part] = values
     speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
     rate, sight = found.pop("rate"), [in_sight(paths, s, times) for s, times in enumerate(found["reception_time"])]
@@ -185,13 +185,13 @@ def direct_path(
     )  # fmt: skip
 
 
-def _direct_sound(pair: PairPaths, received: Floats, motion: str) -> dict[str, Floats]:
+def _direct_sound(pair: PairPaths, received: Floats, kinematics: Kinematics) -> dict[str, Floats]:
     """Return delays, their rates, directions and positions of the direct path of a pair at times of reception (T,)."""
     scene = pair.family.scene
     source, receiver = scene.sources[pair.source].trajectory, scene.receivers[pair.receiver]
-    arrivals = pair.arrivals(received, motion)
+    arrivals = pair.arrivals(received, kinematics)
     delay = (arrivals.delay + pair.group_lag(arrivals))[0]
-    left = received if motion == "quasi-static" else received - delay
+    left = received - delay if kinematics.retarded else received
     return {
         "delay": delay,
         "rate": arrivals.delay_rate[0],
@@ -203,14 +203,14 @@ def _direct_sound(pair: PairPaths, received: Floats, motion: str) -> dict[str, F
     }
 
 
-def reception_times(pair: PairPaths, emitted: Floats, motion: str) -> Floats:
+def reception_times(pair: PairPaths, emitted: Floats, kinematics: Kinematics) -> Floats:
     """Return the times of reception (T,) of what is emitted at times (T,), s, by Newton's method.
 
     The delay changes by less than a second per second below the speed of sound: there is one solution.
     """
     received = emitted
     for _ in range(_NEWTON_LIMIT):
-        arrivals = pair.arrivals(received, motion)
+        arrivals = pair.arrivals(received, kinematics)
         late = emitted + (arrivals.delay + pair.group_lag(arrivals))[0] - received
         received = received + late / (1.0 - arrivals.delay_rate[0])
         if np.all(np.abs(late) <= 1e-15 + 4e-16 * np.abs(received)):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.nufft import band_taper, delayed_sums, ringing
+from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.response import SceneResponse
 
 if TYPE_CHECKING:
@@ -210,7 +211,7 @@ def frozen_response(
     centre: frequency at which air, walls and directivities are taken, Hz; each at its own when left out.
     """
     now = np.array([time])
-    found = pair.arrivals(now, "quasi-static")
+    found = pair.arrivals(now, QUASI_STATIC)
 
     def responses(frequencies: Floats, rows: NDArray[np.int64]) -> Floats | Complexes:
         """Return the responses `(paths, frequencies)` of paths: at the centre, if there is one, for all."""

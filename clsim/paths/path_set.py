@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
+from clsim.arrays import Floats, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, counted
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, slices_of
+from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.channel import (
     ChannelBand,
     ChannelPaths,
@@ -191,8 +191,7 @@ class PathSet:
             If a time is not finite, or motion or amplitude are no known words.
         """
         times = as_floats("times", times, (None,))
-        as_choice("motion", motion, MOTIONS)
-        as_choice("amplitude", amplitude, AMPLITUDES)
+        kinematics = Kinematics(motion, amplitude)
         shape = (len(self), len(times))
         delay, doppler_factor = (np.full(shape, np.nan) for _ in range(2))
         has_phases = self.is_complex or self.scene.air.dispersion
@@ -201,7 +200,7 @@ class PathSet:
         departure, arrival = (np.full((*shape, 3), np.nan) for _ in range(2))
         for rows, pair in self.pairs():
             for part in slices_of(len(times), len(rows)):
-                found = pair.arrivals(times[part], motion, amplitude)
+                found = pair.arrivals(times[part], kinematics)
                 delay[rows, part], gain[rows, part] = found.delay, pair.gain(found, times[part])
                 if self.scene.air.dispersion:  # delays told are those of groups
                     lag = pair.group_lag(found)
@@ -276,7 +275,7 @@ class PathSet:
             If a value is out of bounds, or a wall or directivity is not known at the carrier.
         """
         times = as_floats("times", times, (None,))
-        delay, _, gain = self._channel(times, carrier, motion, amplitude)
+        delay, _, gain = self._channel(times, carrier, Kinematics(motion, amplitude))
         return ChannelPaths(
             times, self.source, self.receiver, read_only(delay), read_only(gain), float(carrier), *self._names()
         )
@@ -326,7 +325,7 @@ class PathSet:
         """
         times, band = as_floats("times", times, (None,)), ChannelBand(carrier, bandwidth, sampling_rate)
         span = self.start, self.end
-        gain, first = channel_taps(self.scene, self.pairs(), span, times, band, motion, amplitude)
+        gain, first = channel_taps(self.scene, self.pairs(), span, times, band, Kinematics(motion, amplitude))
         delays = (first + np.arange(gain.shape[2])) / band.sampling_rate
         return ChannelTaps(
             times, read_only(delays), read_only(gain), band.carrier, band.bandwidth, band.sampling_rate, *self._names()
@@ -369,7 +368,7 @@ class PathSet:
         begin = as_number("time", time, at_least=0.0, unit="s")
         length = as_number("duration", duration, above=0.0, unit="s")
         times = begin + length * np.array([0.0, 0.5, 1.0])
-        delay, rate, gain = self._channel(times, carrier, motion, amplitude)
+        delay, rate, gain = self._channel(times, carrier, Kinematics(motion, amplitude))
         shift = -float(carrier) * rate
         return DelayDoppler(
             begin, length, self.source, self.receiver, read_only(delay[:, 1]), read_only(shift[:, 1]),
@@ -377,8 +376,8 @@ class PathSet:
             float(carrier),
         )  # fmt: skip
 
-    def _channel(self, times: Floats, carrier: float, motion: str, amplitude: str) -> tuple[Floats, Floats, Complexes]:
-        return channel_paths(self.scene, self.pairs(), (self.start, self.end), times, carrier, motion, amplitude)
+    def _channel(self, times: Floats, carrier: float, kinematics: Kinematics) -> tuple[Floats, Floats, Complexes]:
+        return channel_paths(self.scene, self.pairs(), (self.start, self.end), times, carrier, kinematics)
 
     def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         return tuple(s.name for s in self.scene.sources), tuple(r.name for r in self.scene.receivers)
@@ -447,7 +446,7 @@ class PathSet:
         """
         found = np.full((len(self), self.interactions.shape[1] + 2, 3), np.nan)
         for rows, pair in self.pairs():
-            way = pair.family.vertices(pair.rows, time, motion)
+            way = pair.family.vertices(pair.rows, time, Kinematics(motion))
             found[rows, : way.shape[1]] = way
         found[~((self.start <= time) & (time < self.end))] = np.nan
         return found

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from clsim.paths.arrivals import MACH_EXPONENT, Arrivals
+from clsim.paths.arrivals import Arrivals
 from clsim.paths.heights import means_along
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.arrivals import Kinematics
     from clsim.scene.air import Air
     from clsim.scene.fluctuation import Fluctuation
     from clsim.scene.motion.motion import Motion
@@ -286,8 +287,8 @@ def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], 
 
 
 def arrivals_by(
-    ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats, motion: str,
-    amplitude: str,
+    ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats,
+    kinematics: Kinematics,
 ) -> Arrivals:  # fmt: skip
     """Arrivals of paths between one source and one receiver.
 
@@ -318,7 +319,7 @@ def arrivals_by(
     if noise is not None:
         delay = delay + noise[0]
     emission_time = np.broadcast_to(times, delay.shape)
-    if motion == "retarded":
+    if kinematics.retarded:
         if not math.isinf(source.end):  # a fixed source was where it is
             delay = refine_delay(travel, delay, times)
         emission_time = times - delay
@@ -332,8 +333,8 @@ def arrivals_by(
         receding += growth(lambda step: medium.means(ways_to(heard_at + step), *whole, start), heading)
     rate = receding - mach if noise is None else receding - mach + noise[1]
     factor, ratio = np.ones_like(mach), np.ones_like(mach)
-    if motion == "retarded":
-        rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -MACH_EXPONENT[amplitude], 1.0 / (1.0 - mach)
+    if kinematics.retarded:
+        rate, factor, ratio = rate / (1.0 - mach), (1.0 - mach) ** -kinematics.exponent, 1.0 / (1.0 - mach)
     departure, arrival = sound.normal(direction), -sound.normal(onwards)
     length = sound.along(departure, direction)
     return Arrivals(delay, rate, departure, arrival, length, sound.through, means, emission_time, factor, ratio)

@@ -11,8 +11,9 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_index, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
+from clsim.paths.arrivals import Kinematics
 from clsim.paths.ground_truth import in_sight, reception_times
-from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.legs.static import direct_paths
 from clsim.pictures.notebook import html_table
 from clsim.recording import as_recording
 from clsim.score.matched_filter import MatchedFilter, envelope_peak, phase_peak
@@ -270,7 +271,7 @@ def ranging(
             if place is not None:
                 delay[r, k] = (begin + place) / rate - emitted[k]
                 level[r, k] = abs(output[round(min(max(place, 0), len(output) - 1))])
-    exact, seen = direct_delays(paths, index, emitted, motion)
+    exact, seen = direct_delays(paths, index, emitted, Kinematics(motion))
     bound = [_bound(end, matched, level[r], method, c) for r, end in enumerate(paths.scene.receivers)]
     crlb = np.where(np.isfinite(delay), np.array(bound), math.nan)
     return RangingScore(
@@ -369,15 +370,17 @@ def source_index(paths: PathSet, source: int | str) -> int:
     return as_index("source", source, [one.name for one in paths.scene.sources])
 
 
-def direct_delays(paths: PathSet, source: int, emitted: Floats, motion: str) -> tuple[Floats, NDArray[np.bool_]]:
+def direct_delays(
+    paths: PathSet, source: int, emitted: Floats, kinematics: Kinematics
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Return delays (receivers, K) of the direct sound emitted at times (K,), s, and a mask of those in sight.
 
     Delays are known where a wall is in the way, too; they are NaN beyond the end of a receiver's trajectory.
     """
     receivers = paths.scene.receivers
     received = np.empty((len(receivers), len(emitted)))
-    for pair in SpecularPaths.direct(paths.scene).pairs():
+    for pair in direct_paths(paths.scene).pairs():
         if pair.source == source:
-            received[pair.receiver] = reception_times(pair, emitted, motion)
+            received[pair.receiver] = reception_times(pair, emitted, kinematics)
     last = np.array([receiver.trajectory.end for receiver in receivers])[:, None]
     return np.where(received <= last + _LATE, received - emitted, np.nan), in_sight(paths, source, received)

@@ -91,7 +91,7 @@ def _bounds(tracks: SceneTracks, pair: int, band: tuple[float, float], until: fl
         gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
         bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
         middle = np.array([0.5 * (begin + end)])
-        now = np.abs(paths.gain(paths.arrivals(middle, tracks.motion, tracks.amplitude), middle)[:, 0])
+        now = np.abs(paths.gain(paths.arrivals(middle, tracks.kinematics), middle)[:, 0])
         strongest = max(strongest, float(np.where((member.start <= middle) & (member.end > middle), now, 0.0).max()))
     return bound, strongest
 

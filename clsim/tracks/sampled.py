@@ -182,7 +182,7 @@ def picked_paths(
             paths, start, end = paths.part(some), start[some], end[some]
         times = np.sort(rng.uniform(0.0, last, instants))
         times[[0, -1]] = 0.0, last
-        found = paths.arrivals(times, tracks.motion, tracks.amplitude)
+        found = paths.arrivals(times, tracks.kinematics)
         heard = (times >= start[:, None]) & (times < end[:, None])
         level = np.where(heard, np.abs(paths.gain(found, times)), 0.0)
         level[level < _SILENT] = 0.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.arrays import Floats, as_choice, read_only, short_repr
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS
+from clsim.paths.arrivals import AMPLITUDES, MOTIONS, Kinematics
 from clsim.paths.family import PeakSpeeds
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
@@ -277,6 +277,11 @@ class SceneTracks(Tracks):
         """The scene."""
         return self.paths.scene
 
+    @property
+    def kinematics(self) -> Kinematics:
+        """Motion while sound is on its way, and amplitude."""
+        return Kinematics(self.motion, self.amplitude)
+
     def costly(self, pair: int) -> bool:
         """Return the property of the kind of paths."""
         return self.pair_paths[pair].family.costly
@@ -288,7 +293,7 @@ class SceneTracks(Tracks):
         paths = self.pair_paths[pair] if rows is None else self.pair_paths[pair].part(rows)
         receiver = self.scene.receivers[paths.receiver]
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
-        found = paths.arrivals(times + clock_error, self.motion, self.amplitude)
+        found = paths.arrivals(times + clock_error, self.kinematics)
         some = found if every == 1 else found.part(np.arange(len(paths)), slice(None, None, every))
         response = paths.response(
             some, (times + clock_error)[::every], SceneResponse(self.scene, paths.source, basis.nodes)

@@ -18,7 +18,7 @@ from late import installed
 from scipy.spatial import cKDTree
 
 import clsim
-from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.chain import is_specular
 
 pra = installed("pyroomacoustics", "pyroomacoustics is not installed")
 
@@ -97,8 +97,8 @@ def their_shoebox() -> Any:
 
 def image_places(paths: clsim.PathSet, source: Any) -> np.ndarray:
     (images,) = paths.families
-    assert isinstance(images, SpecularPaths)
-    return np.asarray(images.image_matrix @ np.asarray(source) + images.image_offset)
+    assert is_specular(images)
+    return np.asarray(images.legs[0].matrix @ np.asarray(source) + images.legs[0].offset)
 
 
 def rounding_of_images(order: int, farthest: float) -> float:

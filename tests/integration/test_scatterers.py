@@ -239,8 +239,8 @@ def test_what_leaves_the_line_between_the_ends_in_wind_is_found_all_along(paths:
     scattered = clsim.find_paths(scene, 0, scattering_order=0).families[-1]
     times = np.arange(0.082, 0.088, 5e-6)
     found = scattered.arrivals(np.array([0]), times)
-    assert found.strength[0, 0] == 0.0
-    assert found.strength[0, -1] > 0.0
-    assert np.all(np.diff(found.strength[0] > 0.0, prepend=0)[1:] >= 0)
+    assert found.more["strength"][0, 0] == 0.0
+    assert found.more["strength"][0, -1] > 0.0
+    assert np.all(np.diff(found.more["strength"][0] > 0.0, prepend=0)[1:] >= 0)
     # A jump along a surface that sound grazes is hardly one of the delay: within 0.1 µs of what changes evenly.
     assert np.abs(found.delay[0] - np.polyval(np.polyfit(times, found.delay[0], 2), times)).max() < 1e-7

@@ -161,7 +161,8 @@ def test_images_on_the_device_and_edges_on_the_host_add_up(paths: PathSet, devic
 
     plan = clsim.plan_render(paths, RATE, duration=0.1)
     engine = OpenclEngine(plan)
-    kinds = {type(pair.family).__name__: type(engine.maker(i)) for i, pair in enumerate(plan.tracks.pair_paths)}
+    makers = {pair.family.identity: type(engine.maker(i)) for i, pair in enumerate(plan.tracks.pair_paths)}
+    kinds = {name.rpartition(".")[2]: maker for name, maker in makers.items()}
     assert kinds["RidgePaths"] is HostNodeMaker
     assert kinds["SpecularPaths"] in (NodeMaker, HostNodeMaker)  # by whether the device has float64
     both = clsim.render(paths, RATE, duration=0.1).pressure

@@ -92,13 +92,13 @@ def difference_db(way: int = 0, layout: Layout = CPU_LAYOUT) -> float:
 
 def test_the_scene_has_all_that_such_paths_do() -> None:
     found = paths("rests").families[0]
-    body = found.surfaces - len(found.scene.room.faces)  # 0 and 1 move
+    body = found.legs[0].surfaces - len(found.scene.room.faces)  # 0 and 1 move
     moving = (body == 0) | (body == 1)
     assert {0, 1, 2} <= set(body[body >= 0].tolist())
     assert np.any(moving.all(axis=1))
     assert not np.all(moving.any(axis=1))  # by the table and walls
     for first in (0, 1):  # walls at rest before and after what moves
-        assert np.any(moving[:, first] & (found.surfaces[:, 1 - first] >= 0) & ~moving[:, 1 - first])
+        assert np.any(moving[:, first] & (found.legs[0].surfaces[:, 1 - first] >= 0) & ~moving[:, 1 - first])
 
 
 @pytest.mark.parametrize(

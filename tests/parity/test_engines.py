@@ -10,7 +10,7 @@ from mutants import Mutants
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.chain import Chain
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.pair_nodes import PairNodeMaker
@@ -186,7 +186,7 @@ def test_what_floats_leave_is_needed(without_float64, monkeypatch: pytest.Monkey
 def test_host_tracks_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     made = plan(scene(clsim.Piston(0.006), clsim.FirstOrder(0.4)), order=1, duration=0.03)
     on_device = pressure(made)
-    monkeypatch.setattr(SpecularPaths, "device", None)  # as for kinds that no device knows
+    monkeypatch.setattr(Chain, "device", None)  # as for kinds that no device knows
     assert difference_db(pressure(made), on_device) < TOLERANCE_DB
 
 
@@ -200,7 +200,7 @@ def test_host_tracks_carry_phases(monkeypatch: pytest.MonkeyPatch) -> None:
     world = clsim.Scene(clsim.Shoebox((6, 5, 3), [POROUS, ROUGH] * 3), clsim.Air(), [source], ears)
     made = plan_render(clsim.find_paths(world, 2), RATE, duration=0.06)
     on_device = pressure(made)
-    monkeypatch.setattr(SpecularPaths, "device", None)  # as for kinds that no device knows
+    monkeypatch.setattr(Chain, "device", None)  # as for kinds that no device knows
     assert difference_db(pressure(made), on_device) < TOLERANCE_DB
 
 

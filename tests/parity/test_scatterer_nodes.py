@@ -9,6 +9,7 @@ from made_responses import POROUS, OffCentre
 from mutants import KeptEngines, Mutants
 
 import clsim
+from clsim.paths.links import Links
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl import nodes, path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
@@ -68,7 +69,7 @@ def paths(air: clsim.Air | None = None, phased: bool = False) -> PathSet:
     )  # fmt: skip
     found = clsim.find_paths(scene, 1, scattering_order=1).families[-1]
     some = np.flatnonzero(
-        (found.scatterer < 3) | (found.order == 1)
+        (found.vertex.scatterer < 3) | (found.order == 1)
     )  # of what takes long on the host, direct legs alone
     return PathSet(scene, (found.part(some),))
 
@@ -130,16 +131,16 @@ def test_device_and_host_make_the_same(case: str, monkeypatch: pytest.MonkeyPatc
 
 def test_the_scene_has_all_that_such_paths_do() -> None:
     found = paths(phased=True).families[0]
-    before, after = found.walls_of_sides(np.arange(len(found)))
+    before, after = Links.of(found, slice(None)).surfaces
     assert np.any(np.any(before >= 0, axis=1) & np.any(after >= 0, axis=1))
-    assert set(np.unique(found.scatterer)) == {0, 1, 2, 3, 4}
+    assert set(np.unique(found.vertex.scatterer)) == {0, 1, 2, 3, 4}
     assert set(np.unique(found.receiver)) == {0, 1}
 
 
 def test_what_is_between_the_ends_in_turns_has_a_way() -> None:
     """Near to a rim, ends as wind carries them to one place show another one, and from there the first."""
     found = paths(WINDY).families[0]
-    rows = np.flatnonzero((found.scatterer == 0) & (found.receiver == 0))
+    rows = np.flatnonzero((found.vertex.scatterer == 0) & (found.receiver == 0))
     delay = found.arrivals(rows, np.array([0.0337, 0.03372, 0.03374])).delay
     assert np.abs(np.diff(delay, axis=1)).max() < 1e-6
 

@@ -173,7 +173,7 @@ def test_a_plate_that_sweeps_through_the_line_of_sight_makes_no_step() -> None:
     assert 0.05 < level.min() / level.max() < 0.2  # -6 dB on the boundary, -20 dB 6 cm into the shadow
     # Edge paths go over into others without a jump, those of the plate's corners as at rest.
     family = paths[1].families[-1]
-    events = np.unique(np.concatenate([family.start, family.end])[np.tile(family.over_end < 0, 2)])
+    events = np.unique(np.concatenate([family.start, family.end])[np.tile(family.vertex.over_end < 0, 2)])
     events = events[np.isfinite(events)]
     assert len(events) == 3  # one of the line of sight, two of corners
     assert 20.0 * np.log10(jumps(paths[1], events, 40e3).max()) < -75.0
@@ -243,7 +243,9 @@ def test_angles_go_on_where_an_end_passes_the_plane_of_a_sheet() -> None:
         far_scene((FIXED(at(0.0, 2.5, 0.1)), FIXED(at(0.9, -0.6, -0.15))), [door]), 0, diffraction=1
     )
     family = paths.families[-1]
-    passing = np.flatnonzero((np.abs(family.start - 0.105) < 0.02) & (family.over_end < 0) & np.isfinite(family.start))
+    passing = np.flatnonzero(
+        (np.abs(family.start - 0.105) < 0.02) & (family.vertex.over_end < 0) & np.isfinite(family.start)
+    )
     passing = np.array([row for row in passing if np.any(family.beside[row] != family.beside[row - 1])])
     apart = []
     for row in passing:

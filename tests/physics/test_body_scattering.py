@@ -8,8 +8,9 @@ import pytest
 
 import clsim
 from clsim.numerics.quaternions import rotate
+from clsim.paths.arrivals import QUASI_STATIC, RETARDED
+from clsim.paths.chain import Chain
 from clsim.paths.moving.mirrors import Mirrors
-from clsim.paths.moving.scattered import BodyScatteredPaths
 from clsim.paths.moving.scattered_way import find_scattered
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
@@ -57,10 +58,10 @@ def moving() -> clsim.PathSet:
     return clsim.find_paths(scene_of(SWING), 1, scattering_order=1)
 
 
-def family_of(paths: clsim.PathSet) -> BodyScatteredPaths:
+def family_of(paths: clsim.PathSet) -> Chain:
     """Return the paths by a scatterer and a body."""
     found = paths.families[-1]
-    assert isinstance(found, BodyScatteredPaths)
+    assert found.kind == "moving scatterer"
     return found
 
 
@@ -187,10 +188,10 @@ def test_what_is_heard_was_emitted_last() -> None:
 def test_doppler_factors_are_derivatives_and_bounds_hold(moving: clsim.PathSet) -> None:
     """Of both kinds of motion; and what rendering relies on: bounds of delays, of their rates, of gains."""
     family, times, h = family_of(moving), np.array([0.05, 0.09, 0.15]), 1e-4
-    for motion in ("retarded", "quasi-static"):
-        fine = [family.arrivals(slice(None), times + k * h, motion).delay for k in (-2, -1, 1, 2)]
+    for kinematics in (RETARDED, QUASI_STATIC):
+        fine = [family.arrivals(slice(None), times + k * h, kinematics).delay for k in (-2, -1, 1, 2)]
         slope = (fine[0] - fine[3] + 8.0 * (fine[2] - fine[1])) / (12.0 * h)
-        found = family.arrivals(slice(None), times, motion)
+        found = family.arrivals(slice(None), times, kinematics)
         some = np.isfinite(moving.table(times).delay[-len(family) :])
         # A mirror that turns is taken where the round before left it: that is 1 um, 4e-9 of a rate at 1.5 rad/s.
         np.testing.assert_allclose(found.delay_rate[some], slope[some], rtol=0.0, atol=4e-9)
@@ -205,7 +206,7 @@ def test_doppler_factors_are_derivatives_and_bounds_hold(moving: clsim.PathSet) 
     gain = np.abs(family.response(slice(None), found, times, at)).max(axis=1) * found.length.min(axis=1)[:, None]
     bound = family.gain_bound(slice(None), at)
     assert np.all(gain <= bound / (1.0 - float(speeds.source[0]) / C))
-    points = family.scatterer == 0
+    points = family.vertex.scatterer == 0
     assert np.median(bound[points] / gain[points]) < 100.0
 
 
@@ -267,11 +268,11 @@ def test_all_that_moves_is_wind() -> None:
         some = [family.part(np.flatnonzero((family.start < 0.05) & (family.end > 0.05))) for family in (mine, theirs)]
         some = [family.part(np.flatnonzero(~np.any(family.interactions == 0, axis=1))) for family in some]
         found = [family.arrivals(slice(None), times) for family in some]
-        kind = type(mine).__name__
-        assert len(some[0]) == len(some[1]) >= (kind == "BodyScatteredPaths") * 10 + 1, kind
+        kind = mine.kind
+        assert len(some[0]) == len(some[1]) >= (kind == "moving scatterer") * 10 + 1, kind
         at = [SceneResponse(paths.scene, 0, np.array([40e3])) for paths in (one, other)]
         gains = [family.response(slice(None), x, times, a) for family, x, a in zip(some, found, at, strict=True)]
-        exact = kind != "ScatteredPaths"  # of these the specular point is found to some 1e-9
+        exact = kind != "static scatterer"  # of these the specular point is found to some 1e-9
         for name, allowed in (("delay", 1e-12), ("delay_rate", 1e-13), ("departure", 1e-8), ("arrival", 1e-8)):
             worst = np.abs(getattr(found[0], name) - getattr(found[1], name)).max()
             assert worst < (1e-13 if exact else allowed), (kind, name)

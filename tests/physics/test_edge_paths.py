@@ -13,9 +13,9 @@ from wedge_oracle import edge_field, half_plane
 
 import clsim
 from clsim.acoustics.diffraction import edge_way, lit_angles, transition, wedge_terms
-from clsim.paths.diffraction.family import EdgePaths
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.edge import EdgeVertex
 
 HARD = clsim.Material.from_reflection(1.0)
 C, RATE, TONE = 343.0, 192e3, 40e3
@@ -163,8 +163,8 @@ def test_what_a_moving_source_sends_round_an_edge(device: None, monkeypatch: pyt
         assert decibels(abs(found - wanted) * 1.85) < -95.0
         assert decibels(abs(heard[n] - wanted.imag) * 1.85) < -85.0
     # Without the shift of the source's frequency in the transition it is not.
-    wrong = mistaken(EdgePaths.response, "found.frequency_ratio[", "np.ones(found.delay.shape)[")
-    monkeypatch.setattr(EdgePaths, "response", wrong)
+    wrong = mistaken(EdgeVertex.respond, "found.frequency_ratio[", "np.ones(found.delay.shape)[")
+    monkeypatch.setattr(EdgeVertex, "respond", wrong)
     found = field(paths, np.array([n / RATE]), TONE)[0] * np.exp(2j * np.pi * TONE * n / RATE)
     assert decibels(abs(found - wanted) * 1.85) > -70.0
 
@@ -250,8 +250,8 @@ def test_edge_paths_of_the_highest_order_keep_two_terms() -> None:
     edge = l_room(1).families[1]
     reflections = edge.order - 1
     assert set(reflections) == {0, 1}
-    assert np.all(edge.lit[reflections == 1][:, 2:] == 0)
-    assert np.all(edge.lit[reflections == 0] != 0)
+    assert np.all(edge.vertex.lit[reflections == 1][:, 2:] == 0)
+    assert np.all(edge.vertex.lit[reflections == 0] != 0)
 
 
 @pytest.mark.parametrize("engine", ["opencl", "reference"])
@@ -272,8 +272,8 @@ def test_paths_over_ends_of_edges_go_on_through_boundaries(engine: str, device: 
     edge = clsim.find_paths(scene, 0, diffraction=1, engine=engine, resolution=1e-6).families[1]
     crossed = np.array([boundary, *ends[0][1:]])
     wanted = boundary / 5.0 + (np.linalg.norm(crossed) + np.linalg.norm(ends[1])) / C
-    here = (np.linalg.norm(edge.frame[:, 0], axis=1) < 1e-9) & (edge.frame[:, 3, 2] == 1.0)
-    over = np.flatnonzero(here & (edge.end_side == -1) & (edge.end_place == 0.0))
+    here = (np.linalg.norm(edge.vertex.frame[:, 0], axis=1) < 1e-9) & (edge.vertex.frame[:, 3, 2] == 1.0)
+    over = np.flatnonzero(here & (edge.vertex.end_side == -1) & (edge.vertex.end_place == 0.0))
     assert len(over) == 1
     times = wanted + np.linspace(-4e-3, 4e-3, 33)
     found = edge.arrivals(over, times)

@@ -26,7 +26,7 @@ def in_a_corner(degrees: float, source: np.ndarray, receivers: np.ndarray, model
     scene = clsim.Scene(room, clsim.Air(absorption=False, speed_of_sound=C), [beacon], ears)
     paths = clsim.find_paths(scene, int(np.ceil(np.pi / angle)), diffraction=1, diffraction_model=model)
     specular, edges = paths.families
-    short = np.flatnonzero((edges.n < 1.0) & (edges.end_side == 0))
+    short = np.flatnonzero((edges.vertex.n < 1.0) & (edges.vertex.end_side == 0))
     return PathSet(scene, (specular, edges.part(short)))
 
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import clsim
 from clsim.numerics.quaternions import quaternion_from_direction
+from clsim.paths.legs.static import StaticLeg
 from clsim.paths.path_set import PathSet
 from clsim.scene.signal.waveforms import Tone
 
@@ -106,9 +107,9 @@ def test_turning_and_moving_everything(engine: str, rng) -> None:
     turn, shift = Rotation.random(random_state=7).as_matrix(), np.array([12.0, 11.0, 13.0])
     moved = world.scene(room(np.full(3, 25.0), FACTORS), turn, shift)
     images = paths.families[0]
-    matrix = turn @ images.image_matrix @ turn.T
-    offset = images.image_offset @ turn.T + shift - matrix @ shift
-    turned = PathSet(moved, (replace(images, scene=moved, image_matrix=matrix, image_offset=offset),))
+    matrix = turn @ images.legs[0].matrix @ turn.T
+    offset = images.legs[0].offset @ turn.T + shift - matrix @ shift
+    turned = PathSet(moved, (replace(images, scene=moved, legs=(StaticLeg(matrix, offset),)),))
     assert np.abs(matrix - np.swapaxes(matrix, 1, 2)).max() < 1e-12  # products of mirrors along three axes
     assert difference_db(heard(moved, engine, turned), heard(plain, engine, paths)) < SAME_DB
 
@@ -126,7 +127,7 @@ def test_images_that_turn(engine: str, rng) -> None:
     source = clsim.Source("s", TONE, inner, BEAMS["source"], aim=turn.T @ AIMS["source"])
     scene = clsim.Scene(plain.room, AIR, [source], plain.receivers)
     offset = shift - turn @ np.full(3, 15.0)
-    images = replace(here.families[0], scene=scene, image_matrix=turn[None], image_offset=offset[None])
+    images = replace(here.families[0], scene=scene, legs=(StaticLeg(turn[None], offset[None]),))
     paths = PathSet(scene, (images,))
     assert difference_db(heard(scene, engine, paths), heard(plain, engine, here)) < SAME_DB
 

@@ -88,7 +88,7 @@ def test_images_take_the_mean_slowness_of_their_folded_way(as_mesh: bool) -> Non
     table = paths.table([0.0])
     some = np.flatnonzero(table.order >= 2)[::7]
     for row in some:
-        start = images.image_matrix[row] @ A + images.image_offset[row]
+        start = images.legs[0].matrix[row] @ A + images.legs[0].offset[row]
         bends = [k * SIZE[2] for k in range(-4, 5)]
         turns = sorted(
             (z - start[2]) / (B[2] - start[2]) for z in bends if min(start[2], B[2]) < z < max(start[2], B[2])

@@ -92,7 +92,7 @@ def test_a_shoebox_as_a_mesh_has_the_closed_forms_paths(mesh, validated_by) -> N
     mine = clsim.find_paths(scene_of(room, source, receiver), order, engine=validated_by)
     closed = clsim.find_paths(scene_of(clsim.Shoebox((8, 6, 3), WALL), source, receiver), order)
     assert len(mine) == len(closed) == {5: 231, 3: 63}[order]
-    images = [np.round(f.image_matrix @ source + f.image_offset, 12) for p in (mine, closed) for f in p.families]
+    images = [np.round(f.legs[0].matrix @ source + f.legs[0].offset, 12) for p in (mine, closed) for f in p.families]
     ordered = [i[np.lexsort(np.round(i, 6).T)] for i in images]
     np.testing.assert_allclose(ordered[0], ordered[1], atol=1e-9)
     assert np.all(np.isneginf(mine.start))
@@ -115,7 +115,9 @@ def test_symmetric_positions_lose_and_double_no_path(source, receiver) -> None:
     closed = scene_of(clsim.Shoebox((8, 6, 3), WALL), source, receiver)
     mine, wanted = clsim.find_paths(scene, 5), clsim.find_paths(closed, 5)
     assert len(mine) == len(wanted)
-    images = [f.image_matrix @ np.asarray(source, float) + f.image_offset for p in (mine, wanted) for f in p.families]
+    images = [
+        f.legs[0].matrix @ np.asarray(source, float) + f.legs[0].offset for p in (mine, wanted) for f in p.families
+    ]
     ordered = [i[np.lexsort(np.round(i, 6).T)] for i in images]
     np.testing.assert_allclose(ordered[0], ordered[1], atol=1e-9)
 

@@ -61,7 +61,9 @@ def over_the_far_edge(moving: str) -> PathSet:
     sides = (FIXED(STILL), passing(2.0))
     paths = found(sides if moving == "receiver" else sides[::-1], 0, 1)
     edge = paths.families[1]
-    rows = np.flatnonzero((edge.end_side == 0) & (np.abs(edge.frame[:, 0, 0]) < 1e-9) & (edge.frame[:, 3, 0] == 0.0))
+    rows = np.flatnonzero(
+        (edge.vertex.end_side == 0) & (np.abs(edge.vertex.frame[:, 0, 0]) < 1e-9) & (edge.vertex.frame[:, 3, 0] == 0.0)
+    )
     return PathSet(paths.scene, (edge.part(rows),))
 
 

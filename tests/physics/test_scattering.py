@@ -140,7 +140,7 @@ def test_ways_that_begin_at_those_before_and_after_are_the_same(moving: clsim.Pa
         here = (slice(None), slice(first, first + 10))
         np.testing.assert_allclose(every.delay[here], few.delay, rtol=0.0, atol=1e-14)
         np.testing.assert_allclose(every.delay_rate[here], few.delay_rate, rtol=0.0, atol=1e-10)
-        np.testing.assert_allclose(every.strength[here], few.strength, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(every.more["strength"][here], few.more["strength"], rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(("speed", "shift"), [(1.0, 233.918), (5.0, 1183.432), (20.0, 4953.560)])
@@ -266,7 +266,7 @@ def test_a_huge_sphere_at_rest_is_a_mirror() -> None:
     # Convex mirror with R = 1 m, 45 degrees: 2 / (R cos) across, 2 cos / R in the plane... of the reflected wavefront.
     d, cosine = ways[0], np.sqrt(0.5)
     spread = [1.0 + (1.0 / d + 2.0 * f) * d for f in (cosine, 1.0 / cosine)]
-    gain = found.strength[0, 0] / np.prod(ways)
+    gain = found.more["strength"][0, 0] / np.prod(ways)
     lit = -np.expm1(-((cosine / 0.25) ** 3))
     assert gain == pytest.approx(lit / (d * np.sqrt(np.prod(spread))), rel=1e-9)
 

@@ -13,6 +13,7 @@ import pytest
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
+from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.response import SceneResponse
 
 C, RATE = 343.0, 192e3
@@ -133,7 +134,7 @@ def heard_at_once(paths: clsim.PathSet, frequency: float, times: np.ndarray) -> 
     """Return the sum of all paths where all is where it is at reception: of places, whatever brought things there."""
     total, at = np.zeros(len(times), dtype=complex), SceneResponse(paths.scene, 0, np.array([frequency]))
     for family in paths.families:
-        found = family.arrivals(slice(None), times, "quasi-static")
+        found = family.arrivals(slice(None), times, QUASI_STATIC)
         turn = np.exp(-2j * np.pi * frequency * found.delay)
         total += np.sum(family.response(slice(None), found, times, at)[..., 0] * turn, axis=0)
     return total

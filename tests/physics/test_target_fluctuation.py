@@ -49,10 +49,10 @@ def test_what_is_heard_is_the_steady_echo_times_the_noise_at_the_time_of_scatter
     assert not scene.scatterers[0].is_static
     times = np.arange(round(0.05 * RATE), round(0.075 * RATE)) / RATE
     first = paths.families[1].arrivals(slice(None), times)
-    late = first.second_length[:, :1] / C
+    late = first.more["second_length"][:, :1] / C
     exact = np.zeros(len(times))
     for p in range(len(paths)):
-        d = [float(first.length[p, 0] - first.second_length[p, 0]), float(first.second_length[p, 0])]
+        d = [float(first.length[p, 0] - first.more["second_length"][p, 0]), float(first.more["second_length"][p, 0])]
         walls = 0.8 ** (paths.order[p] - 1)
         phase = 2.0 * np.pi * 20e3 * (times - sum(d) / C)
         exact += walls / (d[0] * d[1]) * np.imag(noise.at(times - late[p]) * np.exp(1j * phase))
@@ -92,4 +92,4 @@ def test_motion_after_the_sound_takes_no_time() -> None:
 
     (short, _), (long, spent) = found(120.0), found(5e5)
     assert spent < 15.0
-    np.testing.assert_allclose(long.families[1].nearest, short.families[1].nearest, rtol=1e-3)
+    np.testing.assert_allclose(long.families[1].vertex.nearest, short.families[1].vertex.nearest, rtol=1e-3)

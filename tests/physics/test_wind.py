@@ -67,8 +67,8 @@ CELLS = [(0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 0, 1), (2, -1, 0), (-1, 1, -2), (
 
 def cell_of(paths: clsim.PathSet, row: int) -> tuple[int, ...]:
     images = paths.families[0]
-    whole = images.image_offset[row] / SIZE
-    odd = np.diagonal(images.image_matrix[row]) < 0.0
+    whole = images.legs[0].offset[row] / SIZE
+    odd = np.diagonal(images.legs[0].matrix[row]) < 0.0
     return tuple(np.round(whole - odd).astype(int).tolist())
 
 

@@ -8,12 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.diffraction import TERMS, partner_reflections
-from clsim.arrays import as_count, read_only
+from clsim.arrays import as_count
 from clsim.errors import InputError
-from clsim.paths.diffraction.columns import path_columns
-from clsim.paths.diffraction.double import DoubleEdgePaths
-from clsim.paths.diffraction.exact import ExactEdgePaths
-from clsim.paths.diffraction.family import EdgePaths
+from clsim.paths.diffraction.columns import edge_chain, edge_pair_chain
 from clsim.paths.diffraction.intervals import EdgeSearch
 from clsim.paths.diffraction.pieces import Pieces, find_pieces
 from clsim.paths.diffraction.swaps import with_swaps
@@ -36,6 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
     from clsim.paths.family import PathFamily
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import VisibilityQuery
@@ -46,14 +44,13 @@ if TYPE_CHECKING:
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
     Generator = Callable[[Walls, Sides, list[Sides], Edges, int], Iterator[tuple[float, EdgeCandidates]]]
 
-DIFFRACTION_MODELS = {"utd": EdgePaths, "btm": ExactEdgePaths}  # of paths over one edge
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
 _SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
 _FARTHEST = 8  # resolutions, the same where that is more
 
 
-def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> EdgePaths:
+def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> Chain:
     """Return every path over one edge with up to `max_order` reflections before and after it.
 
     others: paths without edges: where an edge path takes over from one of them, that one's time is taken.
@@ -61,13 +58,10 @@ def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...])
     A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
     """
     rows, order, within = _rows_of(scene, search, others, _candidates)
-    edges = scene.room.edges()
-    columns = path_columns(scene, edges, order, rows)
-    kind = DIFFRACTION_MODELS[search.diffraction_model]
-    return with_swaps(kind(scene=scene, **columns, edge_names=edges.names), within)
+    return with_swaps(edge_chain(scene, search.diffraction_model, order, rows), within)
 
 
-def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> DoubleEdgePaths:
+def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> Chain:
     """Return every path over two edges that share a face with up to `max_order` reflections before and after them.
 
     others: paths without edges and over one: where a path over two edges takes over from one of them, that one's time
@@ -76,16 +70,7 @@ def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily
     if scene.air.layers or scene.air.fluctuation is not None:
         raise InputError("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
     rows, order, within = _rows_of(scene, search, others, _double_candidates)
-    edges = scene.room.edges()
-    columns = path_columns(scene, edges, order, rows)
-    last = np.array([r["edges"][1] for r in rows], dtype=np.int64)
-    more: dict[str, Any] = {
-        "last_frame": edges.frames[last], "last_n": edges.n[last], "last_faces": edges.faces[last],
-        "last_lit": np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS),
-        "shared": np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2),
-    }  # fmt: skip
-    held = {name: read_only(column) for name, column in more.items()}
-    return with_swaps(DoubleEdgePaths(scene=scene, **columns, **held, edge_names=edges.names), within)
+    return with_swaps(edge_pair_chain(scene, order, rows), within)
 
 
 def _rows_of(

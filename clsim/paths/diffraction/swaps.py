@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,16 +14,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.diffraction.family import EdgePaths
+    from clsim.paths.chain import Chain
 
     Rows = NDArray[np.int64]
 
-Family = TypeVar("Family", bound="EdgePaths")
 _SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 _ROUNDS = 4  # of finding the time of emission
 
 
-def with_swaps(family: Family, within: float) -> Family:
+def with_swaps(family: Chain, within: float) -> Chain:
     """Return the paths with one time for the end of one and the beginning of another where they are the same event.
 
     This is where two walls are met in another order, or where the apex goes on from an edge to the next one or to its
@@ -42,21 +41,21 @@ def with_swaps(family: Family, within: float) -> Family:
     return family if len(kept) == len(start) else family.part(kept)
 
 
-def _with_ends(family: EdgePaths, within: float) -> tuple[Floats, Floats]:
+def _with_ends(family: Chain, within: float) -> tuple[Floats, Floats]:
     """Compute starts and ends, s, where paths over edges have the times at which those over their ends change sides."""
-    start, end, count = np.array(family.start), np.array(family.end), len(family.edge_names)
+    start, end, count = np.array(family.start), np.array(family.end), len(family.vertex.lines)
     edges = (family.interactions == DIFFRACTION) & (family.objects >= count)
     over = np.where(edges, (family.objects - count) // 2, family.objects)
     way = [tuple(row) for row in np.column_stack([family.source, family.receiver, over]).tolist()]
     follows = np.append(False, np.all(family.objects[1:] == family.objects[:-1], axis=1) & (start[1:] == end[:-1]))
-    turns = follows & np.append(False, family.end_side[1:] != family.end_side[:-1])
+    turns = follows & np.append(False, family.vertex.end_side[1:] != family.vertex.end_side[:-1])
     passing: dict[tuple[int, ...], list[float]] = {}
     for row in np.flatnonzero(turns[: len(start)]).tolist():
         passing.setdefault(way[row], []).append(float(start[row]))
     first = np.flatnonzero(~follows[: len(start)])
     for one, after in zip(first.tolist(), [*first[1:].tolist(), len(start)], strict=True) if passing else ():
         rows = slice(one, after)
-        for time in passing.get(way[one], []) if family.end_side[one] == 0 else ():
+        for time in passing.get(way[one], []) if family.vertex.end_side[one] == 0 else ():
             if abs(start[one] - time) <= within:
                 start[one] = time
                 start[rows] = np.maximum(start[rows], time)
@@ -67,7 +66,7 @@ def _with_ends(family: EdgePaths, within: float) -> tuple[Floats, Floats]:
 
 
 def _same_events(
-    family: EdgePaths, one: tuple[Rows, Floats], other: tuple[Rows, Floats], within: float
+    family: Chain, one: tuple[Rows, Floats], other: tuple[Rows, Floats], within: float
 ) -> tuple[Rows, Rows]:
     """Find the rows of `one` and of `other` (n,) at whose times, s, both paths between two ends are as long.
 
@@ -97,7 +96,7 @@ def _among(pair: Rows, times: Floats, other_pair: Rows, others: Floats) -> NDArr
     return np.array([moment in known for moment in zip(pair.tolist(), times.tolist(), strict=True)], dtype=bool)
 
 
-def _delays(family: EdgePaths, rows: Rows, times: Floats) -> Floats:
+def _delays(family: Chain, rows: Rows, times: Floats) -> Floats:
     """Return the delays (n,) of rows at times (n,), s, as near as tells whether two are the same."""
     scene, source = family.scene, family.source[rows]
     receiver = ends_at(scene.receivers, family.receiver[rows], times)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.diffraction import edge_way
-from clsim.paths.diffraction.family import cylindrical
 from clsim.paths.moving.edge_lines import EdgePoint
 from clsim.paths.moving.events import Events, few_of, find_events
 from clsim.paths.moving.mirrors import dot
+from clsim.paths.vertices.edge_field import cylindrical
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

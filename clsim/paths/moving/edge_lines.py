@@ -44,22 +44,22 @@ class EdgeLines:
     bodies: tuple[Body, ...]  # of the scene
 
     @staticmethod
-    def of(scene: Scene) -> EdgeLines:
-        """Return the edges of a scene."""
-        mirrors = Mirrors.of(scene)
+    def of(scene: Scene, of_bodies: bool = True) -> EdgeLines:
+        """Collect the edges of a scene, or of its room alone."""
+        mirrors, bodies = Mirrors.of(scene), tuple(scene.bodies) if of_bodies else ()
         found = [scene.room.edges()]
-        for body in mirrors.bodies:
+        for body in bodies:
             found.append(find_edges(body.mesh.walls, replace(body.mesh.faces, names=body.faces), None))
-        first = [0, *mirrors.first.tolist()]
+        first = [0, *mirrors.first.tolist()[: len(bodies)]]
         return EdgeLines(
             read_only(np.concatenate([edges.frames for edges in found])),
             read_only(np.concatenate([edges.length for edges in found])),
             read_only(np.concatenate([edges.n for edges in found])),
             read_only(np.concatenate([edges.faces + f for edges, f in zip(found, first, strict=True)])),
             read_only(np.concatenate([edges.free for edges in found])),
-            read_only(np.repeat(np.arange(-1, len(mirrors.bodies)), [len(edges) for edges in found])),
+            read_only(np.repeat(np.arange(-1, len(bodies)), [len(edges) for edges in found])),
             tuple(name for edges in found for name in edges.names),
-            mirrors.bodies,
+            bodies,
         )
 
     def __len__(self) -> int:

@@ -12,8 +12,8 @@ from clsim.acoustics.diffraction import TERMS, edge_way, lit_angles, partner_ref
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.diffraction.end_pieces import joined_over_ends
+from clsim.paths.legs.moving import moving_paths
 from clsim.paths.moving.edge_events import Chains, EdgeSolver
-from clsim.paths.moving.edge_family import MovingEdgePaths
 from clsim.paths.moving.edge_lines import EdgeLines
 from clsim.paths.moving.edge_pieces import pieces
 from clsim.paths.moving.edge_ties import tied
@@ -23,11 +23,13 @@ from clsim.paths.moving.search import UnhiddenLookup
 from clsim.paths.specular.beam_tree import BeamTree
 from clsim.paths.specular.mesh import BEAM_LIMIT
 from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.vertices.edge import EdgeVertex
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
     from clsim.paths.family import PathFamily
     from clsim.paths.moving.events import Events
     from clsim.paths.moving.search import BodySearch, PairQuery
@@ -40,7 +42,7 @@ _ABSENT = -1  # code of a path that is not there; else bits for the sides of its
 _END, _HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 
 
-def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> MovingEdgePaths:
+def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
     """Return every path over one edge of which the edge or a mirror belongs to a body.
 
     others: paths without edges, and over those of the room: where an edge path takes over from one of them, that one's
@@ -54,8 +56,9 @@ def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Mov
             "body_order", f"must give at most {search.search.path_limit} paths over edges (path_limit), but gives more"
         )
     held = {name: read_only(column) for name, column in columns.items()}
-    family = MovingEdgePaths(scene=scene, **held, model=search.search.diffraction_model)
-    return tied(family, others)
+    names = ("edge", "over_end", "lit", "end_side", "beside")
+    vertex = EdgeVertex(*(held[name] for name in names), EdgeLines.of(scene), search.search.diffraction_model)
+    return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
 
 
 class _EdgeFinder:

@@ -8,19 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import read_only
+from clsim.paths.arrivals import RETARDED
+from clsim.paths.legs.moving import events_of
+from clsim.paths.links import Links
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
     from clsim.paths.family import PairPaths, PathFamily
-    from clsim.paths.moving.edge_family import MovingEdgePaths
 
 _WITHIN = 1e-4  # s between two times at which the same event was found, at most
 _SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 
 
-def tied(family: MovingEdgePaths, others: Sequence[PathFamily]) -> MovingEdgePaths:
+def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
     """Return the paths with the times at which others begin or end where that is the same event.
 
     Where sound goes over from one path to another both take the same time: an edge path and the one that passes its
@@ -38,7 +41,7 @@ def tied(family: MovingEdgePaths, others: Sequence[PathFamily]) -> MovingEdgePat
         if not len(which):
             continue
         at, owner = mine[which], np.concatenate([rows, rows])[which]
-        first = family.events(owner, at[:, None])
+        first = events_of(Links.of(family, owner), at[:, None], RETARDED)
         delay = (first.first.delay + first.last.delay)[:, 0]
         mine[which] = _settled(at, delay, _events(known.get((pair.source, pair.receiver), []), at))
         start[rows], end[rows] = mine[: len(rows)], mine[len(rows) :]

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import read_only
+from clsim.paths.chain import is_specular
+from clsim.paths.legs.places import path_vertices
 from clsim.paths.moving.events import find_events
 from clsim.paths.moving.looks import ROUNDS, intervals
 from clsim.paths.moving.rates import FAR, taken_for
 from clsim.paths.moving.subdivision import intervals as subdivided
 from clsim.paths.moving.visibility import LegDrift, Legs, hidden_by
 from clsim.paths.propagation import mean_medium_of
-from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.specular.mesh import report
-from clsim.paths.vertices import path_vertices
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,7 +48,7 @@ def behind_bodies(search: BodySearch, family: PathFamily, progress: Progress = l
         part = partial(report, progress, number / len(pairs), (number + 1) / len(pairs))
         query = search.pair(pair.source, pair.receiver)
         status = _Status(pair, search)
-        if isinstance(family, SpecularPaths):
+        if is_specular(family):
             look = _Look(status, search.obstacles, query)
             every = np.arange(len(pair.index))
             spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
@@ -82,7 +82,7 @@ class _Status:
     def __call__(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
         free = np.ones(times.shape, dtype=bool)
         shared = np.zeros(len(rows), dtype=np.int64)
-        if not isinstance(self._family, SpecularPaths):  # those looked at at the same times are so together
+        if not is_specular(self._family):  # those looked at at the same times are so together
             shared = np.unique(times[:, [0, -1]], axis=0, return_inverse=True)[1].ravel()
         for group in range(int(shared.max(initial=-1)) + 1):
             some = np.flatnonzero(shared == group)
@@ -190,7 +190,7 @@ def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -
     """
     count, every = times.shape
     source, receiver = (end.trajectory for end in family.ends(rows))
-    if isinstance(family, SpecularPaths):  # whatever the order of walls, their image is one and the same
+    if is_specular(family):  # whatever the order of walls, their image is one and the same
         medium = mean_medium_of(family.scene.air, family.ends(rows)[0].emitted.centre_frequency)
         delay = find_events(mirrors, family.objects[rows], (source, receiver), medium, times, rounds=ROUNDS).delay
         faces, walls = family.scene.room.faces, np.repeat(family.objects[rows], every, axis=0)

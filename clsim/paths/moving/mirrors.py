@@ -101,6 +101,11 @@ class Mirrors:
             image = image - 2.0 * plane.height(none, image)[..., None] * plane.normal
         return np.asarray(np.linalg.norm(image[:, 0] - stop, axis=1))
 
+    def speeds(self, walls: Integers) -> Floats:
+        """Sum the bounds (P,) of the speeds of the bodies that own mirrors (P, N), m/s."""
+        peak = np.array([*(body.peak_speed for body in self.bodies), 0.0])
+        return np.asarray(peak[np.append(self.owner, ROOM)[walls]].sum(axis=1))
+
     def _pose(
         self, body: Body, walls: Integers, now: Floats, event: Floats, place: Floats | None,
         out: tuple[Floats, Floats, Floats], mine: NDArray[np.int64],

@@ -11,10 +11,12 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.family import ends_at
+from clsim.paths.legs.moving import moving_paths
+from clsim.paths.links import Links
 from clsim.paths.moving.events import find_events
 from clsim.paths.moving.mirrors import Mirrors
-from clsim.paths.moving.scattered import BodyScatteredPaths
 from clsim.paths.propagation import mean_medium_of
+from clsim.paths.vertices.scatterer import ScattererVertex
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,9 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.moving.family import BodyPaths
+    from clsim.paths.chain import Chain
     from clsim.paths.search import PathSearch
-    from clsim.paths.specular.family import SpecularPaths
     from clsim.scene.body import Body
     from clsim.scene.ends import End, Receiver, Source
     from clsim.scene.scatterer import Scatterer
@@ -51,8 +52,8 @@ class _Legs:
 
 
 def body_scattered_paths(
-    scene: Scene, search: PathSearch, before: tuple[SpecularPaths, BodyPaths], after: tuple[SpecularPaths, BodyPaths]
-) -> BodyScatteredPaths:
+    scene: Scene, search: PathSearch, before: tuple[Chain, Chain], after: tuple[Chain, Chain]
+) -> Chain:
     """Return every path by one scatterer with up to `scattering_order` mirrors on either leg, of bodies at least one.
 
     before, after: the paths by walls alone, behind bodies, and by bodies, of both `sides` of the scene.
@@ -75,13 +76,14 @@ def body_scattered_paths(
                         "more",
                     )
     columns = {name: read_only(np.concatenate([each[name] for each in found])) for name in found[0]}
-    family = BodyScatteredPaths(scene, nearest=np.empty(len(columns["start"])), **columns)
-    return replace(family, nearest=read_only(_nearest(family)))
+    vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
+    family = moving_paths(scene, Mirrors.of(scene), columns, ("before", "after"), vertex)
+    return replace(family, vertex=replace(vertex, nearest=read_only(_nearest(family))))
 
 
-def _legs(walls: SpecularPaths, faces: BodyPaths) -> _Legs:
+def _legs(walls: Chain, faces: Chain) -> _Legs:
     """Return paths by walls and by bodies together."""
-    met = [walls.objects.astype(np.int32), faces.surfaces]
+    met = [walls.objects.astype(np.int32), faces.legs[0].surfaces]
     width = max(each.shape[1] for each in met)
     met = [np.pad(each, ((0, 0), (0, width - each.shape[1])), constant_values=-1) for each in met]
     ends = [np.concatenate([getattr(walls, name), getattr(faces, name)]) for name in ("source", "receiver")]
@@ -128,7 +130,7 @@ def _heard(scene: Scene, surfaces: NDArray[np.int32], events: Floats, ends: tupl
     return heard
 
 
-def _nearest(family: BodyScatteredPaths) -> Floats:
+def _nearest(family: Chain) -> Floats:
     """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the lengths of both legs, m.
 
     They are looked at now and then: meanwhile, and while sound is on its way, all moves on.
@@ -138,12 +140,13 @@ def _nearest(family: BodyScatteredPaths) -> Floats:
     ends: list[End | Body | Scatterer] = [*scene.sources, *scene.receivers, *scene.bodies, *scene.scatterers]
     last = max((thing.trajectory.end for thing in ends if math.isfinite(thing.trajectory.end)), default=0.0)
     times = np.arange(0.0, last + 1.0 / _PROBES, 1.0 / _PROBES)
-    radius = np.array([scatterer.shape.radius for scatterer in scene.scatterers])[family.scatterer]
+    radius = np.array([scatterer.shape.radius for scatterer in scene.scatterers])[family.vertex.scatterer]
     least = np.full((2, len(family)), np.inf)
     for some in np.array_split(np.arange(len(family)), -(-len(family) * len(times) // _AT_A_TIME) or 1):
         rows, now = np.repeat(some, len(times)), np.tile(times, len(some))
         places = ends_at(scene.sources, family.source[rows], now), ends_at(scene.receivers, family.receiver[rows], now)
-        for leg, length in enumerate(family.legs(rows, *places, now)):
+        links = Links.of(family, rows)
+        for leg, length in enumerate(links.vertex.leg_lengths(links, places, now)):
             least[leg, some] = length.reshape(len(some), len(times)).min(axis=1)
     nearest = (least - 0.5 * speed / _PROBES) / (1.0 + speed / c) - radius
     first, second = np.maximum(nearest, scene.min_distance)

@@ -35,7 +35,7 @@ class ScatteredEvents:
     """P ways by a scatterer at T times of reception."""
 
     first: Events  # of the leg to the scatterer, with times counted from when it is met there, and of that from it
-    second: Events  # likewise
+    last: Events  # likewise
     time: Floats  # (P, T) when it is scattered, s
     coming: Floats  # (P, T) mach number of the scatterer off the source
     strength: Floats  # (P, T) see `Shape`

@@ -12,7 +12,7 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
-from clsim.paths.moving.family import BodyPaths
+from clsim.paths.legs.moving import moving_paths
 from clsim.paths.moving.looks import looks
 from clsim.paths.moving.mirror_looks import MirrorLook
 from clsim.paths.moving.rates import BodyRates, EndRates
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
     from clsim.paths.propagation import UniformAir
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import VisibilityQuery
@@ -136,7 +137,7 @@ class BodySearch:
             self._known = BodyRates.of(self.scene.bodies, longest, last)
         return self._known
 
-    def paths(self, progress: Progress = lambda share: None) -> BodyPaths:
+    def paths(self, progress: Progress = lambda share: None) -> Chain:
         """Return every path by bodies."""
         found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]] = []
         count, sources = 0, len(self.scene.sources)
@@ -283,19 +284,20 @@ class BodySearch:
         flatness = max(mesh.flatness for mesh in meshes)
         return build_walls(np.concatenate(placed), triangles, surface, 10.0 * flatness)
 
-    def _family(self, found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]]) -> BodyPaths:
+    def _family(self, found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]]) -> Chain:
         """Return paths as columns."""
         source, receiver = (
             np.concatenate([np.full(len(path), ends[i], dtype=np.int32) for path, _, _, ends in found])
             for i in range(2)
         )
         surfaces = np.concatenate([path for path, _, _, _ in found])
-        return BodyPaths(
-            scene=self.scene, source=read_only(source), receiver=read_only(receiver),
-            order=read_only(np.sum(surfaces >= 0, axis=1).astype(np.int32)),
-            start=read_only(np.concatenate([begin for _, begin, _, _ in found])),
-            end=read_only(np.concatenate([end for _, _, end, _ in found])), surfaces=read_only(surfaces),
-        )  # fmt: skip
+        columns = {
+            "source": source, "receiver": receiver, "order": np.sum(surfaces >= 0, axis=1).astype(np.int32),
+            "start": np.concatenate([begin for _, begin, _, _ in found]),
+            "end": np.concatenate([end for _, _, end, _ in found]), "surfaces": surfaces,
+        }  # fmt: skip
+        held = {name: read_only(column) for name, column in columns.items()}
+        return moving_paths(self.scene, self.obstacles.mirrors, held, ("surfaces",))
 
 
 class UnhiddenLookup(WallLookup):

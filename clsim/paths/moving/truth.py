@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from clsim.acoustics.scattering import Glint
-from clsim.arrays import as_choice, as_floats, read_only
+from clsim.arrays import as_floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import MOTIONS
+from clsim.paths.arrivals import Kinematics
 from clsim.paths.echo_truth import EchoTruth, echo_fields
 from clsim.paths.moving.scattered_way import find_scattered
 from clsim.paths.moving.visibility import Legs, Obstacles
@@ -88,7 +88,7 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     ([3.0004], [True])
     """
     times = as_floats("times", times, (None,))
-    as_choice("motion", motion, MOTIONS)
+    kinematics = Kinematics(motion)
     if not scene.bodies:
         raise InputError("scene", "must hold bodies, but has none")
     if scene.air.layers or scene.air.fluctuation is not None:
@@ -103,11 +103,11 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
             medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
             motions = ends[0].trajectory, ends[1].trajectory
             found = find_scattered(
-                obstacles.mirrors, (direct, direct), thing, motions, medium, times, motion == "retarded"
+                obstacles.mirrors, (direct, direct), thing, motions, medium, times, kinematics.retarded
             )
-            first, second, here = found.first, found.second, (which, source, receiver)
+            first, second, here = found.first, found.last, (which, source, receiver)
             delay[here], rate[here] = first.delay + second.delay, first.rate + second.rate
-            if motion == "retarded":
+            if kinematics.retarded:
                 rate[here] -= (first.rate * second.rate)[0]
             away[here], bearing[here] = second.distance * second.carried, second.arrival
             legs = [_leg(events, at) for events, at in ((first, found.time), (second, times))]

@@ -11,10 +11,11 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
+from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
+from clsim.paths.legs.static import StaticLeg, direct_paths
 from clsim.paths.propagation import medium_of, straight
-from clsim.paths.scattering.family import ScatteredPaths
-from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scene import Scene
 
@@ -47,7 +48,7 @@ class _Pairs:
     end: Floats
 
 
-def scattered_paths(scene: Scene, search: PathSearch, before: SpecularPaths, after: SpecularPaths) -> ScatteredPaths:
+def scattered_paths(scene: Scene, search: PathSearch, before: Chain, after: Chain) -> Chain:
     """Return every path by one scatterer with up to `scattering_order` reflections before it and as many after it.
 
     Both sides are paths by walls with the scatterer's centre as an end: which walls are in the way, and when, is asked
@@ -72,9 +73,9 @@ def scattered_paths(scene: Scene, search: PathSearch, before: SpecularPaths, aft
     return _family(scene, rows)
 
 
-def direct_ways(scene: Scene) -> ScatteredPaths:
+def direct_ways(scene: Scene) -> Chain:
     """Return the paths by no wall by every scatterer, whatever is in the way."""
-    before, after = (SpecularPaths.direct(side) for side in sides(scene))
+    before, after = (direct_paths(side) for side in sides(scene))
     rows = [
         _columns(before, after, _pairs(scene, before, after, (source, which, receiver)), (source, which, receiver))
         for source in range(len(scene.sources))
@@ -99,7 +100,7 @@ def sides(scene: Scene, bodies: Sequence[Body] = ()) -> tuple[Scene, Scene]:
         )
 
 
-def _pairs(scene: Scene, before: SpecularPaths, after: SpecularPaths, ends: tuple[int, int, int]) -> _Pairs:
+def _pairs(scene: Scene, before: Chain, after: Chain, ends: tuple[int, int, int]) -> _Pairs:
     """Return the pairs of sides by a scatterer that are there at the same time."""
     source, which, receiver = ends
     first = np.flatnonzero((before.source == source) & (before.receiver == which))
@@ -113,14 +114,13 @@ def _pairs(scene: Scene, before: SpecularPaths, after: SpecularPaths, ends: tupl
     return _Pairs(one[order], two[order], start[order], end[order])
 
 
-def _heard(
-    scene: Scene, after: SpecularPaths, rows: NDArray[np.int64], events: Floats, ends: tuple[int, int, int]
-) -> Floats:
+def _heard(scene: Scene, after: Chain, rows: NDArray[np.int64], events: Floats, ends: tuple[int, int, int]) -> Floats:
     """Return when the receiver hears (n,) what the scatterer sends at times (n,) by paths after it, s."""
     heard, known = np.array(events), np.flatnonzero(np.isfinite(events))
     if len(known):
         sent = scene.scatterers[ends[1]].trajectory.position(events[known])
-        images = np.einsum("pij,pj->pi", after.image_matrix[rows[known]], sent) + after.image_offset[rows[known]]
+        leg = after.legs[0].part(rows[known])
+        images = np.einsum("pij,pj->pi", leg.matrix, sent) + leg.offset
         medium = medium_of(scene.air, scene.sources[ends[0]].emitted.centre_frequency)
         heard[known] += _flight(medium, (sent, images), scene.receivers[ends[2]].trajectory, events[known])
     return heard
@@ -141,7 +141,7 @@ def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, tim
     return flight
 
 
-def _columns(before: SpecularPaths, after: SpecularPaths, pairs: _Pairs, ends: tuple[int, int, int]) -> dict[str, Any]:
+def _columns(before: Chain, after: Chain, pairs: _Pairs, ends: tuple[int, int, int]) -> dict[str, Any]:
     """Return the columns of the paths of some pairs of sides."""
     one, two = pairs.before, pairs.after
     width = before.objects.shape[1] + after.objects.shape[1] + 1
@@ -155,25 +155,28 @@ def _columns(before: SpecularPaths, after: SpecularPaths, pairs: _Pairs, ends: t
         kinds[row, place] = SPECULAR
     everyone = np.arange(len(one))
     objects[everyone, n], kinds[everyone, n] = ends[1], SCATTERING
-    back = after.image_matrix[two].transpose(0, 2, 1)  # the image of the receiver, as the scatterer sees it
+    to, onwards = before.legs[0].part(one), after.legs[0].part(two)
+    back = onwards.matrix.transpose(0, 2, 1)  # the image of the receiver, as the scatterer sees it
     return {
         "source": np.full(len(one), ends[0], dtype=np.int32), "receiver": np.full(len(one), ends[2], dtype=np.int32),
         "order": (n + m + 1).astype(np.int32), "start": pairs.start, "end": pairs.end, "interactions": kinds,
-        "objects": objects, "before_matrix": before.image_matrix[one], "before_offset": before.image_offset[one],
-        "after_matrix": back, "after_offset": -np.einsum("pij,pj->pi", back, after.image_offset[two]),
+        "objects": objects, "before_matrix": to.matrix, "before_offset": to.offset,
+        "after_matrix": back, "after_offset": -np.einsum("pij,pj->pi", back, onwards.offset),
         "scatterer": np.full(len(one), ends[1], dtype=np.int32),
     }  # fmt: skip
 
 
-def _family(scene: Scene, rows: list[dict[str, Any]]) -> ScatteredPaths:
+def _family(scene: Scene, rows: list[dict[str, Any]]) -> Chain:
     """Return paths as columns."""
     columns = {name: read_only(np.concatenate([row[name] for row in rows])) for name in rows[0]}
-    speeds = read_only(np.array([scatterer.peak_speeds() for scatterer in scene.scatterers]))
-    family = ScatteredPaths(scene, **columns, fastest=speeds, nearest=np.empty(len(columns["start"])))
-    return replace(family, nearest=read_only(_nearest(family)))
+    always = (columns[name] for name in ("source", "receiver", "order", "start", "end", "interactions", "objects"))
+    legs = tuple(StaticLeg(columns[f"{side}_matrix"], columns[f"{side}_offset"]) for side in ("before", "after"))
+    vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
+    family = Chain(scene, *always, legs, vertex)
+    return replace(family, vertex=replace(vertex, nearest=read_only(_nearest(family))))
 
 
-def _nearest(family: ScatteredPaths) -> Floats:
+def _nearest(family: Chain) -> Floats:
     """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m.
 
     They hold for all that is emitted: motions that go on for days after the sound ended take no time.
@@ -181,19 +184,17 @@ def _nearest(family: ScatteredPaths) -> Floats:
     found, scene = np.empty(len(family)), family.scene
     for pair in family.pairs():
         source, receiver = scene.sources[pair.source], scene.receivers[pair.receiver]
-        for which in np.unique(family.scatterer[pair.rows]):
-            mine, scatterer = pair.index[family.scatterer[pair.rows] == which], scene.scatterers[which]
+        for which in np.unique(family.vertex.scatterer[pair.rows]):
+            mine, scatterer = pair.index[family.vertex.scatterer[pair.rows] == which], scene.scatterers[which]
             sides, until = [], source.end + _RINGING
-            for side, end in (("before", source), ("after", receiver)):
-                apart, until = _apart(family, side, mine, (end, which), until)
+            for leg, end in zip(family.legs, (source, receiver), strict=True):
+                apart, until = _apart(family, leg.part(mine), (end, which), until)
                 sides.append(np.maximum(apart - scatterer.shape.radius, scene.min_distance))
             found[mine] = 1.0 / (1.0 / sides[0] + 1.0 / sides[1])
     return found
 
 
-def _apart(
-    family: ScatteredPaths, side: str, rows: NDArray[np.int64], ends: tuple[Source | Receiver, int], until: float
-) -> tuple[Floats, float]:
+def _apart(family: Chain, leg: StaticLeg, ends: tuple[Source | Receiver, int], until: float) -> tuple[Floats, float]:
     """Return bounds (P,) from below of the distances of images of an end from a scatterer at any two near times, m.
 
     They hold for sound that sets out until a time, s; the time by which the last of it has arrived is returned as well.
@@ -202,10 +203,10 @@ def _apart(
     moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
     last = max((t.end for t in moving), default=0.0)
     speed = sum(1.02 * t.peak_speed(0.0, t.end)[0] for t in moving)
-    least, first, under_way = np.full(len(rows), np.inf), 0, True
+    least, first, under_way = np.full(len(leg), np.inf), 0, True
     while under_way and first <= last * _PROBES + 1.0:
         times = np.arange(first, min(first + _TOGETHER, math.floor(last * _PROBES) + 2)) / _PROBES
-        places = family.image(side, rows, end.trajectory.position(times)[None])
+        places = leg.image(end.trajectory.position(times)[None])
         apart = np.linalg.norm(places - scatterer.trajectory.position(times), axis=2)
         least, first = np.minimum(least, apart.min(axis=1)), first + len(times)
         flight = float(apart[:, -1].max(initial=0.0)) / max(c - speed, 1e-9)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from clsim.arrays import as_choice, as_floats
+from clsim.arrays import as_floats
 from clsim.errors import InputError
-from clsim.paths.arrivals import MOTIONS
+from clsim.paths.arrivals import Kinematics
 from clsim.paths.echo_truth import EchoTruth, echo_fields
 from clsim.paths.scattering.search import direct_ways
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
-    from clsim.paths.scattering.family import ScatteredArrivals
     from clsim.scene.scene import Scene
 
 
@@ -72,16 +71,16 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     [1.9506]
     """
     times = as_floats("times", times, (None,))
-    as_choice("motion", motion, MOTIONS)
+    kinematics = Kinematics(motion)
     if not scene.scatterers:
         raise InputError("scene", "must hold scatterers, but has none")
     shape = len(scene.scatterers), len(scene.sources), len(scene.receivers), len(times)
     delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
     for pair in direct_ways(scene).pairs():
-        found = cast("ScatteredArrivals", pair.arrivals(times, motion))
+        found = pair.arrivals(times, kinematics)
         here = (slice(None), pair.source, pair.receiver)
         delay[here], rate[here] = found.delay + pair.group_lag(found), found.delay_rate
         bearing[here] = found.arrival
-        away[here] = found.second_length
+        away[here] = found.more["second_length"]
     names = tuple(scatterer.name for scatterer in scene.scatterers)
     return ScattererTruth(**echo_fields(scene, times, delay, rate, away, bearing), scatterer_names=names)

@@ -133,7 +133,7 @@ class Body:
         """Return strength and aspects, of a shape, of what was last seen."""
         assert self._ends is not None
         strength, aspects = self._shape.strength(*self._ends, self.glint)
-        return [strength.reshape(shape), aspects.reshape(*shape, -1)]
+        return [strength.reshape(shape), aspects.reshape(*shape, self._shape.aspects)]
 
 
 def _axes(quaternions: Floats) -> Floats:

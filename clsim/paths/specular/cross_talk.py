@@ -3,45 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import as_number, read_only
 from clsim.errors import InputError
-from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.chain import is_specular
 
 if TYPE_CHECKING:
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals
-    from clsim.paths.family import PathFamily, Rows
-    from clsim.paths.response import SceneResponse
+    from clsim.arrays import Floats
+    from clsim.paths.family import PathFamily
     from clsim.scene.scene import Scene
 
     DirectSound = bool | float | Mapping[tuple[str, str], bool | float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CrossTalk(SpecularPaths):
-    """Direct paths at levels of their own."""
-
-    level: Floats  # (paths,) pressure over that of the free direct sound
-
-    columns: ClassVar[tuple[str, ...]] = ("image_matrix", "image_offset", "level")
-
-    @property
-    def device(self) -> str | None:
-        """None: no program knows levels, and there are few of these."""
-        return None
-
-    def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
-        """Return received over emitted pressure (P, T, F): that of the free direct sound, times the level."""
-        return super(CrossTalk, self).response(rows, found, times, at) * self.level[rows][:, None, None]
-
-    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
-        """Return the levels (P, F)."""
-        return super(CrossTalk, self).gain_bound(rows, at) * self.level[rows][:, None]
 
 
 def direct_levels(scene: Scene, direct: DirectSound) -> Floats:
@@ -72,7 +48,7 @@ def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathF
     leaks = [
         _leaking(f, level)
         for f, level in zip(families, each, strict=True)
-        if isinstance(f, SpecularPaths) and np.any((level != 0.0) & (level != 1.0))
+        if is_specular(f) and np.any((level != 0.0) & (level != 1.0))
     ]
     return (*free, *leaks)
 
@@ -86,11 +62,8 @@ def _pressure(field: str, value: Any) -> float:
     return float(10.0 ** (as_number(field, value) / 20.0))
 
 
-def _leaking(family: SpecularPaths, level: Floats) -> CrossTalk:
+def _leaking(family: PathFamily, level: Floats) -> PathFamily:
     """Return the direct paths that leak."""
     rows = np.flatnonzero((level != 1.0) & (level != 0.0))
     part = family.part(rows)
-    return CrossTalk(
-        part.scene, part.source, part.receiver, part.order, part.start, part.end, part.objects, part.image_matrix,
-        part.image_offset, read_only(level[rows]),
-    )  # fmt: skip
+    return replace(part, level=read_only(level[rows]))

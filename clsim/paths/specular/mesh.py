@@ -12,11 +12,11 @@ import numpy as np
 from clsim.arrays import as_count, read_only
 from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
+from clsim.paths.legs.static import image_paths
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
 from clsim.paths.specular.device_walls import DeviceLookup
-from clsim.paths.specular.family import SpecularPaths
 from clsim.paths.specular.intervals import VisibilityQuery, find_intervals
 from clsim.paths.specular.occlusion import air_sides
 from clsim.paths.specular.ray_shooting import ShotRays
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.device import DeviceInfo
+    from clsim.paths.chain import Chain
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import Intervals
     from clsim.paths.trajectory_tables import TrajectoryTables
@@ -170,7 +171,7 @@ def visibility_query(
     return VisibilityQuery(room.walls, ends, medium, np.zeros(len(last)), last, fine), longest
 
 
-def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> SpecularPaths:
+def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> Chain:
     """Return every path of a mesh up to an order, a row for every interval in which it is heard."""
     order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
     mesh = MeshSearch(order, search.finder, search.resolution, search.path_limit, search.engine, search.device)
@@ -183,17 +184,13 @@ def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> SpecularPath
     if len(walls) > search.path_limit:
         raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
     matrix, offset = image_isometries(room.walls, walls)
-    return SpecularPaths(
-        scene=scene,
-        source=read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])),
-        receiver=read_only(np.concatenate([f.receiver for f in found]).astype(np.int32)),
-        order=read_only(np.concatenate([f.order for f in found]).astype(np.int32)),
-        start=read_only(np.concatenate([f.begin for f in found])),
-        end=read_only(np.concatenate([f.end for f in found])),
-        objects=read_only(walls),
-        image_matrix=read_only(matrix),
-        image_offset=read_only(offset),
+    source = read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found]))
+    receiver, orders = (
+        read_only(np.concatenate([getattr(f, name) for f in found]).astype(np.int32)) for name in ("receiver", "order")
     )
+    begin, end = (read_only(np.concatenate([getattr(f, name) for f in found])) for name in ("begin", "end"))
+    columns = (read_only(x) for x in (walls, matrix, offset))
+    return image_paths(scene, source, receiver, orders, (begin, end), *columns)
 
 
 def image_isometries(walls: Walls, sequence: NDArray[np.int32]) -> tuple[Floats, Floats]:

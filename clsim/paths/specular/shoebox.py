@@ -9,12 +9,13 @@ import numpy as np
 
 from clsim.arrays import as_count, read_only
 from clsim.errors import InputError
-from clsim.paths.specular.family import SpecularPaths
+from clsim.paths.legs.static import image_paths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
     from clsim.paths.search import PathSearch
     from clsim.scene.room.shoebox import Shoebox
     from clsim.scene.scene import Scene
@@ -32,7 +33,7 @@ class Images:
     offset: Floats  # (images, 3) offset b, m
 
 
-def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> SpecularPaths:
+def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> Chain:
     """Return every path of a shoebox up to an order: each image is heard all the time."""
     order = as_count("max_order", search.max_order, at_most=LARGEST_ORDER)
     pairs, images = len(scene.sources) * len(scene.receivers), shoebox_image_count(order)
@@ -44,17 +45,11 @@ def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> SpecularPa
         )
     found = shoebox_images(room.size, order)
     source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
-    return SpecularPaths(
-        scene=scene,
-        source=read_only(source.astype(np.int32, copy=False)),
-        receiver=read_only(receiver.astype(np.int32, copy=False)),
-        order=read_only(np.tile(found.order, pairs)),
-        start=np.broadcast_to(-np.inf, images * pairs),
-        end=np.broadcast_to(np.inf, images * pairs),
-        objects=read_only(np.tile(found.walls, (pairs, 1))),
-        image_matrix=read_only(np.tile(found.matrix, (pairs, 1, 1))),
-        image_offset=read_only(np.tile(found.offset, (pairs, 1))),
-    )
+    ends = (read_only(which.astype(np.int32, copy=False)) for which in (source, receiver))
+    ever = np.broadcast_to(-np.inf, images * pairs), np.broadcast_to(np.inf, images * pairs)
+    walls, order_of = read_only(np.tile(found.walls, (pairs, 1))), read_only(np.tile(found.order, pairs))
+    matrix, offset = read_only(np.tile(found.matrix, (pairs, 1, 1))), read_only(np.tile(found.offset, (pairs, 1)))
+    return image_paths(scene, *ends, order_of, ever, walls, matrix, offset)
 
 
 def shoebox_image_count(max_order: int) -> int:

@@ -51,8 +51,8 @@ class PairNodeMaker(NodeMaker):
         return super().prepare(source, batch, bounds, start, length, activity if counted else None, first)
 
     def _views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
-        return self._uploaded(image_matrix=pairs(matrix.reshape(-1, 9).T), image_offset=pairs(offset.T))
+        image = self._family.legs[0].part(rows)
+        return self._uploaded(image_matrix=pairs(image.matrix.reshape(-1, 9).T), image_offset=pairs(image.offset.T))
 
     def _trajectory(self, knots: Floats) -> dict[str, Any]:
         both = pairs(knots)

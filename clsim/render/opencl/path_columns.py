@@ -15,13 +15,13 @@ from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.errors import InputError
 from clsim.paths.diffraction.end_pieces import BOTH
-from clsim.paths.diffraction.family import least_angle
-from clsim.paths.diffraction.ways import EdgeView
+from clsim.paths.links import Links
 from clsim.paths.moving.events import BEYOND_LEG
 from clsim.paths.moving.face_cubics import FACE_COLUMNS, face_knots, face_rate
 from clsim.paths.moving.mirrors import ROOM
 from clsim.paths.pose_cubics import POSE_COLUMNS, pose_knots, pose_rate
 from clsim.paths.scattering.way import PATIENCE
+from clsim.paths.vertices.edge_field import least_angle
 from clsim.render.opencl.lookup_tables import end_table, field_tables, transition_table
 
 if TYPE_CHECKING:
@@ -117,7 +117,8 @@ class StaticColumns:
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Images of paths (slots,) and what their leg and vertex add, as arguments of programs."""
-        matrix, offset = self._family.image_matrix[rows], self._family.image_offset[rows]
+        image = self._family.legs[0].part(rows)
+        matrix, offset = image.matrix, image.offset
         return self._of.uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
 
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
@@ -154,31 +155,29 @@ class EdgeColumns(StaticColumns):
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Edges as both ends are seen from them."""
-        family = self._family
-        edges = np.zeros(len(rows), dtype=EDGE_VIEW)
-        sides = (family.before_matrix, family.before_offset), (family.after_matrix, family.after_offset)
-        for end, (matrix, offset) in zip(("source", "receiver"), sides, strict=True):
-            view = EdgeView.of(matrix[rows], offset[rows], family.frame[rows])
+        links = Links.of(self._family, rows)
+        vertex, edges = links.vertex, np.zeros(len(rows), dtype=EDGE_VIEW)
+        for end, view in zip(("source", "receiver"), vertex.views(links), strict=True):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
         for name in ("n", "lit", "end_side"):
-            edges[name] = getattr(family, name)[rows]
+            edges[name] = getattr(vertex, name)
         half_turns, edges["bounces"] = np.pi * edges["n"], partner_reflections(edges["n"])[:, 1:3]
         even, odd = (half_turns * (count // 2) for count in edges["bounces"].T)
         angles = {"wide": half_turns, "narrow": 0.5 * np.pi / edges["n"], "even": even, "odd": odd}
         for name, angle in angles.items():
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        edges["low"] = np.stack([least_angle(family.n[rows], beside) for beside in family.beside[rows].T], axis=1)
-        edges["end"] = np.nan_to_num(family.end_place[rows])
-        edges["face"] = self._of.environments[source].tables_of(family.faces[rows])
+        edges["low"] = np.stack([least_angle(vertex.n, beside) for beside in vertex.beside.T], axis=1)
+        edges["end"] = np.nan_to_num(vertex.end_place)
+        edges["face"] = self._of.environments[source].tables_of(vertex.faces)
         return self._of.uploaded(views=edges) | {"image_matrix": None, "image_offset": None}
 
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
         """Walls of both sides whose factor depends on the angle."""
-        return self._of.environments[source].bounces_of_sides(*self._family.walls_of_sides(rows))
+        return self._of.environments[source].bounces_of_sides(*Links.of(self._family, rows).surfaces)
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Transition functions, and factors of faces that are the same at every angle."""
-        factors = self._of.environments[source].reflection(self._family.faces[rows].reshape(-1, 1))
+        factors = self._of.environments[source].reflection(self._family.vertex.part(rows).faces.reshape(-1, 1))
         return self._transitions[source] | self._of.uploaded(faces=factors.astype(np.float32))
 
 
@@ -224,16 +223,15 @@ class ScattererColumns(StaticColumns):
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Scatterers as both ends are seen from them."""
-        family = self._family
-        views = self._shapes[source][family.scatterer[rows]]
-        for end, side in (("source", "before"), ("receiver", "after")):
-            views[f"{end}_turn"] = getattr(family, f"{side}_matrix")[rows].reshape(-1, 9)
-            views[f"{end}_shift"] = getattr(family, f"{side}_offset")[rows]
+        links = Links.of(self._family, rows)
+        views = self._shapes[source][links.vertex.scatterer]
+        for end, leg in zip(("source", "receiver"), links.legs, strict=True):
+            views[f"{end}_turn"], views[f"{end}_shift"] = leg.matrix.reshape(-1, 9), leg.offset
         return self._of.uploaded(views=views) | {"image_matrix": None, "image_offset": None}
 
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
         """Walls of both sides whose factor depends on the angle."""
-        return self._of.environments[source].bounces_of_sides(*self._family.walls_of_sides(rows))
+        return self._of.environments[source].bounces_of_sides(*Links.of(self._family, rows).surfaces)
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Transition functions and modes."""
@@ -261,14 +259,14 @@ class MirrorColumns(StaticColumns):
 
     def __init__(self, of: Rendered) -> None:
         super().__init__(of)
-        mirrors = of.family.mirrors
+        mirrors = of.family.legs[0].mirrors
         still = np.array([body.is_static for body in mirrors.bodies])
         # In wind everything moves through the air.
         self._moves = (mirrors.owner != ROOM) & ~still[mirrors.owner] | (of.tracks.scene.air.wind is not None)
-        of_paths = self._moving(of.family.surfaces)
+        of_paths = self._moving(of.family.legs[0].surfaces)
         self.mirrors = max(int(of_paths.sum(axis=1).max(initial=0)), 1)
         self.state_numbers = 4 * self.mirrors
-        self._faces = np.unique(of.family.surfaces[of_paths])
+        self._faces = np.unique(of.family.legs[0].surfaces[of_paths])
         every, nothing = np.arange(len(mirrors.owner)), np.zeros((len(mirrors.owner), 1))
         planes = mirrors.planes(every, nothing, nothing, None)  # of those at rest; the last row is that of no mirror
         self._normal = np.concatenate([np.where(self._moves[:, None], 0.0, planes.normal[:, 0]), np.zeros((1, 3))])
@@ -284,11 +282,11 @@ class MirrorColumns(StaticColumns):
 
     def met(self, rows: Rows) -> Walls:
         """Faces and walls of paths (P, N), -1 for none."""
-        return np.asarray(self._family.surfaces[rows])
+        return np.asarray(self._family.legs[0].surfaces[rows])
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Images by the walls at rest, and the mirrors that move."""
-        matrix, offset, views, _ = self._seen(self._family.surfaces[rows])
+        matrix, offset, views, _ = self._seen(self._family.legs[0].surfaces[rows])
         return self._of.uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T, views=views)
 
     def _seen(self, surfaces: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], Floats]:
@@ -317,7 +315,7 @@ class MirrorColumns(StaticColumns):
 
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
         """Mirrors that depend on the angle, coded as in ``mirrored_field.h``, with the normals of those at rest."""
-        env, surfaces = self._of.environments[source], self._family.surfaces[rows]
+        env, surfaces = self._of.environments[source], self._family.legs[0].surfaces[rows]
         wall_of, columns = env.no_bounces(len(rows))
         if not env.angular:
             return wall_of, columns
@@ -334,7 +332,7 @@ class MirrorColumns(StaticColumns):
 
     def poses(self, start: float, end: float) -> dict[str, Any]:
         """Cubics of the faces that move."""
-        knots, first = face_knots(self._family.mirrors, self._faces, start, end, self._face_rate)
+        knots, first = face_knots(self._family.legs[0].mirrors, self._faces, start, end, self._face_rate)
         given = {"pose_cells": None, "pose_count": knots.shape[1], "first_pose": first, "pose_rate": self._face_rate}
         return self._of.uploaded(poses=knots) | given
 

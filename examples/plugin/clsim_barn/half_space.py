@@ -3,8 +3,9 @@
 import numpy as np
 
 import clsim
+from clsim.paths.chain import Chain
+from clsim.paths.legs.static import image_paths
 from clsim.paths.search import PathSearch
-from clsim.paths.specular.family import SpecularPaths
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
 
@@ -50,16 +51,15 @@ class HalfSpace:
         return ["room: all that is above a floor"]
 
     @staticmethod
-    def find_paths(scene: clsim.Scene, room: "HalfSpace", search: PathSearch) -> SpecularPaths:
+    def find_paths(scene: clsim.Scene, room: "HalfSpace", search: PathSearch) -> Chain:
         """Find the direct sound and its reflection by the floor, for each source and receiver."""
         orders = min(search.max_order, 1) + 1
         pairs = len(scene.sources) * len(scene.receivers)
         pair, order = np.divmod(np.arange(pairs * orders), orders)
         source, receiver = np.divmod(pair.astype(np.int32), np.int32(len(scene.receivers)))
         mirrors = np.stack([np.eye(3), np.diag([1.0, 1.0, -1.0])])
-        return SpecularPaths(
-            scene=scene, source=source, receiver=receiver, order=order.astype(np.int32),
-            start=np.full(len(pair), -np.inf), end=np.full(len(pair), np.inf),
-            objects=(order - 1).astype(np.int32)[:, None], image_matrix=mirrors[order],
-            image_offset=np.zeros((len(pair), 3)),
-        )  # fmt: skip
+        ever = np.full(len(pair), -np.inf), np.full(len(pair), np.inf)
+        walls = (order - 1).astype(np.int32)[:, None]
+        return image_paths(
+            scene, source, receiver, order.astype(np.int32), ever, walls, mirrors[order], np.zeros((len(pair), 3))
+        )

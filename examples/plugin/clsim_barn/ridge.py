@@ -10,7 +10,7 @@ import numpy as np
 
 import clsim
 from clsim.arrays import Floats
-from clsim.paths.arrivals import Arrivals
+from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
 from clsim.paths.family import DIFFRACTION, PathFamily, Rows
 from clsim.paths.propagation import arrivals_by, straight
 from clsim.paths.response import SceneResponse
@@ -35,9 +35,7 @@ class RidgePaths(PathFamily):
         (z_s, r_s), (z_r, r_r) = (self._cylindrical(x) for x in (source, receiver))
         return self.point + ((z_s * r_r + z_r * r_s) / (r_s + r_r))[..., None] * self.along
 
-    def arrivals(
-        self, rows: Rows, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation"
-    ) -> Arrivals:
+    def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
         source, receiver = (end.trajectory for end in self.ends(rows))
         times = np.asarray(times, dtype=np.float64)
         count = len(self.source[rows])
@@ -46,8 +44,7 @@ class RidgePaths(PathFamily):
             self.medium(0),
             (source, receiver),
             times,
-            motion,
-            amplitude,
+            kinematics,
         )
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Any:
@@ -55,9 +52,9 @@ class RidgePaths(PathFamily):
         at.apply_directivities(response, self.ends(rows), found, times)
         return response
 
-    def vertices(self, rows: Rows, time: float, motion: str = "retarded") -> Floats:
+    def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
         source, receiver = (end.trajectory for end in self.ends(rows))
-        found = self.arrivals(rows, np.array([time]), motion)
+        found = self.arrivals(rows, np.array([time]), kinematics)
         emitted_at = source.position(found.emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(np.array([time])), emitted_at.shape)
         return np.stack([emitted_at, self.apex(emitted_at, heard_at), heard_at], axis=1)

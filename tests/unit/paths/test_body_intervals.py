@@ -130,11 +130,11 @@ def assert_every_sample(
     search = searched(scene, order)
     pair = search.pair(0, 0)
     times = np.arange(int(span[0] * rate) + 1, int(span[1] * rate)) / rate
-    surfaces = np.unique(family.surfaces, axis=0) if sequences is None else sequences
+    surfaces = np.unique(family.legs[0].surfaces, axis=0) if sequences is None else sequences
     for walls in surfaces:
         events = find_events(search.obstacles.mirrors, walls[None], pair.ends, pair.medium, times, rounds=5)
         there = search.obstacles.there(walls[None], events, times[None])[0]
-        mine = np.flatnonzero(np.all(family.surfaces == walls, axis=1))
+        mine = np.flatnonzero(np.all(family.legs[0].surfaces == walls, axis=1))
         heard = np.zeros(len(times), dtype=bool)
         for row in mine:
             heard |= (times >= family.start[row]) & (times < family.end[row])
@@ -169,7 +169,7 @@ def test_drawn_scenes_at_every_sample(seed: int) -> None:
     search, family = searched(scene, 2), found.families[-1]
     single = every_sequence(search, 1)
     single = np.pad(single, ((0, 0), (0, 1)), constant_values=-1)
-    known = np.unique(np.concatenate([single, family.surfaces]), axis=0)
+    known = np.unique(np.concatenate([single, family.legs[0].surfaces]), axis=0)
     assert_every_sample(scene, 2, family, (0.0, 0.15), known, RATE / 12)
     assert_certain(scene, family)
     walls = found.families[0]
@@ -195,7 +195,7 @@ def assert_certain(scene: clsim.Scene, family: Any) -> None:
     """Assert that what looks near changes say is certain holds, and that some of it fails for 30 times as long."""
     search = searched(scene, 2)
     pair = search.pair(0, 0)
-    look = search.mirror_look([pair], family.surfaces, np.zeros(len(family), dtype=int))
+    look = search.mirror_look([pair], family.legs[0].surfaces, np.zeros(len(family), dtype=int))
     rng, changes = np.random.default_rng(0), np.stack([family.start, family.end], axis=1)
     row, side = np.nonzero(np.isfinite(changes))
     rows = np.repeat(row, 40)

@@ -136,8 +136,8 @@ def test_paths_of_another_scene_are_refused(scene: clsim.Scene) -> None:
         clsim.PathSet(other, paths.families)
     with pytest.raises(clsim.InputError, match="families"):
         clsim.PathSet(scene, ())
-    with pytest.raises(clsim.InputError, match=r"image_matrix.*one row per path"):
-        replace(paths.families[0], image_matrix=paths.families[0].image_matrix[:3])
+    with pytest.raises(clsim.InputError, match=r"legs.*one row per path"):
+        replace(paths.families[0], legs=(paths.families[0].legs[0].part(slice(3)),))
 
 
 def test_corners_of_paths_in_a_shoebox_are_in_it() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.paths.arrivals import Arrivals
+from clsim.paths.arrivals import RETARDED, Arrivals
 from clsim.paths.propagation import UniformAir, arrivals_by, contract_delay, delay_bounds, max_delay_rate, straight
 
 C, WIND = 340.0, (30.0, -8.0, 5.0)
@@ -44,7 +44,7 @@ def to_places(heard_at: np.ndarray) -> To:
 
 
 def brought(air: UniformAir, receiver: clsim.Trajectory, times: np.ndarray) -> Arrivals:
-    return arrivals_by(to_places, air, (FLYING, receiver), times, "retarded", "wave-equation")
+    return arrivals_by(to_places, air, (FLYING, receiver), times, RETARDED)
 
 
 def test_both_solvers_meet_where_the_equation_holds(air: UniformAir) -> None:
@@ -72,7 +72,7 @@ def test_what_is_brought_is_that_of_still_air_in_which_all_moves() -> None:
             return self.motion.velocity(time) - wind
 
     source, receiver = Seen(FLYING), Seen(FALLING)
-    still = arrivals_by(to_places, UniformAir(C), (source, receiver), times, "retarded", "wave-equation")
+    still = arrivals_by(to_places, UniformAir(C), (source, receiver), times, RETARDED)
     windy = brought(UniformAir(C, WIND), FALLING, times)
     for name in ("delay", "departure", "arrival", "through"):
         np.testing.assert_allclose(getattr(windy, name), getattr(still, name), rtol=1e-12, err_msg=name)

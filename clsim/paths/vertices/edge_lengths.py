@@ -1,16 +1,19 @@
-"""Ways over edges between ends that move, in the frames of the edges: nothing is solved but the time of emission."""
+"""Shortest paths over edges at rest between endpoints that move, in the frames of the edges."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.acoustics.diffraction import ON_LINE, edge_way
+from clsim.paths.heights import Folds
+from clsim.paths.propagation import straight
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
+    from clsim.paths.links import Links
     from clsim.paths.propagation import Medium, Passage
     from clsim.scene.motion.motion import Motion
 
@@ -67,13 +70,13 @@ class RolledOut:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeWays:
-    """Ways of P paths at T times, as each edge sees them.
+class EdgeLengths:
+    """P paths at T times, as each edge sees them.
 
     Attributes
     ----------
     places : tuple of ndarray (P, T)
-        Where each way meets the first edge and the last, which may be the same, m from its start.
+        Where each path meets the first edge and the last, which may be the same, m from its start.
     """
 
     source: Floats  # (3, P, T) coordinates of both images, that of the source at emission, m
@@ -93,10 +96,10 @@ class EdgeWays:
         return first, last
 
 
-def edge_ways(
+def edge_lengths(
     views: tuple[EdgeView, EdgeView], beyond: tuple[RolledOut, RolledOut] | None, end_place: Floats, source: Motion,
     receiver: Floats, times: Floats, medium: Medium, retarded: bool,
-) -> EdgeWays:  # fmt: skip
+) -> EdgeLengths:  # fmt: skip
     """Return the ways of P paths between a source and a receiver.
 
     Shapes: end_place (P,) m; receiver (T, 3) m; times (T,) s.
@@ -132,7 +135,7 @@ def edge_ways(
         if sound.carried is not None:
             mach = mach + np.sum(sound.carried * velocities, axis=-1)
         if not retarded:
-            return EdgeWays(emitted_at, heard_at, places, emission_time, sound.time, length, sound, mach)
+            return EdgeLengths(emitted_at, heard_at, places, emission_time, sound.time, length, sound, mach)
         step = (sound.time - delay) / (1.0 - mach)
         delay = delay + step
         if step_count and not np.any(np.abs(step) > _CONVERGED + 4e-16 * np.abs(times)):
@@ -142,7 +145,7 @@ def edge_ways(
         emission_time = times - delay
         flat = emission_time.ravel()
         positions, velocities = (f(flat).reshape(*shape, 3) for f in (source.position, source.velocity))
-    return EdgeWays(emitted_at, heard_at, places, times - delay, delay, length, sound, mach)
+    return EdgeLengths(emitted_at, heard_at, places, times - delay, delay, length, sound, mach)
 
 
 def _met(
@@ -162,3 +165,58 @@ def _towards(end: Floats, place: Floats) -> tuple[Floats, Floats]:
     away = np.stack(np.broadcast_arrays(-end[0], -end[1], place - end[2]))
     distance = np.sqrt(np.einsum("ipt,ipt->pt", away, away))
     return away / np.maximum(distance, 1e-300), distance
+
+
+class LayeredLengths:
+    """Paths over edges to a receiver at places (T, 3), as the delay equation takes them in air that varies."""
+
+    def __init__(self, links: Links, received_at: Floats) -> None:
+        (self._before, after), self._received_at = links.legs, received_at
+        self._frame, self._end_place = links.vertex.frame, links.vertex.end_place
+        self._heard_at = after.image(received_at[None])
+        self._after = after
+        scene = links.chain.scene
+        planes = scene.room.faces.normals, scene.room.faces.offsets
+        self._folds = [Folds(planes, walls) for walls in links.surfaces] if scene.air.layers else []
+
+    def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Return lengths and directions at the source, see `Ways`."""
+        (first, direction), (second, _) = self._legs(p, t, start)
+        return first + second, np.einsum("pji,p...j->p...i", self._before.matrix[p], direction)
+
+    def arrive(self, start: Floats) -> Floats:
+        """Return directions at the receiver, see `Ways`."""
+        _, (_, direction) = self._legs(slice(None), slice(None), start)
+        return np.asarray(np.einsum("pji,ptj->pti", self._after.matrix, direction))
+
+    def seen(self) -> Floats:
+        """Return the receiver as the source sees it, see `Ways`."""
+        apart = self._heard_at - self._before.offset[:, None]
+        return np.asarray(np.einsum("pji,ptj->pti", self._before.matrix, apart))
+
+    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Bends of paths, see `Ways`."""
+        apex, first, second = self._parts(p, t, start)
+        one, other = straight(first, apex)[0][..., None], straight(apex, second)[0][..., None]
+        before, low = self._folds[0].bends(p, start, apex)
+        after, high = self._folds[1].bends(p, self._received_at[t], apex)  # from the receiver's side
+        shares = [one * before, one + other * (1.0 - after[..., -2::-1])]
+        return np.concatenate(shares, axis=-1) / (one + other), np.concatenate([low, high[..., -2::-1]], axis=-1)
+
+    def _legs(self, p: Any, t: Any, start: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        apex, first, second = self._parts(p, t, start)
+        return straight(first, apex), straight(apex, second)
+
+    def _parts(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats, Floats]:
+        """Points where paths meet the edges, and both endpoints as seen from these."""
+        heard_at, frame, end = self._heard_at[p, t], self._frame[p], self._end_place[p]
+        if heard_at.ndim == 3:  # all times of a path, or one each
+            frame, end = frame[:, None], end[:, None]
+        emitted_at = self._before.part(p).image(np.broadcast_to(start, heard_at.shape))
+        coordinates: list[Floats] = []
+        for place in (emitted_at, heard_at):
+            away = place - frame[..., 0, :]
+            x, y, z = (np.sum(away * frame[..., axis, :], axis=-1) for axis in (1, 2, 3))
+            coordinates += [np.maximum(np.hypot(x, y), ON_LINE), z]
+        along = np.where(np.isnan(end), edge_way(*coordinates).apex, end)
+        return frame[..., 0, :] + along[..., None] * frame[..., 3, :], emitted_at, heard_at

@@ -1,4 +1,4 @@
-"""Paths over two edges of one face, such as round a pillar or a thick screen, among any reflections."""
+"""Pairs of edges of one face as vertices, such as those of a pillar or a thick screen."""
 
 from __future__ import annotations
 
@@ -9,56 +9,63 @@ import numpy as np
 
 from clsim.acoustics.diffraction import ON_LINE, edge_way, lit_angles, wedge_terms
 from clsim.acoustics.double_edge import double_tie, double_transition
-from clsim.paths.diffraction.family import EdgePaths, cylindrical, face_factors
-from clsim.paths.diffraction.ways import EdgeView, RolledOut
+from clsim.paths.vertices.edge import EdgeVertex
+from clsim.paths.vertices.edge_field import cylindrical, face_factor
+from clsim.paths.vertices.edge_lengths import EdgeView, RolledOut
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.family import Rows
+    from clsim.paths.links import Links, Pair
     from clsim.paths.response import SceneResponse
 
-_LOUDEST = 18.0  # over a path without edges
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DoubleEdgePaths(EdgePaths):
-    """Paths over two edges that share a face; columns of `EdgePaths` are those of the first one.
+class EdgePairVertex(EdgeVertex):
+    """Two edges that share a face; columns of `EdgeVertex` are those of the first one.
+
+    Rolled out into the plane of the shared face, the path between both is straight.
 
     Attributes
     ----------
-    shared : ndarray (paths, 2) int
+    shared : ndarray (P, 2) int
         Which face of the first and of the second edge both share: 0 for the 0-face, 1 for the n-face.
     """
 
-    last_frame: Floats  # (paths, 4, 3) start of the second edge, m, and its vectors
-    last_n: Floats  # (paths,) its exterior angle over π
-    last_faces: NDArray[np.int64]  # (paths, 2) its walls
-    last_lit: NDArray[np.int8]  # (paths, 4) of its terms, as `lit`
+    last: EdgeVertex
     shared: NDArray[np.int64]
 
-    columns: ClassVar[tuple[str, ...]] = (
-        *EdgePaths.columns, "last_frame", "last_n", "last_faces", "last_lit", "shared",
-    )  # fmt: skip
+    kind: ClassVar[str] = "edge pair"
+    loudest: ClassVar[float] = 18.0
 
-    @property
-    def device(self) -> None:
-        """None: the host makes their nodes."""
-        return
+    def part(self, rows: Rows) -> EdgePairVertex:
+        """Return some of the vertices."""
+        columns = (x[rows] for x in (self.edge, self.over_end, self.lit, self.end_side, self.beside))
+        return EdgePairVertex(*columns, self.lines, self.model, self.last.part(rows), self.shared[rows])
 
-    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
-        """Return the reflection factors' magnitudes (P, F) times the largest field beyond two edges."""
-        return _LOUDEST * at.largest_reflection(self.walls[rows])
+    def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
+        """Yield the columns by name."""
+        yield from EdgeVertex.named(self, moving)
+        for name in ("frame", "n", "faces", "lit"):
+            yield f"last_{name}", getattr(self.last, name)
+        yield "shared", self.shared
 
-    def _view(self, side: str, index: NDArray[np.int64]) -> EdgeView:
-        frame = self.frame if side == "before" else self.last_frame
-        return EdgeView.of(*self._isometry(side, index), frame[index])
+    def views(self, links: Links) -> tuple[EdgeView, EdgeView]:
+        """Take the views of the endpoints from the first and the last edge of each path."""
+        edges = zip(links.legs, (self, self.last), strict=True)
+        first, last = (EdgeView.of(leg.matrix, leg.offset, edge.frame) for leg, edge in edges)
+        return first, last
 
-    def _beyond(self, index: NDArray[np.int64]) -> tuple[RolledOut, RolledOut]:
-        frames, angles = (self.frame[index], self.last_frame[index]), np.pi * np.stack([self.n, self.last_n], axis=1)
-        turned = np.where(self.shared[index] == 1, angles[index], 0.0)
+    def beyond(self) -> tuple[RolledOut, RolledOut]:
+        """Take the views from both edges beyond each other, across the shared face."""
+        frames, angles = (self.frame, self.last.frame), np.pi * np.stack([self.n, self.last.n], axis=1)
+        turned = np.where(self.shared == 1, angles, 0.0)
         inward = [
             np.cos(angle)[:, None] * frame[:, 1] + np.sin(angle)[:, None] * frame[:, 2]
             for frame, angle in zip(frames, turned.T, strict=True)
@@ -66,37 +73,35 @@ class DoubleEdgePaths(EdgePaths):
         one, other = (frames[0], inward[0]), (frames[1], inward[1])
         return RolledOut.of(*one, *other), RolledOut.of(*other, *one)
 
-    def _apexes(self, index: NDArray[np.int64], source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
-        ends = [self._view(side, index).places(x[:, None]) for side, x in (("before", source), ("after", receiver))]
-        (r_s, z_s), (r_r, z_r) = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in ends)
-        beyond = self._beyond(index)
+    def _apexes(self, links: Links, ends: Pair) -> Pair:
+        coordinates = [view.places(x[:, None]) for view, x in zip(self.views(links), ends, strict=True)]
+        (r_s, z_s), (r_r, z_r) = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in coordinates)
+        beyond = self.beyond()
         first = edge_way(r_s, z_s, *beyond[0](r_r, z_r)).apex
         last = edge_way(r_r, z_r, *beyond[1](r_s, z_s)).apex
         one, other = (
-            frame[index, 0] + place * frame[index, 3] for frame, place in ((self.frame, first), (self.last_frame, last))
+            frame[:, 0] + place * frame[:, 3] for frame, place in ((self.frame, first), (self.last.frame, last))
         )
         return np.asarray(one), np.asarray(other)
 
-    def _edge_field(
-        self, index: NDArray[np.int64], emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse
-    ) -> Any:
-        """Return the field (P, T, F) beyond both edges, without its phase.
+    def static_field(self, emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse) -> Any:
+        """Field (P, T, F) beyond both edges, without its phase.
 
         Along a rigid face all is twice as loud as what comes from either side, which the second edge has twice again:
         what the two edges make of it is halved, and for other faces divided by one and the face's factor. Paths whose
         terms by faces are left out have neither.
         """
         (r_s, t_s, z_s), (r_r, t_r, z_r) = (
-            cylindrical(n[index], seen, beside)
-            for n, seen, beside in zip((self.n, self.last_n), (emitted_at, heard_at), self.beside[index].T, strict=True)
+            cylindrical(n, seen, beside)
+            for n, seen, beside in zip((self.n, self.last.n), (emitted_at, heard_at), self.beside.T, strict=True)
         )
-        beyond = self._beyond(index)
+        beyond = self.beyond()
         heard, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
         ways = edge_way(r_s, z_s, *heard), edge_way(r_r, z_r, *sent)
-        face = self.shared[index, :, None] * np.pi * np.stack([self.n, self.last_n], axis=1)[index, :, None]
+        face = self.shared[:, :, None] * np.pi * np.stack([self.n, self.last.n], axis=1)[:, :, None]
         edges = (
-            (self.n[index], t_s, face[:, 0], self.lit[index], self.faces[index]),
-            (self.last_n[index], face[:, 1], t_r, self.last_lit[index], self.last_faces[index]),
+            (self.n, t_s, face[:, 0], self.lit, self.faces),
+            (self.last.n, face[:, 1], t_r, self.last.lit, self.last.faces),
         )
         tie = double_tie(ways[0], r_s * ways[0].length / (r_s + heard[0]), r_r * ways[1].length / (r_r + sent[0]))
         found = [
@@ -109,8 +114,8 @@ class DoubleEdgePaths(EdgePaths):
             for j, other in enumerate(after):
                 field += 0.25 * weight * other * double_transition(first[..., i], last[..., j], tie, wave)
         field /= ways[0].length[..., None]
-        both = 1.0 + np.where(self.shared[index, 1, None, None] == 1, last_factors[1], last_factors[0])
-        both = np.where(np.any(self.lit[index, 2:], axis=1)[:, None, None], both, 1.0)
+        both = 1.0 + np.where(self.shared[:, 1, None, None] == 1, last_factors[1], last_factors[0])
+        both = np.where(np.any(self.lit[:, 2:], axis=1)[:, None, None], both, 1.0)
         return field / np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
 
     @staticmethod
@@ -123,7 +128,9 @@ class DoubleEdgePaths(EdgePaths):
         """
         n, came, went, lit, faces = edge
         weight, root = wedge_terms(n[:, None], lit_angles(n[:, None], came, went), lit[:, None])
-        factors = face_factors(faces, np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape), at)
+        factors = [
+            face_factor(walls, np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape), at) for walls in faces.T
+        ]
         kept = weight * np.abs(lit)[:, None]
         weights = [kept[..., i, None] + kept[..., j, None] * factors[j - 2] for i, j in enumerate(by_face)]
         return root[..., :2] * np.sqrt(breadth)[..., None], weights, factors

@@ -1,0 +1,216 @@
+"""Paths as chains of legs and vertices: the one family of all that clsim finds; see ``links.py``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.errors import InputError
+from clsim.paths.arrivals import RETARDED
+from clsim.paths.family import PathFamily, ends_at
+from clsim.paths.links import Links
+from clsim.paths.propagation import UniformAir, delay_bounds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals, Kinematics
+    from clsim.paths.family import Instant, PeakSpeeds, Rows
+    from clsim.paths.links import Integers
+    from clsim.paths.response import SceneResponse
+
+# Names under which runs know chains, by kind of legs and of vertex.
+_IDENTITIES = {
+    "static": "specular.family.SpecularPaths",
+    "static edge": "diffraction.family.EdgePaths",
+    "static exact edge": "diffraction.exact.ExactEdgePaths",
+    "static edge pair": "diffraction.double.DoubleEdgePaths",
+    "static scatterer": "scattering.family.ScatteredPaths",
+    "moving": "moving.family.BodyPaths",
+    "moving edge": "moving.edge_family.MovingEdgePaths",
+    "moving exact edge": "moving.edge_family.MovingEdgePaths",
+    "moving scatterer": "moving.scattered.BodyScatteredPaths",
+}
+# Programs that make nodes on a device; others are made on the host.
+_PROGRAMS = {"static": "images", "static edge": "edges", "static scatterer": "scatterers", "moving": "bodies"}
+
+
+@dataclass(frozen=True, eq=False)
+class Chain(PathFamily):
+    """Paths of one kind of leg and of one kind of vertex.
+
+    Attributes
+    ----------
+    legs : tuple of Leg
+        One, or one before and one after the vertex.
+    vertex : Vertex or None
+        None for paths that are only reflected.
+    level : ndarray (paths,) or None
+        Pressure over that of the path's law; None for 1.
+    """
+
+    legs: tuple[Any, ...]
+    vertex: Any = None
+    level: Floats | None = None
+
+    @property
+    def kind(self) -> str:
+        """Kinds of leg and of vertex, in words."""
+        return self.legs[0].kind if self.vertex is None else f"{self.legs[0].kind} {self.vertex.kind}"
+
+    @property
+    def identity(self) -> str:
+        """Name of the kind, by which runs are resumed."""
+        leaks = self.level is not None
+        return f"clsim.paths.{'specular.cross_talk.CrossTalk' if leaks else _IDENTITIES[self.kind]}"
+
+    def hashed(self) -> Iterator[tuple[str, Any]]:
+        """Yield names and values of all columns."""
+        for field in fields(PathFamily)[1:]:
+            yield field.name, getattr(self, field.name)
+        moving = self.legs[0].moving
+        alone = ("surfaces",) if moving else ("image",)
+        for leg, name in zip(self.legs, alone if self.vertex is None else ("before", "after"), strict=True):
+            yield from leg.named(name)
+        if self.vertex is not None:
+            yield from self.vertex.named(moving)
+        if self.level is not None:
+            yield "level", self.level
+
+    @property
+    def moves(self) -> bool:
+        """Whether paths change though both ends rest."""
+        bodies = self.legs[0].moving and not all(body.is_static for body in self.scene.bodies)
+        return bodies or (self.vertex is not None and self.vertex.moves) or self.scene.air.fluctuation is not None
+
+    @property
+    def varies(self) -> bool:
+        """Whether the response of a path changes over a run so much that a few instants do not tell of all."""
+        return self.vertex is not None and self.vertex.varies
+
+    @property
+    def costly(self) -> bool:
+        """Whether responses are taken at few instants where they change slowly."""
+        return self.vertex is not None and self.vertex.costly
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether responses have phases."""
+        return (self.vertex is not None and self.vertex.is_complex) or super().is_complex
+
+    @property
+    def device(self) -> str | None:
+        """Program that makes nodes of these paths on a device; None for the host."""
+        media = [self.medium(source) for source in range(len(self.scene.sources))]
+        known = all(isinstance(m, UniformAir) and m.fluctuation is None for m in media)
+        if not known or self.level is not None or (self.vertex is not None and not self.vertex.on_device):
+            return None
+        return _PROGRAMS.get(self.kind)
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names of faces of bodies, and of what is met at vertices."""
+        moving = self.legs[0].moving
+        faces = (name for body in self.scene.bodies for name in body.faces) if moving else ()
+        return (*faces, *(() if self.vertex is None else self.vertex.names))
+
+    @property
+    def walls(self) -> Integers:
+        """Walls (paths, N) from the source's side, -1 for what is none."""
+        return self.objects if self.kind == "static" else super().walls
+
+    def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
+        """Return delays, directions and lengths of paths between one source and one receiver."""
+        links = Links.of(self, rows)
+        return links.legs[0].solve(links, np.asarray(times, dtype=np.float64), kinematics)
+
+    def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return received over emitted pressure (P, T, F): legs, vertex, spreading, air, directivities."""
+        links = Links.of(self, rows)
+        leg, vertex, response = links.legs[0], links.vertex, at.air(found)
+        if vertex is None or leg.moving:
+            response = response * at.reflection(links.all_surfaces)[:, None, :]
+        if vertex is None:
+            response *= (found.mach_factor / found.length)[..., None]
+        else:
+            response = vertex.respond(links, found, times, response, at)
+        leg.reflect(response, links, found, at)
+        at.apply_directivities(response, links.ends, found, times)
+        return response if self.level is None else response * self.level[rows][:, None, None]
+
+    def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
+        """Return source, points of interaction and receiver (P, N + 2, 3) of paths of one pair."""
+        links = Links.of(self, rows)
+        return np.asarray(links.legs[0].vertices(links, time, kinematics))
+
+    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
+        """Return lengths (P,) between endpoints at places (P, 3), m, by bodies and scatterers as they are at 0 s."""
+        links = Links.of(self, rows)
+        return np.asarray(links.legs[0].lengths(links, source, receiver, 0.0))
+
+    @cached_property
+    def speeds(self) -> Floats:
+        """Sums (paths,) of bounds of the speeds of what moves on a path, by which its length changes twice, m/s."""
+        moving, vertex = self.legs[0].moving, self.vertex
+        at_vertex = np.zeros(len(self)) if vertex is None else vertex.speeds(moving)
+        if not moving:
+            return read_only(at_vertex)
+        return read_only(self.legs[0].mirrors.speeds(Links.of(self, slice(None)).all_surfaces) + at_vertex)
+
+    def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
+        """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
+
+        A mirror, an edge or a scatterer that moves by d makes a path longer by at most 2 d. The path by a scatterer's
+        surface is shorter than that by its centre, by at most its diameter.
+        """
+        scene, links = self.scene, Links.of(self, rows)
+        source, receiver = self.source[rows], self.receiver[rows]
+        middle, half = 0.5 * (start + end), 0.5 * (end - start)
+        places = ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle)
+        spare: Floats | float = 0.0 if links.vertex is None else links.vertex.radius
+        emitting = speeds.source[source] + 2.0 * self.speeds[rows]
+        slack = half * (emitting + speeds.receiver[receiver]) + spare
+        length = links.legs[0].lengths(links, *places, middle) - spare
+        return delay_bounds(self.speed_range, length, slack, emitting)
+
+    def max_rate(self, source_speed: float, receiver_speed: float) -> float:
+        """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
+        if self.legs[0].moving:
+            most = float(self.speeds.max(initial=0.0))
+        elif self.vertex is None or self.vertex.swiftest is None:
+            return super().max_rate(source_speed, receiver_speed)
+        else:
+            most = self.vertex.swiftest
+        c = self.speed_range.slowest
+        return (c + receiver_speed) * (c + most) / ((c - most) * (c - source_speed)) - 1.0
+
+    def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
+        """Return bounds (P, F) of responses without directivities, relative to free air of the same length."""
+        links = Links.of(self, rows)
+        bound = at.largest_reflection(links.all_surfaces)
+        if links.vertex is not None:
+            bound = links.vertex.largest(links, at) * bound
+        return bound if self.level is None else bound * self.level[rows][:, None]
+
+    def part(self, rows: Rows) -> Self:
+        """Return some of the paths."""
+        columns: dict[str, Any] = {field.name: getattr(self, field.name)[rows] for field in fields(PathFamily)[1:]}
+        links, level = Links.of(self, rows), None if self.level is None else self.level[rows]
+        return replace(self, **columns, legs=links.legs, vertex=links.vertex, level=level)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for part in (*self.legs, self.vertex, self.level):
+            if part is not None and len(part) != len(self):
+                name = type(part).__name__
+                raise InputError("legs", f"must have one row per path, {len(self)}, but {name} has {len(part)}")
+
+
+def is_specular(family: PathFamily) -> bool:
+    """Test if paths are images: reflected by surfaces at rest, and nothing else."""
+    return isinstance(family, Chain) and family.kind == "static"

@@ -1,0 +1,167 @@
+"""Legs by surfaces at rest: the image of an endpoint is an isometry of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.paths.chain import Chain
+from clsim.paths.family import NONE, SPECULAR
+from clsim.paths.heights import Folds
+from clsim.paths.legs.places import path_vertices
+from clsim.paths.propagation import arrivals_by, straight
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.arrivals import Arrivals, Kinematics
+    from clsim.paths.family import Instant, Rows
+    from clsim.paths.links import Links
+    from clsim.paths.response import SceneResponse
+    from clsim.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticLeg:
+    """Legs of P paths whose surfaces rest.
+
+    Attributes
+    ----------
+    matrix, offset : ndarray (P, 3, 3), (P, 3)
+        The image of the leg's endpoint, which is the source, or the receiver of a leg after a vertex, is at
+        ``matrix @ x + offset`` as seen from the other end; the matrix is orthogonal.
+    """
+
+    matrix: Floats
+    offset: Floats
+
+    kind: ClassVar[str] = "static"
+    moving: ClassVar[bool] = False
+
+    def part(self, rows: Rows) -> StaticLeg:
+        """Return some of the legs."""
+        return StaticLeg(self.matrix[rows], self.offset[rows])
+
+    def named(self, name: str) -> Iterator[tuple[str, Any]]:
+        """Yield the columns by name."""
+        yield f"{name}_matrix", self.matrix
+        yield f"{name}_offset", self.offset
+
+    def image(self, places: Floats) -> Floats:
+        """Images of endpoints (P, [T,] 3), or (1, [T,] 3) for all, m."""
+        return self.turned(places) + self.offset.reshape(len(self), *[1] * (places.ndim - 2), 3)
+
+    def turned(self, vectors: Floats) -> Floats:
+        """Vectors (P, [T,] 3) at the endpoint as seen from the other end."""
+        vectors = np.broadcast_to(vectors, (len(self), *vectors.shape[1:]))
+        return np.asarray(np.einsum("pij,p...j->p...i", self.matrix, vectors))
+
+    def turned_back(self, vectors: Floats) -> Floats:
+        """Vectors (P, T, 3) at the endpoint itself, from those seen from the other end."""
+        return np.asarray(np.einsum("pji,ptj->pti", self.matrix, vectors))
+
+    def solve(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
+        """Solve the delay equation of paths at times of reception (T,), s."""
+        if links.vertex is not None:
+            return links.vertex.on_static_legs(links, times, kinematics)
+        faces, layered = links.chain.scene.room.faces, links.chain.scene.air.layers
+        folds = Folds((faces.normals, faces.offsets), *links.surfaces) if layered else None
+        return arrivals_by(partial(_Images, self, folds), links.medium, links.motions, times, kinematics)
+
+    def reflect(self, response: Any, links: Links, found: Arrivals, at: SceneResponse) -> None:
+        """Multiply responses (P, T, F) by the factors of walls; without a vertex those of all angles are in them."""
+        for walls, direction in zip(links.surfaces, (found.departure, found.arrival), strict=False):
+            if links.vertex is not None:
+                response *= at.reflection(walls)[:, None, :]
+            at.apply_angular_walls(response, walls, direction)
+
+    def vertices(self, links: Links, time: float, kinematics: Kinematics) -> Floats:
+        """Source, points of interaction and receiver (P, N + 2, 3) at a time of reception, s."""
+        (source, receiver), now = links.motions, np.array([time])
+        faces = links.chain.scene.room.faces
+        planes = faces.normals, faces.offsets
+        if links.vertex is None and not kinematics.retarded:
+            emitted_at = source.position(np.full(len(links), time))
+        else:
+            found = links.chain.arrivals(links.rows, now, kinematics)
+            emitted_at = source.position(found.emission_time[:, 0])
+        heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
+        if links.vertex is None:
+            return path_vertices(planes, *links.surfaces, emitted_at, heard_at)
+        before, after = links.surfaces
+        places = links.vertex.places(links, (emitted_at, heard_at), now, kinematics)
+        there = path_vertices(planes, before, emitted_at, places[0])
+        back, more = path_vertices(planes, after, heard_at, places[1]), int(places[0] is not places[1])
+        vertices = np.full((len(links), links.chain.objects.shape[1] + 2, 3), np.nan)
+        for p, (walls, others) in enumerate(zip(before, after, strict=True)):
+            n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
+            vertices[p, : n + 2] = there[p, : n + 2]
+            vertices[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
+        return vertices
+
+    def lengths(self, links: Links, source: Floats, receiver: Floats, times: Instant) -> Floats:
+        """Lengths of paths (P,) between places (P, 3), m."""
+        if links.vertex is not None:
+            ends = tuple(leg.image(place) for leg, place in zip(links.legs, (source, receiver), strict=True))
+            return np.asarray(links.vertex.lengths(links, (source, receiver), ends, times))
+        image = (self.matrix @ source[:, :, None])[..., 0] + self.offset
+        return np.asarray(np.linalg.norm(image - receiver, axis=1))
+
+    def __len__(self) -> int:
+        return len(self.matrix)
+
+
+class _Images:
+    """Straight paths from a source to mirrored receivers: seen from an image's room one is at A^T (x_r - b)."""
+
+    def __init__(self, leg: StaticLeg, folds: Folds | None, heard_at: Floats) -> None:
+        self._matrix, self._heard_at, self._folds = leg.matrix, heard_at, folds
+        self._mirrored = np.einsum("pji,ptj->pti", leg.matrix, heard_at[None] - leg.offset[:, None, :])
+
+    def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Return lengths (m) and directions of the straight paths from `start` to the mirrored receivers."""
+        return straight(start, self._mirrored[p, t])
+
+    def arrive(self, start: Floats) -> Floats:
+        """Return the directions in which sound arrives, turned by each image's matrix, `(paths, times, 3)`."""
+        return np.asarray(np.einsum("pij,ptj->pti", self._matrix, straight(start, self._mirrored)[1]))
+
+    def seen(self) -> Floats:
+        """Return the receivers as they are seen from the source, mirrored, `(paths, times, 3)` m."""
+        return np.asarray(self._mirrored)
+
+    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Effect of layered air on folded paths from `start`."""
+        assert self._folds is not None
+        return self._folds.bends(p, start, self._heard_at[t])
+
+
+def image_paths(
+    scene: Scene, source: NDArray[Any], receiver: NDArray[Any], order: NDArray[Any], interval: tuple[Floats, Floats],
+    walls: NDArray[Any], matrix: Floats, offset: Floats,
+) -> Chain:  # fmt: skip
+    """Make paths of one static leg: images of the source, each an isometry of its trajectory.
+
+    Shapes: source, receiver, order (P,); interval ((P,), (P,)) s; walls (P, N), -1 behind the last; matrix (P, 3, 3);
+    offset (P, 3) m.
+    """
+    kinds = read_only(np.where(walls >= 0, np.int8(SPECULAR), np.int8(NONE)))
+    leg = StaticLeg(matrix, offset)
+    return Chain(scene, source, receiver, order, *interval, kinds, walls, (leg,))
+
+
+def direct_paths(scene: Scene) -> Chain:
+    """Make the direct path of every pair of source and receiver, whatever is in the way."""
+    source, receiver = np.divmod(np.arange(len(scene.sources) * len(scene.receivers)), len(scene.receivers))
+    count = len(source)
+    ever = np.full(count, -np.inf), np.full(count, np.inf)
+    walls, matrix = np.empty((count, 0), dtype=np.int32), np.tile(np.eye(3), (count, 1, 1))
+    numbers = (x.astype(np.int32) for x in (source, receiver, np.zeros(count)))
+    return image_paths(scene, *numbers, ever, walls, matrix, np.zeros((count, 3)))

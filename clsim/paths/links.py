@@ -1,0 +1,251 @@
+"""Links of paths: legs, and vertices between them; what a kind of leg and a kind of vertex must provide.
+
+A *leg* is a part of a path between two vertices or endpoints, reflected by any number of surfaces. A *vertex* is a
+point at which a path changes direction otherwise: an edge, two edges of one face, a scatterer. The paths of one kind of
+leg and one kind of vertex are a `Chain`: specular paths are one static leg, edge paths a static leg, an edge and a
+static leg, paths by a scatterer behind a body a moving leg, a scatterer and a moving leg.
+
+Whatever tables, engines and searches ask of a path is asked of `Chain`, once. It passes on what depends on the kind of
+leg or of vertex, with the `Links` of the paths of one pair of endpoints. Legs solve the delay equation, the last leg
+first; vertices tell where sound passes them (Fermat's principle) and what they make of it. A new kind of vertex is a
+class with the members of `Vertex`, a search that finds its paths, and its names in ``chain.py``.
+
+Columns of legs and vertices have one row per path. A vertex with shadow boundaries (an edge) holds for each row the
+side of each boundary on which the row is; its field goes on smoothly beyond the row's ends, so that the terms of both
+sides cancel there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Protocol, Self
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.paths.arrivals import Arrivals
+from clsim.paths.family import BODY, DIFFRACTION, NONE, SPECULAR
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.arrivals import Kinematics
+    from clsim.paths.chain import Chain
+    from clsim.paths.family import Instant, Rows
+    from clsim.paths.propagation import Medium, UniformAir
+    from clsim.paths.response import SceneResponse
+    from clsim.scene.ends import Receiver, Source
+    from clsim.scene.scene import Scene
+
+    Integers = NDArray[np.signedinteger[Any]]
+    Columns = dict[str, Floats]
+    Pair = tuple[Floats, Floats]  # of source and receiver
+
+
+class Leg(Protocol):
+    """Columns of P legs of one kind."""
+
+    kind: str
+    moving: bool  # whether surfaces may move
+
+    def part(self, rows: Rows) -> Self:
+        """Take some of the legs."""
+        ...
+
+    def named(self, name: str) -> Iterator[tuple[str, Any]]:
+        """Yield the columns of legs of a name, "image", "before" or "after" the vertex, as they are hashed."""
+        ...
+
+    def solve(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
+        """Solve the delay equation of paths at times of reception (T,), s."""
+        ...
+
+    def reflect(self, response: Any, links: Links, found: Arrivals, at: SceneResponse) -> None:
+        """Multiply responses (P, T, F) by the factors of surfaces that are not in them yet, in place."""
+        ...
+
+    def vertices(self, links: Links, time: float, kinematics: Kinematics) -> Floats:
+        """Locate source, interactions and receiver (P, N + 2, 3) of what is received at a time (s), m."""
+        ...
+
+    def lengths(self, links: Links, source: Floats, receiver: Floats, times: Instant) -> Floats:
+        """Compute lengths (P,) between endpoints (P, 3), m, with all else where it is at times (P,) or one time, s."""
+        ...
+
+    def __len__(self) -> int: ...
+
+
+class Vertex(Protocol):
+    """Columns of P vertices of one kind.
+
+    Attributes
+    ----------
+    radius : ndarray (P,) or float
+        By how much paths may be shorter than `lengths`, over 2, m.
+    swiftest : float or None
+        Bound of the speed of any vertex, m/s; None for vertices of the room.
+    objects : ndarray (P,)
+        Number of each among `names`.
+    """
+
+    interaction: int  # number of the kind, see `PathFamily`
+    nodes_at_a_time: int  # that are solved together
+    kind: str
+    names: tuple[str, ...]
+    objects: Integers
+    costly: bool  # whether responses are taken at few instants where they change slowly
+    is_complex: bool  # whether responses have phases
+    varies: bool  # whether they change so much that a few instants do not tell of all
+    moves: bool  # whether any vertex moves
+    radius: Floats | float
+    swiftest: float | None
+
+    def part(self, rows: Rows) -> Self:
+        """Take some of the vertices."""
+        ...
+
+    def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
+        """Yield the columns on moving or static legs, as they are hashed."""
+        ...
+
+    def groups(self) -> list[NDArray[np.int64]]:
+        """List vertices that can be solved together."""
+        ...
+
+    def on_device(self, media: Sequence[Medium]) -> bool:
+        """Test if a device can make nodes with these vertices, in the media of all sources."""
+        ...
+
+    def speeds(self, moving: bool) -> Floats:
+        """Bound the speeds of the vertices on moving or static legs, (P,) m/s."""
+        ...
+
+    def on_static_legs(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
+        """Solve paths between static legs at times of reception (T,), s."""
+        ...
+
+    def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> Any:
+        """Solve paths between moving legs; the result has the `Events` of both legs as `first` and `last`."""
+        ...
+
+    def passed(self, events: Any, kinematics: Kinematics) -> Columns:
+        """Compute ``length``, ``mach_factor`` and what else `respond` needs from what `on_moving_legs` found."""
+        ...
+
+    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> Pair:
+        """Locate the first and last points (P, 3) of vertices between static legs, m."""
+        ...
+
+    def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
+        """Compute responses (P, T, F) with the vertex's field, spreading, and what air and legs let pass (P, T, F)."""
+        ...
+
+    def largest(self, links: Links, at: SceneResponse) -> Floats | float:
+        """Bound responses over those of the legs in free air of the same length, (P, F)."""
+        ...
+
+    def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
+        """Compute lengths (P,) between endpoints (P, 3), and their images, on static legs, m."""
+        ...
+
+    def moving_lengths(self, links: Links, ends: Pair, times: Instant) -> Floats:
+        """Compute lengths (P,) between endpoints (P, 3) on moving legs, m."""
+        ...
+
+    def __len__(self) -> int: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Legs and vertices of some paths of a chain."""
+
+    chain: Chain  # of which these are
+    rows: Rows  # (P,) which
+    legs: tuple[Any, ...]  # of these paths alone
+    vertex: Any  # likewise
+
+    @staticmethod
+    def of(chain: Chain, rows: Rows) -> Links:
+        """Take the links of some paths."""
+        vertex = None if chain.vertex is None else chain.vertex.part(rows)
+        return Links(chain, rows, tuple(leg.part(rows) for leg in chain.legs), vertex)
+
+    def part(self, rows: NDArray[np.int64]) -> Links:
+        """Return the links of some of the paths, by their places among these."""
+        return Links.of(self.chain, np.arange(len(self.chain))[self.rows][rows])
+
+    @property
+    def ends(self) -> tuple[Source, Receiver]:
+        """Source and receiver of the paths of one pair."""
+        return self.chain.ends(self.rows)
+
+    @property
+    def motions(self) -> tuple[Any, Any]:
+        """Trajectories of both ends."""
+        source, receiver = self.ends
+        return source.trajectory, receiver.trajectory
+
+    @property
+    def medium(self) -> Medium:
+        """Medium of the sound."""
+        return self.chain.medium(int(self.chain.source[self.rows][0]))
+
+    @property
+    def surfaces(self) -> tuple[Integers, ...]:
+        """Surfaces (P, N) of each leg: of static ones from the endpoint's side, of moving ones from the source's."""
+        if self.legs[0].moving:
+            return tuple(leg.surfaces for leg in self.legs)
+        chain = self.chain
+        if chain.vertex is None:
+            return (chain.objects[self.rows],)
+        kinds, walls = chain.interactions[self.rows], chain.walls[self.rows]
+        place, step = np.argmax(kinds > SPECULAR, axis=1)[:, None], np.arange(kinds.shape[1])
+        before = np.where(step < place, walls, -1)
+        backwards = chain.order[self.rows][:, None] - 1 - step  # the last one first
+        kept = (backwards > place) & (np.take_along_axis(kinds, np.maximum(backwards, 0), axis=1) == SPECULAR)
+        return before, np.where(kept, np.take_along_axis(walls, np.maximum(backwards, 0), axis=1), -1)
+
+    @property
+    def all_surfaces(self) -> Integers:
+        """Surfaces (P, N) of all legs, -1 for none."""
+        if self.legs[0].moving:
+            return np.concatenate(self.surfaces, axis=1)
+        return self.chain.walls[self.rows]
+
+    def __len__(self) -> int:
+        return len(self.legs[0])
+
+
+def in_chunks(links: Links, times: Floats, nodes: int, solve: Callable[[Links, Floats], Columns]) -> Arrivals:
+    """Solve paths at times (T,), so many nodes at a time that what is worked on stays in the cache."""
+    groups = [np.arange(len(links))] if links.vertex is None else links.vertex.groups()
+    columns: Columns = {}
+    for mine in groups:
+        some = links if len(mine) == len(links) else links.part(mine)
+        parts = max(-(-len(times) * len(mine) // nodes), 1)
+        for part in range(parts):
+            here = slice(part * len(times) // parts, (part + 1) * len(times) // parts)
+            for name, values in solve(some, times[here]).items():
+                if name not in columns:
+                    columns[name] = np.empty((len(links), len(times), *values.shape[2:]))
+                columns[name][mine, here] = values
+    always = {field.name: columns.pop(field.name) for field in fields(Arrivals) if field.name in columns}
+    return Arrivals(**always, means=None, more=columns)
+
+
+def met_in_order(scene: Scene, before: Integers, vertex: Vertex | None, after: Integers | None) -> tuple[Any, Any]:
+    """Make interactions and objects (P, N) of paths on moving legs, from their surfaces and vertices."""
+    walls = len(scene.room.faces)
+    faces = walls + sum(len(body.faces) for body in scene.bodies)
+    things = before
+    if vertex is not None and after is not None:
+        things = np.concatenate([before, faces + vertex.objects[:, None], after], axis=1)
+    things = np.take_along_axis(things, np.argsort(things < 0, axis=1, kind="stable"), axis=1)
+    at_vertex = NONE if vertex is None else vertex.interaction
+    kinds = np.select([things < 0, things < walls, things < faces], [NONE, SPECULAR, BODY], at_vertex)
+    objects = np.where(things >= walls, things - walls, things)
+    wide = np.int32 if at_vertex == DIFFRACTION else np.int64  # as they are hashed
+    return read_only(kinds.astype(np.int8)), read_only(objects.astype(wide))

@@ -1,0 +1,1 @@
+"""Vertices of paths: edges, pairs of edges, scatterers."""
