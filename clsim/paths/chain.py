@@ -12,7 +12,6 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.family import PathFamily, ends_at
-from clsim.paths.links import Links
 from clsim.paths.propagation import UniformAir, delay_bounds
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, PeakSpeeds, Rows
-    from clsim.paths.links import Integers
+    from clsim.paths.links import Integers, Links
     from clsim.paths.response import SceneResponse
 
 # Names under which runs know chains, by kind of legs and of vertex.
@@ -126,32 +125,29 @@ class Chain(PathFamily):
 
     def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver."""
-        links = Links.of(self, rows)
-        return links.legs[0].solve(links, np.asarray(times, dtype=np.float64), kinematics)
+        return self.links(rows).solve(np.asarray(times, dtype=np.float64), kinematics)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure (P, T, F): legs, vertex, spreading, air, directivities."""
-        links = Links.of(self, rows)
-        leg, vertex, response = links.legs[0], links.vertex, at.air(found)
-        if vertex is None or leg.moving:
+        links = self.links(rows)
+        vertex, response = links.vertex, at.air(found)
+        if vertex is None or self.legs[0].moving:
             response = response * at.reflection(links.all_surfaces)[:, None, :]
         if vertex is None:
             response *= (found.mach_factor / found.length)[..., None]
         else:
             response = vertex.respond(links, found, times, response, at)
-        leg.reflect(response, links, found, at)
+        links.reflect(response, found, at)
         at.apply_directivities(response, links.ends, found, times)
         return response if self.level is None else response * self.level[rows][:, None, None]
 
     def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
         """Return source, points of interaction and receiver (P, N + 2, 3) of paths of one pair."""
-        links = Links.of(self, rows)
-        return np.asarray(links.legs[0].vertices(links, time, kinematics))
+        return self.links(rows).places(time, kinematics)
 
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return lengths (P,) between endpoints at places (P, 3), m, by bodies and scatterers as they are at 0 s."""
-        links = Links.of(self, rows)
-        return np.asarray(links.legs[0].lengths(links, source, receiver, 0.0))
+        return self.links(rows).lengths(source, receiver, 0.0)
 
     @cached_property
     def speeds(self) -> Floats:
@@ -160,7 +156,7 @@ class Chain(PathFamily):
         at_vertex = np.zeros(len(self)) if vertex is None else vertex.speeds(moving)
         if not moving:
             return read_only(at_vertex)
-        return read_only(self.legs[0].mirrors.speeds(Links.of(self, slice(None)).all_surfaces) + at_vertex)
+        return read_only(self.legs[0].mirrors.speeds(self.links(slice(None)).all_surfaces) + at_vertex)
 
     def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
         """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
@@ -168,14 +164,14 @@ class Chain(PathFamily):
         A mirror, an edge or a scatterer that moves by d makes a path longer by at most 2 d. The path by a scatterer's
         surface is shorter than that by its centre, by at most its diameter.
         """
-        scene, links = self.scene, Links.of(self, rows)
+        scene, links = self.scene, self.links(rows)
         source, receiver = self.source[rows], self.receiver[rows]
         middle, half = 0.5 * (start + end), 0.5 * (end - start)
         places = ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle)
         spare: Floats | float = 0.0 if links.vertex is None else links.vertex.radius
         emitting = speeds.source[source] + 2.0 * self.speeds[rows]
         slack = half * (emitting + speeds.receiver[receiver]) + spare
-        length = links.legs[0].lengths(links, *places, middle) - spare
+        length = links.lengths(*places, middle) - spare
         return delay_bounds(self.speed_range, length, slack, emitting)
 
     def max_rate(self, source_speed: float, receiver_speed: float) -> float:
@@ -191,16 +187,23 @@ class Chain(PathFamily):
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return bounds (P, F) of responses without directivities, relative to free air of the same length."""
-        links = Links.of(self, rows)
+        links = self.links(rows)
         bound = at.largest_reflection(links.all_surfaces)
         if links.vertex is not None:
             bound = links.vertex.largest(links, at) * bound
         return bound if self.level is None else bound * self.level[rows][:, None]
 
+    def links(self, rows: Rows) -> Links:
+        """Take the legs and vertices of some paths."""
+        vertex = None if self.vertex is None else self.vertex.part(rows)
+        legs = tuple(leg.part(rows) for leg in self.legs)
+        made: Links = legs[0].links(self, rows, legs, vertex)
+        return made
+
     def part(self, rows: Rows) -> Self:
         """Return some of the paths."""
         columns: dict[str, Any] = {field.name: getattr(self, field.name)[rows] for field in fields(PathFamily)[1:]}
-        links, level = Links.of(self, rows), None if self.level is None else self.level[rows]
+        links, level = self.links(rows), None if self.level is None else self.level[rows]
         return replace(self, **columns, legs=links.legs, vertex=links.vertex, level=level)
 
     def __post_init__(self) -> None:

@@ -1,13 +1,13 @@
-"""Links of paths: legs, and vertices between them; what a kind of leg and a kind of vertex must provide.
+"""Legs of paths, and vertices between them: what a kind of leg and a kind of vertex must provide.
 
 A *leg* is a part of a path between two vertices or endpoints, reflected by any number of surfaces. A *vertex* is a
 point at which a path changes direction otherwise: an edge, two edges of one face, a scatterer. The paths of one kind of
 leg and one kind of vertex are a `Chain`: specular paths are one static leg, edge paths a static leg, an edge and a
 static leg, paths by a scatterer behind a body a moving leg, a scatterer and a moving leg.
 
-Whatever tables, engines and searches ask of a path is asked of `Chain`, once. It passes on what depends on the kind of
-leg or of vertex, with the `Links` of the paths of one pair of endpoints. Legs solve the delay equation, the last leg
-first; vertices tell where sound passes them (Fermat's principle) and what they make of it. A new kind of vertex is a
+Whatever tables, engines and searches ask of a path is asked of `Chain`, once. What depends on the kind of leg is a
+method of `Links`: they solve the delay equation, the last leg first. What depends on the kind of vertex is a method of
+`Vertex`: where sound passes it (Fermat's principle), and what it makes of the sound. A new kind of vertex is a
 class with the members of `Vertex`, a search that finds its paths, and its names in ``chain.py``.
 
 Columns of legs and vertices have one row per path. A vertex with shadow boundaries (an edge) holds for each row the
@@ -17,8 +17,9 @@ sides cancel there.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -48,8 +49,9 @@ if TYPE_CHECKING:
 class Leg(Protocol):
     """Columns of P legs of one kind."""
 
-    kind: str
-    moving: bool  # whether surfaces may move
+    kind: ClassVar[str]
+    moving: ClassVar[bool]  # whether surfaces may move
+    links: ClassVar[type[Links]]  # how paths of such legs are solved
 
     def part(self, rows: Rows) -> Self:
         """Take some of the legs."""
@@ -57,22 +59,6 @@ class Leg(Protocol):
 
     def named(self, name: str) -> Iterator[tuple[str, Any]]:
         """Yield the columns of legs of a name, "image", "before" or "after" the vertex, as they are hashed."""
-        ...
-
-    def solve(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
-        """Solve the delay equation of paths at times of reception (T,), s."""
-        ...
-
-    def reflect(self, response: Any, links: Links, found: Arrivals, at: SceneResponse) -> None:
-        """Multiply responses (P, T, F) by the factors of surfaces that are not in them yet, in place."""
-        ...
-
-    def vertices(self, links: Links, time: float, kinematics: Kinematics) -> Floats:
-        """Locate source, interactions and receiver (P, N + 2, 3) of what is received at a time (s), m."""
-        ...
-
-    def lengths(self, links: Links, source: Floats, receiver: Floats, times: Instant) -> Floats:
-        """Compute lengths (P,) between endpoints (P, 3), m, with all else where it is at times (P,) or one time, s."""
         ...
 
     def __len__(self) -> int: ...
@@ -91,17 +77,17 @@ class Vertex(Protocol):
         Number of each among `names`.
     """
 
-    interaction: int  # number of the kind, see `PathFamily`
-    nodes_at_a_time: int  # that are solved together
-    kind: str
-    names: tuple[str, ...]
-    objects: Integers
-    costly: bool  # whether responses are taken at few instants where they change slowly
-    is_complex: bool  # whether responses have phases
-    varies: bool  # whether they change so much that a few instants do not tell of all
-    moves: bool  # whether any vertex moves
-    radius: Floats | float
-    swiftest: float | None
+    interaction: ClassVar[int]  # number of the kind, see `PathFamily`
+    nodes_at_a_time: ClassVar[int]  # that are solved together
+    costly: ClassVar[bool]  # whether responses are taken at few instants where they change slowly
+    kind: Any
+    names: Any
+    objects: Any
+    is_complex: Any  # whether responses have phases
+    varies: Any  # whether they change so much that a few instants do not tell of all
+    moves: Any  # whether any vertex moves
+    radius: Any
+    swiftest: Any
 
     def part(self, rows: Rows) -> Self:
         """Take some of the vertices."""
@@ -159,23 +145,43 @@ class Vertex(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Links:
-    """Legs and vertices of some paths of a chain."""
+class Links(ABC):
+    """Legs and vertices of some paths of a chain; a class for each kind of leg."""
 
     chain: Chain  # of which these are
     rows: Rows  # (P,) which
     legs: tuple[Any, ...]  # of these paths alone
     vertex: Any  # likewise
 
-    @staticmethod
-    def of(chain: Chain, rows: Rows) -> Links:
-        """Take the links of some paths."""
-        vertex = None if chain.vertex is None else chain.vertex.part(rows)
-        return Links(chain, rows, tuple(leg.part(rows) for leg in chain.legs), vertex)
+    @abstractmethod
+    def solve(self, times: Floats, kinematics: Kinematics) -> Arrivals:
+        """Solve the delay equation of paths at times of reception (T,), s."""
+
+    @abstractmethod
+    def reflect(self, response: Any, found: Arrivals, at: SceneResponse) -> None:
+        """Multiply responses (P, T, F) by the factors of surfaces that are not in them yet, in place."""
+
+    @abstractmethod
+    def places(self, time: float, kinematics: Kinematics) -> Floats:
+        """Locate source, interactions and receiver (P, N + 2, 3) of what is received at a time (s), m."""
+
+    @abstractmethod
+    def lengths(self, source: Floats, receiver: Floats, times: Instant) -> Floats:
+        """Compute lengths (P,) between endpoints (P, 3), m, with all else where it is at times (P,) or one time, s."""
+
+    @property
+    @abstractmethod
+    def surfaces(self) -> tuple[Integers, ...]:
+        """Surfaces (P, N) of each leg: of static ones from the endpoint's side, of moving ones from the source's."""
+
+    @property
+    @abstractmethod
+    def all_surfaces(self) -> Integers:
+        """Surfaces (P, N) of all legs, -1 for none."""
 
     def part(self, rows: NDArray[np.int64]) -> Links:
         """Return the links of some of the paths, by their places among these."""
-        return Links.of(self.chain, np.arange(len(self.chain))[self.rows][rows])
+        return self.chain.links(np.arange(len(self.chain))[self.rows][rows])
 
     @property
     def ends(self) -> tuple[Source, Receiver]:
@@ -192,28 +198,6 @@ class Links:
     def medium(self) -> Medium:
         """Medium of the sound."""
         return self.chain.medium(int(self.chain.source[self.rows][0]))
-
-    @property
-    def surfaces(self) -> tuple[Integers, ...]:
-        """Surfaces (P, N) of each leg: of static ones from the endpoint's side, of moving ones from the source's."""
-        if self.legs[0].moving:
-            return tuple(leg.surfaces for leg in self.legs)
-        chain = self.chain
-        if chain.vertex is None:
-            return (chain.objects[self.rows],)
-        kinds, walls = chain.interactions[self.rows], chain.walls[self.rows]
-        place, step = np.argmax(kinds > SPECULAR, axis=1)[:, None], np.arange(kinds.shape[1])
-        before = np.where(step < place, walls, -1)
-        backwards = chain.order[self.rows][:, None] - 1 - step  # the last one first
-        kept = (backwards > place) & (np.take_along_axis(kinds, np.maximum(backwards, 0), axis=1) == SPECULAR)
-        return before, np.where(kept, np.take_along_axis(walls, np.maximum(backwards, 0), axis=1), -1)
-
-    @property
-    def all_surfaces(self) -> Integers:
-        """Surfaces (P, N) of all legs, -1 for none."""
-        if self.legs[0].moving:
-            return np.concatenate(self.surfaces, axis=1)
-        return self.chain.walls[self.rows]
 
     def __len__(self) -> int:
         return len(self.legs[0])

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.response import SceneResponse, directivity_gain
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.signal.occupied_bandwidth import shares
@@ -75,7 +74,7 @@ def _bounds(tracks: SceneTracks, pair: int, band: tuple[float, float], until: fl
     reflected = paths.family.gain_bound(paths.rows, at) * directivities
     source_speed = float(tracks.speeds.source[paths.source])
     slowest = paths.family.medium(paths.source).slowest
-    mach_factor = (1.0 - source_speed / slowest) ** -MACH_EXPONENT[tracks.amplitude]
+    mach_factor = (1.0 - source_speed / slowest) ** -tracks.kinematics.exponent
     bound, strongest = np.zeros(len(reflected)), 0.0
     spread = 2.0 * source_speed / slowest if at.disperses else 0.0  # of the frequencies on the way
     least, most = at.least_nepers * (1.0 - spread), at.most_nepers * (1.0 + spread)

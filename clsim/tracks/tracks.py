@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, read_only, short_repr
+from clsim.arrays import Floats, read_only, short_repr
 from clsim.errors import InputError
-from clsim.paths.arrivals import AMPLITUDES, MOTIONS, Kinematics
+from clsim.paths.arrivals import Kinematics
 from clsim.paths.family import PeakSpeeds
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
@@ -256,8 +256,7 @@ class SceneTracks(Tracks):
     """
 
     paths: PathSet
-    motion: str
-    amplitude: str
+    kinematics: Kinematics
     pairs: tuple[PairTracks, ...]
     pair_paths: tuple[PairPaths, ...]
     speeds: PeakSpeeds
@@ -276,11 +275,6 @@ class SceneTracks(Tracks):
     def scene(self) -> Scene:
         """The scene."""
         return self.paths.scene
-
-    @property
-    def kinematics(self) -> Kinematics:
-        """Motion while sound is on its way, and amplitude."""
-        return Kinematics(self.motion, self.amplitude)
 
     def costly(self, pair: int) -> bool:
         """Return the property of the kind of paths."""
@@ -455,8 +449,7 @@ def track(
     """
     if not isinstance(paths, PathSet):
         raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
-    as_choice("motion", motion, MOTIONS)
-    as_choice("amplitude", amplitude, AMPLITUDES)
+    kinematics = Kinematics(motion, amplitude)
     scene = paths.scene
     pairs, pair_paths = [], []
     for _, of_pair in paths.pairs():
@@ -471,8 +464,7 @@ def track(
     )
     return SceneTracks(
         paths=paths,
-        motion=motion,
-        amplitude=amplitude,
+        kinematics=kinematics,
         pairs=tuple(pairs),
         pair_paths=tuple(pair_paths),
         speeds=PeakSpeeds(source_speed, receiver_speed),

@@ -10,7 +10,6 @@ from made_responses import POROUS, OffCentre
 from mutants import KeptEngines, Mutants
 
 import clsim
-from clsim.paths.links import Links
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl import path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
@@ -88,7 +87,7 @@ def test_the_scene_has_all_that_such_paths_do() -> None:
     found = paths().families[0]
     assert set(np.unique(found.vertex.end_side)) == {-1, 0, 1}
     assert set(np.unique(found.vertex.lit)) == {-1, 0, 1}
-    before, after = Links.of(found, slice(None)).surfaces
+    before, after = found.links(slice(None)).surfaces
     assert np.any(before >= 0)
     assert np.any(after >= 0)
     assert np.any(found.start > 0.0)  # pieces between boundaries

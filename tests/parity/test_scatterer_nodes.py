@@ -9,7 +9,6 @@ from made_responses import POROUS, OffCentre
 from mutants import KeptEngines, Mutants
 
 import clsim
-from clsim.paths.links import Links
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl import nodes, path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
@@ -131,7 +130,7 @@ def test_device_and_host_make_the_same(case: str, monkeypatch: pytest.MonkeyPatc
 
 def test_the_scene_has_all_that_such_paths_do() -> None:
     found = paths(phased=True).families[0]
-    before, after = Links.of(found, slice(None)).surfaces
+    before, after = found.links(slice(None)).surfaces
     assert np.any(np.any(before >= 0, axis=1) & np.any(after >= 0, axis=1))
     assert set(np.unique(found.vertex.scatterer)) == {0, 1, 2, 3, 4}
     assert set(np.unique(found.receiver)) == {0, 1}

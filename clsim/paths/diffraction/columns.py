@@ -41,7 +41,7 @@ def edge_pair_chain(scene: Scene, order: int, rows: Found) -> Chain:
     return _chain(scene, order, rows, EdgePairVertex(edge, *columns, lines, "utd", last, shared))
 
 
-def _first_edges(rows: Found) -> list[Any]:
+def _first_edges(rows: Found) -> Any:
     """Columns of `EdgeVertex` of the first edges."""
     sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, SIDES)
     edge = np.array([r["edges"][0] for r in rows], dtype=np.int64)
@@ -62,8 +62,8 @@ def _chain(scene: Scene, order: int, rows: Found, vertex: EdgeVertex) -> Chain:
         kinds[i, : n + m + len(things)] = [SPECULAR] * n + [DIFFRACTION] * len(things) + [SPECULAR] * m
     longest = order + max((1 + (r["faces"][0] >= 0) for r in rows), default=1)
     objects, kinds = read_only(objects[:, :longest]), read_only(kinds[:, :longest])
-    numbers = (read_only(np.array([r[name] for r in rows], dtype=np.int32)) for name in ("source", "receiver"))
-    interval = (read_only(np.array([r[name] for r in rows], dtype=np.float64)) for name in ("start", "end"))
+    numbers: Any = (read_only(np.array([r[name] for r in rows], dtype=np.int32)) for name in ("source", "receiver"))
+    interval: Any = (read_only(np.array([r[name] for r in rows], dtype=np.float64)) for name in ("start", "end"))
     orders = read_only(np.sum(objects >= 0, axis=1).astype(np.int32))
     legs = _leg(scene, order, [r["before"] for r in rows]), _leg(scene, order, [r["after"] for r in rows])
     return Chain(scene, *numbers, orders, *interval, kinds, objects, legs, vertex)

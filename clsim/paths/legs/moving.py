@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from clsim.paths.chain import Chain
-from clsim.paths.links import in_chunks, met_in_order
+from clsim.paths.links import Links, in_chunks, met_in_order
 from clsim.paths.moving.events import find_events
 from clsim.paths.propagation import UniformAir
 
@@ -21,12 +21,97 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Columns, Links, Vertex
+    from clsim.paths.links import Columns, Integers, Vertex
     from clsim.paths.moving.mirrors import Mirrors
     from clsim.paths.response import SceneResponse
     from clsim.scene.scene import Scene
 
 _AT_A_TIME = 16384  # nodes that are solved together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingLinks(Links):
+    """Legs of which some surfaces move, and vertices."""
+
+    def solve(self, times: Floats, kinematics: Kinematics) -> Arrivals:
+        """Solve the delay equations of paths at times of reception (T,), s."""
+        nodes = _AT_A_TIME if self.vertex is None else self.vertex.nodes_at_a_time
+        return in_chunks(self, times, nodes, partial(_columns, kinematics))
+
+    def reflect(self, response: Any, found: Arrivals, at: SceneResponse) -> None:
+        """Multiply responses (P, T, F) by the factors of mirrors that depend on the angle; others are in them."""
+        cosine = found.more["cosine"]
+        for bounce, met in enumerate(self.all_surfaces.T):
+            for wall in np.unique(met[at.angular[met]]).tolist():
+                here = np.flatnonzero(met == wall)
+                response[here] *= at.reflection_at(wall, cosine[here, :, bounce])
+
+    def places(self, time: float, kinematics: Kinematics) -> Floats:
+        """Source, points of interaction and receiver (P, N + 2, 3) at a time of reception, s."""
+        found = np.full((len(self), self.chain.objects.shape[1] + 2, 3), np.nan)
+        for mine in [np.arange(len(self))] if self.vertex is None else self.vertex.groups():
+            some: Any = self.part(mine)
+            events = some.events(np.array([time]), kinematics)
+            first, last = (events, None) if self.vertex is None else (events.first, events.last)
+            for i, p in enumerate(mine.tolist()):
+                n = int(np.sum(some.legs[0].surfaces[i] >= 0))
+                found[p, : n + 2] = first.place[i, 0, : n + 2]
+                if last is None:  # the receiver stands behind all mirrors
+                    continue
+                m = int(np.sum(some.legs[1].surfaces[i] >= 0))
+                found[p, n + 2 : n + m + 3] = last.place[i, 0, 1 : m + 2]
+        return found
+
+    def lengths(self, source: Floats, receiver: Floats, times: Instant) -> Floats:
+        """Lengths of paths (P,) between places (P, 3), with all mirrors where they are at times, m."""
+        if self.vertex is not None:
+            return np.asarray(self.vertex.moving_lengths(self, (source, receiver), times))
+        leg = self.legs[0]
+        return np.asarray(leg.mirrors.distances(leg.surfaces, source, receiver, times))
+
+    def events(self, times: Floats, kinematics: Kinematics) -> Any:
+        """Events of paths: of reflection alone, or those of both legs with what the vertex found."""
+        medium, leg = self.medium, self.legs[0]
+        assert isinstance(medium, UniformAir)
+        if self.vertex is not None:
+            return self.vertex.on_moving_legs(self, medium, times, kinematics)
+        return find_events(leg.mirrors, leg.surfaces, self.motions, medium, times, kinematics.retarded)
+
+    @property
+    def surfaces(self) -> tuple[Integers, ...]:
+        """Mirrors (P, N) of each leg from the source's side."""
+        return tuple(leg.surfaces for leg in self.legs)
+
+    @property
+    def all_surfaces(self) -> Integers:
+        """Mirrors (P, N) of all legs, -1 for none."""
+        return np.concatenate(self.surfaces, axis=1)
+
+
+def _columns(kinematics: Kinematics, links: Any, times: Floats) -> Columns:
+    """Arrivals (P, T) of events.
+
+    The pressure is that of images of the source: it falls with the distance d of each leg from its image event, and
+    by the time of reception over that of emission, ``s(t - delay) / (d dt/dt_e)``, in which the Doppler factors of
+    the source and of all mirrors are. Other conditions on moving faces differ by the order of their Mach number.
+    """
+    passed, retarded = links.events(times, kinematics), kinematics.retarded
+    first, last = (passed, passed) if links.vertex is None else (passed.first, passed.last)
+    mach = first.mach if retarded else np.zeros_like(first.mach)
+    delay, rate, through, cosine = first.delay, first.rate, first.distance, first.cosine
+    if links.vertex is None:
+        stretch = first.stretch / first.carried if retarded else np.ones_like(first.stretch)
+        own: Columns = {"length": first.distance * first.carried, "mach_factor": stretch**-kinematics.exponent}
+    else:
+        delay, rate, through = delay + last.delay, rate + last.rate, through + last.distance
+        rate = rate - first.rate * last.rate if retarded else rate
+        cosine = np.concatenate([cosine, last.cosine], axis=2)
+        own = links.vertex.passed(passed, kinematics)
+    return {
+        "delay": delay, "delay_rate": rate, "departure": first.departure, "arrival": last.arrival,
+        "through": through, "frequency_ratio": 1.0 / (1.0 - mach), "cosine": cosine,
+        "emission_time": times - delay if retarded else np.broadcast_to(times, delay.shape), **own,
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +129,7 @@ class MovingLeg:
 
     kind: ClassVar[str] = "moving"
     moving: ClassVar[bool] = True
+    links: ClassVar[type[Links]] = MovingLinks
 
     def part(self, rows: Rows) -> MovingLeg:
         """Return some of the legs."""
@@ -53,79 +139,8 @@ class MovingLeg:
         """Yield the columns by name."""
         yield name, self.surfaces
 
-    def solve(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
-        """Solve the delay equations of paths at times of reception (T,), s."""
-        nodes = _AT_A_TIME if links.vertex is None else links.vertex.nodes_at_a_time
-        return in_chunks(links, times, nodes, partial(self._columns, kinematics))
-
-    @staticmethod
-    def _columns(kinematics: Kinematics, links: Links, times: Floats) -> Columns:
-        """Arrivals (P, T) of events.
-
-        The pressure is that of images of the source: it falls with the distance d of each leg from its image event, and
-        by the time of reception over that of emission, ``s(t - delay) / (d dt/dt_e)``, in which the Doppler factors of
-        the source and of all mirrors are. Other conditions on moving faces differ by the order of their Mach number.
-        """
-        passed, retarded = events_of(links, times, kinematics), kinematics.retarded
-        first, last = (passed, passed) if links.vertex is None else (passed.first, passed.last)
-        mach = first.mach if retarded else np.zeros_like(first.mach)
-        delay, rate, through, cosine = first.delay, first.rate, first.distance, first.cosine
-        if links.vertex is None:
-            stretch = first.stretch / first.carried if retarded else np.ones_like(first.stretch)
-            own: Columns = {"length": first.distance * first.carried, "mach_factor": stretch**-kinematics.exponent}
-        else:
-            delay, rate, through = delay + last.delay, rate + last.rate, through + last.distance
-            rate = rate - first.rate * last.rate if retarded else rate
-            cosine = np.concatenate([cosine, last.cosine], axis=2)
-            own = links.vertex.passed(passed, kinematics)
-        return {
-            "delay": delay, "delay_rate": rate, "departure": first.departure, "arrival": last.arrival,
-            "through": through, "frequency_ratio": 1.0 / (1.0 - mach), "cosine": cosine,
-            "emission_time": times - delay if retarded else np.broadcast_to(times, delay.shape), **own,
-        }  # fmt: skip
-
-    def reflect(self, response: Any, links: Links, found: Arrivals, at: SceneResponse) -> None:
-        """Multiply responses (P, T, F) by the factors of mirrors that depend on the angle; others are in them."""
-        cosine = found.more["cosine"]
-        for bounce, met in enumerate(links.all_surfaces.T):
-            for wall in np.unique(met[at.angular[met]]).tolist():
-                here = np.flatnonzero(met == wall)
-                response[here] *= at.reflection_at(wall, cosine[here, :, bounce])
-
-    def vertices(self, links: Links, time: float, kinematics: Kinematics) -> Floats:
-        """Source, points of interaction and receiver (P, N + 2, 3) at a time of reception, s."""
-        found = np.full((len(links), links.chain.objects.shape[1] + 2, 3), np.nan)
-        for mine in [np.arange(len(links))] if links.vertex is None else links.vertex.groups():
-            some = links.part(mine)
-            events = events_of(some, np.array([time]), kinematics)
-            first, last = (events, None) if links.vertex is None else (events.first, events.last)
-            for i, p in enumerate(mine.tolist()):
-                n = int(np.sum(some.legs[0].surfaces[i] >= 0))
-                found[p, : n + 2] = first.place[i, 0, : n + 2]
-                if last is None:  # the receiver stands behind all mirrors
-                    continue
-                m = int(np.sum(some.legs[1].surfaces[i] >= 0))
-                found[p, n + 2 : n + m + 3] = last.place[i, 0, 1 : m + 2]
-        return found
-
-    def lengths(self, links: Links, source: Floats, receiver: Floats, times: Instant) -> Floats:
-        """Lengths of paths (P,) between places (P, 3), with all mirrors where they are at times, m."""
-        if links.vertex is not None:
-            return np.asarray(links.vertex.moving_lengths(links, (source, receiver), times))
-        return self.mirrors.distances(self.surfaces, source, receiver, times)
-
     def __len__(self) -> int:
         return len(self.surfaces)
-
-
-def events_of(links: Links, times: Floats, kinematics: Kinematics) -> Any:
-    """Events of paths: of reflection alone, or those of both legs with what the vertex found."""
-    medium = links.medium
-    assert isinstance(medium, UniformAir)
-    if links.vertex is not None:
-        return links.vertex.on_moving_legs(links, medium, times, kinematics)
-    leg = links.legs[0]
-    return find_events(leg.mirrors, leg.surfaces, links.motions, medium, times, kinematics.retarded)
 
 
 def moving_paths(
@@ -134,5 +149,5 @@ def moving_paths(
     """Make paths of moving legs from columns, of which some are the surfaces of legs."""
     surfaces = tuple(columns[name] for name in legs)
     kinds, objects = met_in_order(scene, surfaces[0], vertex, surfaces[-1])
-    always = (columns[name] for name in ("source", "receiver", "order", "start", "end"))
+    always: Any = (columns[name] for name in ("source", "receiver", "order", "start", "end"))
     return Chain(scene, *always, kinds, objects, tuple(MovingLeg(each, mirrors) for each in surfaces), vertex)

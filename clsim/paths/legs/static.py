@@ -13,6 +13,7 @@ from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SPECULAR
 from clsim.paths.heights import Folds
 from clsim.paths.legs.places import path_vertices
+from clsim.paths.links import Links
 from clsim.paths.propagation import arrivals_by, straight
 
 if TYPE_CHECKING:
@@ -23,9 +24,79 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Links
+    from clsim.paths.links import Integers
     from clsim.paths.response import SceneResponse
     from clsim.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticLinks(Links):
+    """Legs whose surfaces rest, and vertices."""
+
+    def solve(self, times: Floats, kinematics: Kinematics) -> Arrivals:
+        """Solve the delay equation of paths at times of reception (T,), s."""
+        if self.vertex is not None:
+            return self.vertex.on_static_legs(self, times, kinematics)
+        faces, layered = self.chain.scene.room.faces, self.chain.scene.air.layers
+        folds = Folds((faces.normals, faces.offsets), self.all_surfaces) if layered else None
+        return arrivals_by(partial(_Images, self.legs[0], folds), self.medium, self.motions, times, kinematics)
+
+    def reflect(self, response: Any, found: Arrivals, at: SceneResponse) -> None:
+        """Multiply responses (P, T, F) by the factors of walls; without a vertex those of all angles are in them."""
+        for walls, direction in zip(self.surfaces, (found.departure, found.arrival), strict=False):
+            if self.vertex is not None:
+                response *= at.reflection(walls)[:, None, :]
+            at.apply_angular_walls(response, walls, direction)
+
+    def places(self, time: float, kinematics: Kinematics) -> Floats:
+        """Source, points of interaction and receiver (P, N + 2, 3) at a time of reception, s."""
+        (source, receiver), now = self.motions, np.array([time])
+        faces = self.chain.scene.room.faces
+        planes = faces.normals, faces.offsets
+        if self.vertex is None and not kinematics.retarded:
+            emitted_at = source.position(np.full(len(self), time))
+        else:
+            found = self.chain.arrivals(self.rows, now, kinematics)
+            emitted_at = source.position(found.emission_time[:, 0])
+        heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
+        if self.vertex is None:
+            return path_vertices(planes, self.all_surfaces, emitted_at, heard_at)
+        before, after = self.surfaces
+        places = self.vertex.places(self, (emitted_at, heard_at), now, kinematics)
+        there = path_vertices(planes, before, emitted_at, places[0])
+        back, more = path_vertices(planes, after, heard_at, places[1]), int(places[0] is not places[1])
+        vertices = np.full((len(self), self.chain.objects.shape[1] + 2, 3), np.nan)
+        for p, (walls, others) in enumerate(zip(before, after, strict=True)):
+            n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
+            vertices[p, : n + 2] = there[p, : n + 2]
+            vertices[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
+        return vertices
+
+    def lengths(self, source: Floats, receiver: Floats, times: Instant) -> Floats:
+        """Lengths of paths (P,) between places (P, 3), m."""
+        if self.vertex is not None:
+            ends = tuple(leg.image(place) for leg, place in zip(self.legs, (source, receiver), strict=True))
+            return np.asarray(self.vertex.lengths(self, (source, receiver), ends, times))
+        leg = self.legs[0]
+        image = (leg.matrix @ source[:, :, None])[..., 0] + leg.offset
+        return np.asarray(np.linalg.norm(image - receiver, axis=1))
+
+    @property
+    def surfaces(self) -> tuple[Integers, ...]:
+        """Walls (P, N) of each leg from the endpoint's side."""
+        if self.vertex is None:
+            return (self.all_surfaces,)
+        kinds, walls = self.chain.interactions[self.rows], self.all_surfaces
+        place, step = np.argmax(kinds > SPECULAR, axis=1)[:, None], np.arange(kinds.shape[1])
+        before = np.where(step < place, walls, -1)
+        backwards = self.chain.order[self.rows][:, None] - 1 - step  # the last one first
+        kept = (backwards > place) & (np.take_along_axis(kinds, np.maximum(backwards, 0), axis=1) == SPECULAR)
+        return before, np.where(kept, np.take_along_axis(walls, np.maximum(backwards, 0), axis=1), -1)
+
+    @property
+    def all_surfaces(self) -> Integers:
+        """Walls (P, N) from the source's side, -1 for what is none."""
+        return self.chain.walls[self.rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +115,7 @@ class StaticLeg:
 
     kind: ClassVar[str] = "static"
     moving: ClassVar[bool] = False
+    links: ClassVar[type[Links]] = StaticLinks
 
     def part(self, rows: Rows) -> StaticLeg:
         """Return some of the legs."""
@@ -66,53 +138,6 @@ class StaticLeg:
     def turned_back(self, vectors: Floats) -> Floats:
         """Vectors (P, T, 3) at the endpoint itself, from those seen from the other end."""
         return np.asarray(np.einsum("pji,ptj->pti", self.matrix, vectors))
-
-    def solve(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
-        """Solve the delay equation of paths at times of reception (T,), s."""
-        if links.vertex is not None:
-            return links.vertex.on_static_legs(links, times, kinematics)
-        faces, layered = links.chain.scene.room.faces, links.chain.scene.air.layers
-        folds = Folds((faces.normals, faces.offsets), *links.surfaces) if layered else None
-        return arrivals_by(partial(_Images, self, folds), links.medium, links.motions, times, kinematics)
-
-    def reflect(self, response: Any, links: Links, found: Arrivals, at: SceneResponse) -> None:
-        """Multiply responses (P, T, F) by the factors of walls; without a vertex those of all angles are in them."""
-        for walls, direction in zip(links.surfaces, (found.departure, found.arrival), strict=False):
-            if links.vertex is not None:
-                response *= at.reflection(walls)[:, None, :]
-            at.apply_angular_walls(response, walls, direction)
-
-    def vertices(self, links: Links, time: float, kinematics: Kinematics) -> Floats:
-        """Source, points of interaction and receiver (P, N + 2, 3) at a time of reception, s."""
-        (source, receiver), now = links.motions, np.array([time])
-        faces = links.chain.scene.room.faces
-        planes = faces.normals, faces.offsets
-        if links.vertex is None and not kinematics.retarded:
-            emitted_at = source.position(np.full(len(links), time))
-        else:
-            found = links.chain.arrivals(links.rows, now, kinematics)
-            emitted_at = source.position(found.emission_time[:, 0])
-        heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        if links.vertex is None:
-            return path_vertices(planes, *links.surfaces, emitted_at, heard_at)
-        before, after = links.surfaces
-        places = links.vertex.places(links, (emitted_at, heard_at), now, kinematics)
-        there = path_vertices(planes, before, emitted_at, places[0])
-        back, more = path_vertices(planes, after, heard_at, places[1]), int(places[0] is not places[1])
-        vertices = np.full((len(links), links.chain.objects.shape[1] + 2, 3), np.nan)
-        for p, (walls, others) in enumerate(zip(before, after, strict=True)):
-            n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
-            vertices[p, : n + 2] = there[p, : n + 2]
-            vertices[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
-        return vertices
-
-    def lengths(self, links: Links, source: Floats, receiver: Floats, times: Instant) -> Floats:
-        """Lengths of paths (P,) between places (P, 3), m."""
-        if links.vertex is not None:
-            ends = tuple(leg.image(place) for leg, place in zip(links.legs, (source, receiver), strict=True))
-            return np.asarray(links.vertex.lengths(links, (source, receiver), ends, times))
-        image = (self.matrix @ source[:, :, None])[..., 0] + self.offset
-        return np.asarray(np.linalg.norm(image - receiver, axis=1))
 
     def __len__(self) -> int:
         return len(self.matrix)
@@ -163,5 +188,5 @@ def direct_paths(scene: Scene) -> Chain:
     count = len(source)
     ever = np.full(count, -np.inf), np.full(count, np.inf)
     walls, matrix = np.empty((count, 0), dtype=np.int32), np.tile(np.eye(3), (count, 1, 1))
-    numbers = (x.astype(np.int32) for x in (source, receiver, np.zeros(count)))
-    return image_paths(scene, *numbers, ever, walls, matrix, np.zeros((count, 3)))
+    which, order = (source.astype(np.int32), receiver.astype(np.int32)), np.zeros(count, dtype=np.int32)
+    return image_paths(scene, *which, order, ever, walls, matrix, np.zeros((count, 3)))

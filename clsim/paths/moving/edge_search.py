@@ -56,8 +56,8 @@ def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Cha
             "body_order", f"must give at most {search.search.path_limit} paths over edges (path_limit), but gives more"
         )
     held = {name: read_only(column) for name, column in columns.items()}
-    names = ("edge", "over_end", "lit", "end_side", "beside")
-    vertex = EdgeVertex(*(held[name] for name in names), EdgeLines.of(scene), search.search.diffraction_model)
+    own: Any = (held[name] for name in ("edge", "over_end", "lit", "end_side", "beside"))
+    vertex = EdgeVertex(*own, EdgeLines.of(scene), search.search.diffraction_model)
     return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import read_only
 from clsim.paths.arrivals import RETARDED
-from clsim.paths.legs.moving import events_of
-from clsim.paths.links import Links
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,7 +39,8 @@ def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
         if not len(which):
             continue
         at, owner = mine[which], np.concatenate([rows, rows])[which]
-        first = events_of(Links.of(family, owner), at[:, None], RETARDED)
+        links: Any = family.links(owner)
+        first = links.events(at[:, None], RETARDED)
         delay = (first.first.delay + first.last.delay)[:, 0]
         mine[which] = _settled(at, delay, _events(known.get((pair.source, pair.receiver), []), at))
         start[rows], end[rows] = mine[: len(rows)], mine[len(rows) :]

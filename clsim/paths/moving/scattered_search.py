@@ -12,7 +12,6 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.family import ends_at
 from clsim.paths.legs.moving import moving_paths
-from clsim.paths.links import Links
 from clsim.paths.moving.events import find_events
 from clsim.paths.moving.mirrors import Mirrors
 from clsim.paths.propagation import mean_medium_of
@@ -145,7 +144,7 @@ def _nearest(family: Chain) -> Floats:
     for some in np.array_split(np.arange(len(family)), -(-len(family) * len(times) // _AT_A_TIME) or 1):
         rows, now = np.repeat(some, len(times)), np.tile(times, len(some))
         places = ends_at(scene.sources, family.source[rows], now), ends_at(scene.receivers, family.receiver[rows], now)
-        links = Links.of(family, rows)
+        links = family.links(rows)
         for leg, length in enumerate(links.vertex.leg_lengths(links, places, now)):
             least[leg, some] = length.reshape(len(some), len(times)).min(axis=1)
     nearest = (least - 0.5 * speed / _PROBES) / (1.0 + speed / c) - radius

@@ -169,7 +169,7 @@ def _columns(before: Chain, after: Chain, pairs: _Pairs, ends: tuple[int, int, i
 def _family(scene: Scene, rows: list[dict[str, Any]]) -> Chain:
     """Return paths as columns."""
     columns = {name: read_only(np.concatenate([row[name] for row in rows])) for name in rows[0]}
-    always = (columns[name] for name in ("source", "receiver", "order", "start", "end", "interactions", "objects"))
+    always: Any = (columns[name] for name in ("source", "receiver", "order", "start", "end", "interactions", "objects"))
     legs = tuple(StaticLeg(columns[f"{side}_matrix"], columns[f"{side}_offset"]) for side in ("before", "after"))
     vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
     family = Chain(scene, *always, legs, vertex)
@@ -187,7 +187,8 @@ def _nearest(family: Chain) -> Floats:
         for which in np.unique(family.vertex.scatterer[pair.rows]):
             mine, scatterer = pair.index[family.vertex.scatterer[pair.rows] == which], scene.scatterers[which]
             sides, until = [], source.end + _RINGING
-            for leg, end in zip(family.legs, (source, receiver), strict=True):
+            ends: tuple[Source | Receiver, ...] = (source, receiver)
+            for leg, end in zip(family.legs, ends, strict=True):
                 apart, until = _apart(family, leg.part(mine), (end, which), until)
                 sides.append(np.maximum(apart - scatterer.shape.radius, scene.min_distance))
             found[mine] = 1.0 / (1.0 / sides[0] + 1.0 / sides[1])

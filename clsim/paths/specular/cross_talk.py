@@ -65,5 +65,5 @@ def _pressure(field: str, value: Any) -> float:
 def _leaking(family: PathFamily, level: Floats) -> PathFamily:
     """Return the direct paths that leak."""
     rows = np.flatnonzero((level != 1.0) & (level != 0.0))
-    part = family.part(rows)
+    part: Any = family.part(rows)
     return replace(part, level=read_only(level[rows]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> Chain:
         )
     found = shoebox_images(room.size, order)
     source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
-    ends = (read_only(which.astype(np.int32, copy=False)) for which in (source, receiver))
+    ends: Any = (read_only(which.astype(np.int32, copy=False)) for which in (source, receiver))
     ever = np.broadcast_to(-np.inf, images * pairs), np.broadcast_to(np.inf, images * pairs)
     walls, order_of = read_only(np.tile(found.walls, (pairs, 1))), read_only(np.tile(found.order, pairs))
     matrix, offset = read_only(np.tile(found.matrix, (pairs, 1, 1))), read_only(np.tile(found.offset, (pairs, 1)))

@@ -46,7 +46,7 @@ class EdgePairVertex(EdgeVertex):
 
     def part(self, rows: Rows) -> EdgePairVertex:
         """Return some of the vertices."""
-        columns = (x[rows] for x in (self.edge, self.over_end, self.lit, self.end_side, self.beside))
+        columns: Any = (x[rows] for x in (self.edge, self.over_end, self.lit, self.end_side, self.beside))
         return EdgePairVertex(*columns, self.lines, self.model, self.last.part(rows), self.shared[rows])
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:

@@ -127,7 +127,7 @@ class ScattererVertex:
         with its Mach number off the source, as by a mirror: behind it that is the direct sound's strength.
         """
         retarded, ends = kinematics.retarded, _PairEnds(links, times)
-        way, scatterer = self._way(links, ends, times, retarded), links.vertex.one
+        way, scatterer = _way_of(links, ends, times, retarded), links.vertex.one
         mach, coming, leaving = way.mach, way.coming, way.leaving
         onwards, departing = links.legs[1].turned_back(way.second.direction), ends.leaving(way.first.direction)
         receding = way.second.sound.growth(onwards, links.motions[1].velocity(times))
@@ -187,7 +187,7 @@ class ScattererVertex:
         place = np.empty((len(self), 3))
         for mine in self.groups():
             some = links.part(mine)
-            place[mine] = self._way(some, _PairEnds(some, times), times, kinematics.retarded).place[:, 0]
+            place[mine] = _way_of(some, _PairEnds(some, times), times, kinematics.retarded).place[:, 0]
         return place, place
 
     def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
@@ -240,9 +240,6 @@ class ScattererVertex:
         """The scatterer of vertices that are all of one."""
         return self.scatterers[self.scatterer[0]]
 
-    def _way(self, links: Links, ends: _PairEnds, times: Floats, retarded: bool) -> Way:
-        return scattered_way(links.medium, links.vertex.one, ends, times, retarded)
-
     def _padded(self, aspects: Floats) -> Floats:
         """Aspects (P, T, n) with as many numbers as the field of any scatterer takes."""
         most = max(scatterer.shape.aspects for scatterer in self.scatterers)
@@ -252,11 +249,16 @@ class ScattererVertex:
         return len(self.scatterer)
 
 
+def _way_of(links: Links, ends: _PairEnds, times: Floats, retarded: bool) -> Way:
+    return scattered_way(links.medium, links.vertex.one, ends, times, retarded)
+
+
 class _PairEnds:
     """Both ends of paths between one source and one receiver, as scatterers see them by static legs."""
 
     def __init__(self, links: Links, times: Floats) -> None:
-        (self._before, after), (self._source, receiver) = links.legs, links.motions
+        self._before, after = links.legs
+        self._source, receiver = links.motions
         self.receiver = receiver.position(times)
         self.heard_at = np.ascontiguousarray(after.image(self.receiver[None]))
 
@@ -270,4 +272,4 @@ class _PairEnds:
 
     def leaving(self, direction: Floats) -> Floats:
         """Return in which directions (P, T, 3) paths leave the source that reach the scatterer in given ones."""
-        return self._before.turned_back(direction)
+        return np.asarray(self._before.turned_back(direction))

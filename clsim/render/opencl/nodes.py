@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.launch import Scratch, upload, work
-from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
@@ -270,14 +269,14 @@ class NodeMaker:
 
     def _mach(self, source: int) -> float:
         """Return a bound of a source's speed over that of sound, by as much as frequencies on the way follow it."""
-        speed = float(self._tracks.speeds.source[source]) if self._tracks.motion == "retarded" else 0.0
+        speed = float(self._tracks.speeds.source[source]) if self._tracks.kinematics.retarded else 0.0
         return speed / float(self._family.medium(source).slowest)
 
     def _motion_constants(self, source: int) -> dict[str, int]:
         sideways = self._environments[source].source_kind == SPHERICAL
         return {
             "KNOT_COLUMNS": CUBIC_COLUMNS * (3 if sideways else 2),
-            "RETARDED": int(self._tracks.motion == "retarded"),
+            "RETARDED": int(self._tracks.kinematics.retarded),
             "STATIC_RECEIVERS": int(self._all_static),
         }
 
@@ -294,7 +293,7 @@ class NodeMaker:
         }
 
     def _constants(self, source: int) -> dict[str, Any]:
-        retarded, env = self._tracks.motion == "retarded", self._environments[source]
+        retarded, env = self._tracks.kinematics.retarded, self._environments[source]
         functions = len(self._plan.source_filters[source].basis)
         return self._motion_constants(source) | {
             "CELL": CELL,
@@ -307,7 +306,7 @@ class NodeMaker:
             "SIDE": SIDE,
             "FACE_CELLS": FACE_CELLS,
             "CUBIC_COLUMNS": CUBIC_COLUMNS,
-            "MACH_EXPONENT": MACH_EXPONENT[self._tracks.amplitude] if retarded else 0,
+            "MACH_EXPONENT": self._tracks.kinematics.exponent if retarded else 0,
             "SOURCE_DIRECTIVITY": env.source_kind,
             "RECEIVER_DIRECTIVITY": env.receiver_kind,
             "OMNI": OMNI,

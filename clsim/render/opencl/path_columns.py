@@ -15,7 +15,6 @@ from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.errors import InputError
 from clsim.paths.diffraction.end_pieces import BOTH
-from clsim.paths.links import Links
 from clsim.paths.moving.events import BEYOND_LEG
 from clsim.paths.moving.face_cubics import FACE_COLUMNS, face_knots, face_rate
 from clsim.paths.moving.mirrors import ROOM
@@ -155,7 +154,7 @@ class EdgeColumns(StaticColumns):
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Edges as both ends are seen from them."""
-        links = Links.of(self._family, rows)
+        links = self._family.links(rows)
         vertex, edges = links.vertex, np.zeros(len(rows), dtype=EDGE_VIEW)
         for end, view in zip(("source", "receiver"), vertex.views(links), strict=True):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
@@ -173,7 +172,7 @@ class EdgeColumns(StaticColumns):
 
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
         """Walls of both sides whose factor depends on the angle."""
-        return self._of.environments[source].bounces_of_sides(*Links.of(self._family, rows).surfaces)
+        return self._of.environments[source].bounces_of_sides(*self._family.links(rows).surfaces)
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Transition functions, and factors of faces that are the same at every angle."""
@@ -223,7 +222,7 @@ class ScattererColumns(StaticColumns):
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Scatterers as both ends are seen from them."""
-        links = Links.of(self._family, rows)
+        links = self._family.links(rows)
         views = self._shapes[source][links.vertex.scatterer]
         for end, leg in zip(("source", "receiver"), links.legs, strict=True):
             views[f"{end}_turn"], views[f"{end}_shift"] = leg.matrix.reshape(-1, 9), leg.offset
@@ -231,7 +230,7 @@ class ScattererColumns(StaticColumns):
 
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
         """Walls of both sides whose factor depends on the angle."""
-        return self._of.environments[source].bounces_of_sides(*Links.of(self._family, rows).surfaces)
+        return self._of.environments[source].bounces_of_sides(*self._family.links(rows).surfaces)
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Transition functions and modes."""
