@@ -137,7 +137,13 @@ class Chain(PathFamily):
             response *= (found.mach_factor / found.length)[..., None]
         else:
             response = vertex.respond(links, found, times, response, at)
-        links.reflect(response, found, at)
+        if self.legs[0].moving:
+            at.apply_angles(response, links.all_surfaces, found.more["cosine"])
+        else:
+            for walls, direction in zip(links.surfaces, (found.departure, found.arrival), strict=False):
+                if vertex is not None:
+                    response *= at.reflection(walls)[:, None, :]
+                at.apply_angular_walls(response, walls, direction)
         at.apply_directivities(response, links.ends, found, times)
         return response if self.level is None else response * self.level[rows][:, None, None]
 

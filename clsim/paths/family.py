@@ -250,7 +250,7 @@ class PairPaths:
         """Return responses (P, T) at the centre frequency of what the source emits."""
         scene = self.family.scene
         centre = np.array([scene.sources[self.source].emitted.centre_frequency])
-        return self.response(found, times, SceneResponse(scene, self.source, centre))[..., 0]
+        return self.family.response(self.rows, found, times, SceneResponse(scene, self.source, centre))[..., 0]
 
     def group_lag(self, found: Arrivals, frequency: float | None = None) -> Floats:
         """Group delay minus phase delay (P, T) at a frequency, s.

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Kinematics
-    from clsim.paths.chain import Chain
     from clsim.paths.family import Instant, Rows
     from clsim.paths.propagation import Medium, UniformAir
     from clsim.paths.response import SceneResponse
@@ -69,25 +68,26 @@ class Vertex(Protocol):
 
     Attributes
     ----------
+    kind : str
+        Word for it.
+    interaction : int
+        Number of the kind, see `PathFamily`.
+    names : tuple of str
+        Objects that can be vertices.
+    objects : ndarray (P,)
+        Number of each vertex among the names.
+    moves : bool
+        Whether any vertex moves.
     radius : ndarray (P,) or float
-        By how much paths may be shorter than `lengths`, over 2, m.
+        Half of the length by which paths may be shorter than `lengths`, m.
     swiftest : float or None
         Bound of the speed of any vertex, m/s; None for vertices of the room.
-    objects : ndarray (P,)
-        Number of each among `names`.
+    nodes_at_a_time : int
+        Number of nodes that are solved together.
+    is_complex, varies, costly : bool
+        Whether responses have phases; whether they change so much that a few instants do not tell of all; whether they
+        are taken at few instants where they change slowly.
     """
-
-    interaction: ClassVar[int]  # number of the kind, see `PathFamily`
-    nodes_at_a_time: ClassVar[int]  # that are solved together
-    costly: ClassVar[bool]  # whether responses are taken at few instants where they change slowly
-    kind: Any
-    names: Any
-    objects: Any
-    is_complex: Any  # whether responses have phases
-    varies: Any  # whether they change so much that a few instants do not tell of all
-    moves: Any  # whether any vertex moves
-    radius: Any
-    swiftest: Any
 
     def part(self, rows: Rows) -> Self:
         """Take some of the vertices."""
@@ -148,7 +148,7 @@ class Vertex(Protocol):
 class Links(ABC):
     """Legs and vertices of some paths of a chain; a class for each kind of leg."""
 
-    chain: Chain  # of which these are
+    chain: Any  # `Chain` of which these are
     rows: Rows  # (P,) which
     legs: tuple[Any, ...]  # of these paths alone
     vertex: Any  # likewise
@@ -156,10 +156,6 @@ class Links(ABC):
     @abstractmethod
     def solve(self, times: Floats, kinematics: Kinematics) -> Arrivals:
         """Solve the delay equation of paths at times of reception (T,), s."""
-
-    @abstractmethod
-    def reflect(self, response: Any, found: Arrivals, at: SceneResponse) -> None:
-        """Multiply responses (P, T, F) by the factors of surfaces that are not in them yet, in place."""
 
     @abstractmethod
     def places(self, time: float, kinematics: Kinematics) -> Floats:
@@ -220,7 +216,7 @@ def in_chunks(links: Links, times: Floats, nodes: int, solve: Callable[[Links, F
     return Arrivals(**always, means=None, more=columns)
 
 
-def met_in_order(scene: Scene, before: Integers, vertex: Vertex | None, after: Integers | None) -> tuple[Any, Any]:
+def met_in_order(scene: Scene, before: Integers, vertex: Any, after: Integers | None) -> tuple[Any, Any]:
     """Make interactions and objects (P, N) of paths on moving legs, from their surfaces and vertices."""
     walls = len(scene.room.faces)
     faces = walls + sum(len(body.faces) for body in scene.bodies)

@@ -145,6 +145,16 @@ class SceneResponse:
                 cosine = np.abs(np.einsum("pti,pi->pt", directions[here], normals[here]))
                 response[here] *= self.reflection_at(wall, cosine)
 
+    def apply_angles(self, response: Floats | Complexes, surfaces: Walls, cosine: Floats) -> None:
+        """Multiply responses (P, T, F) by the factors of surfaces (P, N) that depend on the angle, in place.
+
+        The cosines (P, T, N) are those of the angles of incidence.
+        """
+        for bounce, met in enumerate(surfaces.T):
+            for wall in np.unique(met[self.angular[met]]).tolist():
+                here = np.flatnonzero(met == wall)
+                response[here] *= self.reflection_at(wall, cosine[here, :, bounce])
+
     def apply_directivities(
         self, response: Floats | Complexes, ends: tuple[Source, Receiver], found: Arrivals, times: Floats
     ) -> None:

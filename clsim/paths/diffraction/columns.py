@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def edge_chain(scene: Scene, model: str, order: int, rows: Found) -> Chain:
     """Make paths over one edge with the field of a model."""
     lines = EdgeLines.of(scene, of_bodies=False)
-    return _chain(scene, order, rows, EdgeVertex(*_first_edges(rows), lines, model))
+    return _chain(scene, order, rows, EdgeVertex(*_first_edges(rows), lines=lines, model=model))
 
 
 def edge_pair_chain(scene: Scene, order: int, rows: Found) -> Chain:
@@ -36,9 +36,11 @@ def edge_pair_chain(scene: Scene, order: int, rows: Found) -> Chain:
     lines, (edge, *columns) = EdgeLines.of(scene, of_bodies=False), _first_edges(rows)
     second = np.array([r["edges"][1] for r in rows], dtype=np.int64)
     lit = np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS)
-    last = EdgeVertex(second, columns[0], read_only(lit), *columns[2:], lines, "utd")
+    last = EdgeVertex(second, columns[0], read_only(lit), *columns[2:], lines=lines, model="utd")
     shared = read_only(np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2))
-    return _chain(scene, order, rows, EdgePairVertex(edge, *columns, lines, "utd", last, shared))
+    return _chain(
+        scene, order, rows, EdgePairVertex(edge, *columns, lines=lines, model="utd", last=last, shared=shared)
+    )
 
 
 def _first_edges(rows: Found) -> Any:
@@ -66,7 +68,8 @@ def _chain(scene: Scene, order: int, rows: Found, vertex: EdgeVertex) -> Chain:
     interval: Any = (read_only(np.array([r[name] for r in rows], dtype=np.float64)) for name in ("start", "end"))
     orders = read_only(np.sum(objects >= 0, axis=1).astype(np.int32))
     legs = _leg(scene, order, [r["before"] for r in rows]), _leg(scene, order, [r["after"] for r in rows])
-    return Chain(scene, *numbers, orders, *interval, kinds, objects, legs, vertex)
+    more: dict[str, Any] = {"interactions": kinds, "objects": objects, "legs": legs, "vertex": vertex}
+    return Chain(scene, *numbers, order=orders, **dict(zip(("start", "end"), interval, strict=True)), **more)
 
 
 def _leg(scene: Scene, width: int, sequences: list[NDArray[np.int32]]) -> StaticLeg:

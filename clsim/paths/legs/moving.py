@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, Rows
     from clsim.paths.links import Columns, Integers, Vertex
     from clsim.paths.moving.mirrors import Mirrors
-    from clsim.paths.response import SceneResponse
     from clsim.scene.scene import Scene
 
 _AT_A_TIME = 16384  # nodes that are solved together
@@ -37,14 +36,6 @@ class MovingLinks(Links):
         """Solve the delay equations of paths at times of reception (T,), s."""
         nodes = _AT_A_TIME if self.vertex is None else self.vertex.nodes_at_a_time
         return in_chunks(self, times, nodes, partial(_columns, kinematics))
-
-    def reflect(self, response: Any, found: Arrivals, at: SceneResponse) -> None:
-        """Multiply responses (P, T, F) by the factors of mirrors that depend on the angle; others are in them."""
-        cosine = found.more["cosine"]
-        for bounce, met in enumerate(self.all_surfaces.T):
-            for wall in np.unique(met[at.angular[met]]).tolist():
-                here = np.flatnonzero(met == wall)
-                response[here] *= at.reflection_at(wall, cosine[here, :, bounce])
 
     def places(self, time: float, kinematics: Kinematics) -> Floats:
         """Source, points of interaction and receiver (P, N + 2, 3) at a time of reception, s."""
@@ -150,4 +141,5 @@ def moving_paths(
     surfaces = tuple(columns[name] for name in legs)
     kinds, objects = met_in_order(scene, surfaces[0], vertex, surfaces[-1])
     always: Any = (columns[name] for name in ("source", "receiver", "order", "start", "end"))
-    return Chain(scene, *always, kinds, objects, tuple(MovingLeg(each, mirrors) for each in surfaces), vertex)
+    legs_of = tuple(MovingLeg(each, mirrors) for each in surfaces)
+    return Chain(scene, *always, interactions=kinds, objects=objects, legs=legs_of, vertex=vertex)

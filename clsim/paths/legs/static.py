@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, Rows
     from clsim.paths.links import Integers
-    from clsim.paths.response import SceneResponse
     from clsim.scene.scene import Scene
 
 
@@ -36,17 +35,11 @@ class StaticLinks(Links):
     def solve(self, times: Floats, kinematics: Kinematics) -> Arrivals:
         """Solve the delay equation of paths at times of reception (T,), s."""
         if self.vertex is not None:
-            return self.vertex.on_static_legs(self, times, kinematics)
+            found: Arrivals = self.vertex.on_static_legs(self, times, kinematics)
+            return found
         faces, layered = self.chain.scene.room.faces, self.chain.scene.air.layers
         folds = Folds((faces.normals, faces.offsets), self.all_surfaces) if layered else None
         return arrivals_by(partial(_Images, self.legs[0], folds), self.medium, self.motions, times, kinematics)
-
-    def reflect(self, response: Any, found: Arrivals, at: SceneResponse) -> None:
-        """Multiply responses (P, T, F) by the factors of walls; without a vertex those of all angles are in them."""
-        for walls, direction in zip(self.surfaces, (found.departure, found.arrival), strict=False):
-            if self.vertex is not None:
-                response *= at.reflection(walls)[:, None, :]
-            at.apply_angular_walls(response, walls, direction)
 
     def places(self, time: float, kinematics: Kinematics) -> Floats:
         """Source, points of interaction and receiver (P, N + 2, 3) at a time of reception, s."""
@@ -168,25 +161,23 @@ class _Images:
         return self._folds.bends(p, start, self._heard_at[t])
 
 
-def image_paths(
-    scene: Scene, source: NDArray[Any], receiver: NDArray[Any], order: NDArray[Any], interval: tuple[Floats, Floats],
-    walls: NDArray[Any], matrix: Floats, offset: Floats,
-) -> Chain:  # fmt: skip
-    """Make paths of one static leg: images of the source, each an isometry of its trajectory.
+def image_columns(walls: NDArray[Any], matrix: Floats, offset: Floats) -> dict[str, Any]:
+    """Columns of a `Chain` of one static leg: images of the source, each an isometry of its trajectory.
 
-    Shapes: source, receiver, order (P,); interval ((P,), (P,)) s; walls (P, N), -1 behind the last; matrix (P, 3, 3);
-    offset (P, 3) m.
+    Shapes: walls (P, N), -1 behind the last; matrix (P, 3, 3); offset (P, 3) m.
     """
     kinds = read_only(np.where(walls >= 0, np.int8(SPECULAR), np.int8(NONE)))
-    leg = StaticLeg(matrix, offset)
-    return Chain(scene, source, receiver, order, *interval, kinds, walls, (leg,))
+    return {"interactions": kinds, "objects": walls, "legs": (StaticLeg(matrix, offset),)}
 
 
 def direct_paths(scene: Scene) -> Chain:
     """Make the direct path of every pair of source and receiver, whatever is in the way."""
     source, receiver = np.divmod(np.arange(len(scene.sources) * len(scene.receivers)), len(scene.receivers))
     count = len(source)
-    ever = np.full(count, -np.inf), np.full(count, np.inf)
-    walls, matrix = np.empty((count, 0), dtype=np.int32), np.tile(np.eye(3), (count, 1, 1))
-    which, order = (source.astype(np.int32), receiver.astype(np.int32)), np.zeros(count, dtype=np.int32)
-    return image_paths(scene, *which, order, ever, walls, matrix, np.zeros((count, 3)))
+    images = image_columns(
+        np.empty((count, 0), dtype=np.int32), np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    )
+    return Chain(
+        scene, source.astype(np.int32), receiver.astype(np.int32), np.zeros(count, dtype=np.int32),
+        np.full(count, -np.inf), np.full(count, np.inf), **images,
+    )  # fmt: skip

@@ -57,7 +57,7 @@ def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Cha
         )
     held = {name: read_only(column) for name, column in columns.items()}
     own: Any = (held[name] for name in ("edge", "over_end", "lit", "end_side", "beside"))
-    vertex = EdgeVertex(*own, EdgeLines.of(scene), search.search.diffraction_model)
+    vertex = EdgeVertex(*own, lines=EdgeLines.of(scene), model=search.search.diffraction_model)
     return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
 
 

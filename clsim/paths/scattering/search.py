@@ -172,7 +172,7 @@ def _family(scene: Scene, rows: list[dict[str, Any]]) -> Chain:
     always: Any = (columns[name] for name in ("source", "receiver", "order", "start", "end", "interactions", "objects"))
     legs = tuple(StaticLeg(columns[f"{side}_matrix"], columns[f"{side}_offset"]) for side in ("before", "after"))
     vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
-    family = Chain(scene, *always, legs, vertex)
+    family = Chain(scene, *always, legs=legs, vertex=vertex)
     return replace(family, vertex=replace(vertex, nearest=read_only(_nearest(family))))
 
 

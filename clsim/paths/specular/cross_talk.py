@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -65,5 +65,5 @@ def _pressure(field: str, value: Any) -> float:
 def _leaking(family: PathFamily, level: Floats) -> PathFamily:
     """Return the direct paths that leak."""
     rows = np.flatnonzero((level != 1.0) & (level != 0.0))
-    part: Any = family.part(rows)
-    return replace(part, level=read_only(level[rows]))
+    made: PathFamily = replace(cast("Any", family.part(rows)), level=read_only(level[rows]))
+    return made

@@ -12,7 +12,8 @@ import numpy as np
 from clsim.arrays import as_count, read_only
 from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
-from clsim.paths.legs.static import image_paths
+from clsim.paths.chain import Chain
+from clsim.paths.legs.static import image_columns
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.specular.beam_tree import BeamTree, Candidates, TooManyBeamsError
 from clsim.paths.specular.device_intervals import DeviceSearch
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.device import DeviceInfo
-    from clsim.paths.chain import Chain
     from clsim.paths.search import PathSearch
     from clsim.paths.specular.intervals import Intervals
     from clsim.paths.trajectory_tables import TrajectoryTables
@@ -189,8 +189,8 @@ def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> Chain:
         read_only(np.concatenate([getattr(f, name) for f in found]).astype(np.int32)) for name in ("receiver", "order")
     )
     begin, end = (read_only(np.concatenate([getattr(f, name) for f in found])) for name in ("begin", "end"))
-    columns = (read_only(x) for x in (walls, matrix, offset))
-    return image_paths(scene, source, receiver, orders, (begin, end), *columns)
+    columns: Any = (read_only(x) for x in (walls, matrix, offset))
+    return Chain(scene, source, receiver, orders, begin, end, **image_columns(*columns))
 
 
 def image_isometries(walls: Walls, sequence: NDArray[np.int32]) -> tuple[Floats, Floats]:

@@ -9,13 +9,13 @@ import numpy as np
 
 from clsim.arrays import as_count, read_only
 from clsim.errors import InputError
-from clsim.paths.legs.static import image_paths
+from clsim.paths.chain import Chain
+from clsim.paths.legs.static import image_columns
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.chain import Chain
     from clsim.paths.search import PathSearch
     from clsim.scene.room.shoebox import Shoebox
     from clsim.scene.scene import Scene
@@ -47,9 +47,9 @@ def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> Chain:
     source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
     ends: Any = (read_only(which.astype(np.int32, copy=False)) for which in (source, receiver))
     ever = np.broadcast_to(-np.inf, images * pairs), np.broadcast_to(np.inf, images * pairs)
-    walls, order_of = read_only(np.tile(found.walls, (pairs, 1))), read_only(np.tile(found.order, pairs))
+    walls, orders = read_only(np.tile(found.walls, (pairs, 1))), read_only(np.tile(found.order, pairs))
     matrix, offset = read_only(np.tile(found.matrix, (pairs, 1, 1))), read_only(np.tile(found.offset, (pairs, 1)))
-    return image_paths(scene, *ends, order_of, ever, walls, matrix, offset)
+    return Chain(scene, *ends, order=orders, start=ever[0], end=ever[1], **image_columns(walls, matrix, offset))
 
 
 def shoebox_image_count(max_order: int) -> int:

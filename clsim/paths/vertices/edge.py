@@ -88,7 +88,7 @@ class EdgeVertex:
     def part(self, rows: Rows) -> EdgeVertex:
         """Return some of the vertices."""
         columns: Any = (x[rows] for x in (self.edge, self.over_end, self.lit, self.end_side, self.beside))
-        return EdgeVertex(*columns, self.lines, self.model)
+        return EdgeVertex(*columns, lines=self.lines, model=self.model)
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
@@ -253,8 +253,8 @@ class EdgeVertex:
     def static_field(self, emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) of endpoints seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
         seen = zip((emitted_at, heard_at), self.beside.T, strict=True)
-        ends: Any = (cylindrical(self.n, x, side) for x, side in seen)
-        return self._field(*ends, self.end_place[:, None], wave, at)
+        source, receiver = (cylindrical(self.n, x, side) for x, side in seen)
+        return self._field(source, receiver, self.end_place[:, None], wave, at)
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) of endpoints at r, θ, z about the edges, over that at 1 m; their ends are at `end`, m."""

@@ -47,7 +47,8 @@ class EdgePairVertex(EdgeVertex):
     def part(self, rows: Rows) -> EdgePairVertex:
         """Return some of the vertices."""
         columns: Any = (x[rows] for x in (self.edge, self.over_end, self.lit, self.end_side, self.beside))
-        return EdgePairVertex(*columns, self.lines, self.model, self.last.part(rows), self.shared[rows])
+        more: Any = {"last": self.last.part(rows), "shared": self.shared[rows]}
+        return EdgePairVertex(*columns, lines=self.lines, model=self.model, **more)
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""

@@ -238,7 +238,7 @@ class ScattererVertex:
     @property
     def one(self) -> Scatterer:
         """The scatterer of vertices that are all of one."""
-        return self.scatterers[self.scatterer[0]]
+        return self.scatterers[int(self.scatterer[0])]
 
     def _padded(self, aspects: Floats) -> Floats:
         """Aspects (P, T, n) with as many numbers as the field of any scatterer takes."""

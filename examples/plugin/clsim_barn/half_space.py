@@ -4,7 +4,7 @@ import numpy as np
 
 import clsim
 from clsim.paths.chain import Chain
-from clsim.paths.legs.static import image_paths
+from clsim.paths.legs.static import image_columns
 from clsim.paths.search import PathSearch
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
@@ -60,6 +60,5 @@ class HalfSpace:
         mirrors = np.stack([np.eye(3), np.diag([1.0, 1.0, -1.0])])
         ever = np.full(len(pair), -np.inf), np.full(len(pair), np.inf)
         walls = (order - 1).astype(np.int32)[:, None]
-        return image_paths(
-            scene, source, receiver, order.astype(np.int32), ever, walls, mirrors[order], np.zeros((len(pair), 3))
-        )
+        images = image_columns(walls, mirrors[order], np.zeros((len(pair), 3)))
+        return Chain(scene, source, receiver, order.astype(np.int32), *ever, **images)
