@@ -177,12 +177,14 @@ class Links(ABC):
 
     def part(self, rows: NDArray[np.int64]) -> Links:
         """Return the links of some of the paths, by their places among these."""
-        return self.chain.links(np.arange(len(self.chain))[self.rows][rows])
+        some: Links = self.chain.links(np.arange(len(self.chain))[self.rows][rows])
+        return some
 
     @property
     def ends(self) -> tuple[Source, Receiver]:
         """Source and receiver of the paths of one pair."""
-        return self.chain.ends(self.rows)
+        source, receiver = self.chain.ends(self.rows)
+        return source, receiver
 
     @property
     def motions(self) -> tuple[Any, Any]:
@@ -193,7 +195,8 @@ class Links(ABC):
     @property
     def medium(self) -> Medium:
         """Medium of the sound."""
-        return self.chain.medium(int(self.chain.source[self.rows][0]))
+        medium: Medium = self.chain.medium(int(self.chain.source[self.rows][0]))
+        return medium
 
     def __len__(self) -> int:
         return len(self.legs[0])

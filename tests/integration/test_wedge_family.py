@@ -20,6 +20,8 @@ from scipy.optimize import minimize_scalar
 
 import clsim
 from clsim.paths import find_paths
+from clsim.paths.chain import Chain
+from clsim.paths.legs.static import StaticLeg
 from clsim.paths.path_set import PathSet
 from clsim.plugins import _plugins
 
@@ -192,17 +194,22 @@ def test_any_change_of_any_column_changes_the_digest(paths: PathSet) -> None:
     for family in paths.families:
         known = family.digest()
         assert family.digest() == known
-        for field in fields(family):
-            if field.name == "scene" or not field.init:
+        legs = [(f"legs.{field.name}", field) for field in fields(StaticLeg)] if isinstance(family, Chain) else []
+        for name, field in [*((field.name, field) for field in fields(family)), *legs]:
+            of_leg = name.startswith("legs.")
+            value = getattr(family.legs[0] if of_leg else family, field.name)
+            if name in ("scene", "legs") or value is None:
                 continue
-            value = getattr(family, field.name)
             if isinstance(value, np.ndarray):
                 changed = np.array(value)
                 changed.flat[-1] = changed.flat[-1] - 1 if np.isfinite(changed.flat[-1]) else 7.0
             else:
                 changed = value * 2
-            other = replace(family, **{field.name: changed})
-            assert other.digest() != known, field.name
+            if of_leg:
+                other = replace(family, legs=(replace(family.legs[0], **{field.name: changed}),))
+            else:
+                other = replace(family, **{field.name: changed})
+            assert other.digest() != known, name
             both = [other if f is family else f for f in paths.families]
             assert PathSet(paths.scene, tuple(both)).digest() != paths.digest()
 

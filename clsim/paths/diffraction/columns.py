@@ -14,7 +14,7 @@ from clsim.paths.family import DIFFRACTION, NONE, SPECULAR
 from clsim.paths.legs.static import StaticLeg
 from clsim.paths.moving.edge_lines import EdgeLines
 from clsim.paths.specular.mesh import image_isometries
-from clsim.paths.vertices.edge import EdgeVertex
+from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_pair import EdgePairVertex
 
 if TYPE_CHECKING:
@@ -28,27 +28,29 @@ if TYPE_CHECKING:
 def edge_chain(scene: Scene, model: str, order: int, rows: Found) -> Chain:
     """Make paths over one edge with the field of a model."""
     lines = EdgeLines.of(scene, of_bodies=False)
-    return _chain(scene, order, rows, EdgeVertex(*_first_edges(rows), lines=lines, model=model))
+    return _chain(scene, order, rows, EdgeVertex(**_first_edges(rows), lines=lines, model=model))
 
 
 def edge_pair_chain(scene: Scene, order: int, rows: Found) -> Chain:
     """Make paths over two edges that share a face."""
-    lines, (edge, *columns) = EdgeLines.of(scene, of_bodies=False), _first_edges(rows)
-    second = np.array([r["edges"][1] for r in rows], dtype=np.int64)
-    lit = np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS)
-    last = EdgeVertex(second, columns[0], read_only(lit), *columns[2:], lines=lines, model="utd")
+    lines, columns = EdgeLines.of(scene, of_bodies=False), _first_edges(rows)
+    second = {
+        "edge": np.array([r["edges"][1] for r in rows], dtype=np.int64),
+        "lit": np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS),
+    }
+    last = EdgeVertex(**(columns | second), lines=lines, model="utd")
     shared = read_only(np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2))
-    return _chain(
-        scene, order, rows, EdgePairVertex(edge, *columns, lines=lines, model="utd", last=last, shared=shared)
-    )
+    vertex = EdgePairVertex(**columns, lines=lines, model="utd", last=last, shared=shared)
+    return _chain(scene, order, rows, vertex)
 
 
-def _first_edges(rows: Found) -> Any:
+def _first_edges(rows: Found) -> dict[str, Any]:
     """Columns of `EdgeVertex` of the first edges."""
     sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, SIDES)
     edge = np.array([r["edges"][0] for r in rows], dtype=np.int64)
     end = np.array([r["end_of"] for r in rows], dtype=np.int8)
-    return [read_only(x) for x in (edge, end, sides[:, :TERMS], sides[:, TERMS], sides[:, ENDS_BESIDE])]
+    values = (edge, end, sides[:, :TERMS], sides[:, TERMS], sides[:, ENDS_BESIDE])
+    return {name: read_only(column) for name, column in zip(COLUMNS, values, strict=True)}
 
 
 def _chain(scene: Scene, order: int, rows: Found, vertex: EdgeVertex) -> Chain:
@@ -64,12 +66,16 @@ def _chain(scene: Scene, order: int, rows: Found, vertex: EdgeVertex) -> Chain:
         kinds[i, : n + m + len(things)] = [SPECULAR] * n + [DIFFRACTION] * len(things) + [SPECULAR] * m
     longest = order + max((1 + (r["faces"][0] >= 0) for r in rows), default=1)
     objects, kinds = read_only(objects[:, :longest]), read_only(kinds[:, :longest])
-    numbers: Any = (read_only(np.array([r[name] for r in rows], dtype=np.int32)) for name in ("source", "receiver"))
-    interval: Any = (read_only(np.array([r[name] for r in rows], dtype=np.float64)) for name in ("start", "end"))
-    orders = read_only(np.sum(objects >= 0, axis=1).astype(np.int32))
     legs = _leg(scene, order, [r["before"] for r in rows]), _leg(scene, order, [r["after"] for r in rows])
-    more: dict[str, Any] = {"interactions": kinds, "objects": objects, "legs": legs, "vertex": vertex}
-    return Chain(scene, *numbers, order=orders, **dict(zip(("start", "end"), interval, strict=True)), **more)
+    columns: dict[str, Any] = {
+        "source": np.array([r["source"] for r in rows], dtype=np.int32),
+        "receiver": np.array([r["receiver"] for r in rows], dtype=np.int32),
+        "order": np.sum(objects >= 0, axis=1).astype(np.int32),
+        "start": np.array([r["start"] for r in rows], dtype=np.float64),
+        "end": np.array([r["end"] for r in rows], dtype=np.float64),
+    }
+    held = {name: read_only(column) for name, column in columns.items()}
+    return Chain(scene=scene, **held, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
 
 
 def _leg(scene: Scene, width: int, sequences: list[NDArray[np.int32]]) -> StaticLeg:

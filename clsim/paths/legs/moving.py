@@ -140,6 +140,6 @@ def moving_paths(
     """Make paths of moving legs from columns, of which some are the surfaces of legs."""
     surfaces = tuple(columns[name] for name in legs)
     kinds, objects = met_in_order(scene, surfaces[0], vertex, surfaces[-1])
-    always: Any = (columns[name] for name in ("source", "receiver", "order", "start", "end"))
-    legs_of = tuple(MovingLeg(each, mirrors) for each in surfaces)
-    return Chain(scene, *always, interactions=kinds, objects=objects, legs=legs_of, vertex=vertex)
+    always: dict[str, Any] = {name: columns[name] for name in ("source", "receiver", "order", "start", "end")}
+    each = tuple(MovingLeg(met, mirrors) for met in surfaces)
+    return Chain(scene=scene, **always, interactions=kinds, objects=objects, legs=each, vertex=vertex)

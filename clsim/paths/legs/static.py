@@ -89,7 +89,7 @@ class StaticLinks(Links):
     @property
     def all_surfaces(self) -> Integers:
         """Walls (P, N) from the source's side, -1 for what is none."""
-        return self.chain.walls[self.rows]
+        return np.asarray(self.chain.walls[self.rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

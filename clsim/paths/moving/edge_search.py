@@ -23,7 +23,7 @@ from clsim.paths.moving.search import UnhiddenLookup
 from clsim.paths.specular.beam_tree import BeamTree
 from clsim.paths.specular.mesh import BEAM_LIMIT
 from clsim.paths.trajectory_tables import BoundingSpheres
-from clsim.paths.vertices.edge import EdgeVertex
+from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,8 +56,8 @@ def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Cha
             "body_order", f"must give at most {search.search.path_limit} paths over edges (path_limit), but gives more"
         )
     held = {name: read_only(column) for name, column in columns.items()}
-    own: Any = (held[name] for name in ("edge", "over_end", "lit", "end_side", "beside"))
-    vertex = EdgeVertex(*own, lines=EdgeLines.of(scene), model=search.search.diffraction_model)
+    own: dict[str, Any] = {name: held[name] for name in COLUMNS}
+    vertex = EdgeVertex(**own, lines=EdgeLines.of(scene), model=search.search.diffraction_model)
     return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
 
 

@@ -169,10 +169,11 @@ def _columns(before: Chain, after: Chain, pairs: _Pairs, ends: tuple[int, int, i
 def _family(scene: Scene, rows: list[dict[str, Any]]) -> Chain:
     """Return paths as columns."""
     columns = {name: read_only(np.concatenate([row[name] for row in rows])) for name in rows[0]}
-    always: Any = (columns[name] for name in ("source", "receiver", "order", "start", "end", "interactions", "objects"))
+    names = ("source", "receiver", "order", "start", "end", "interactions", "objects")
+    always: dict[str, Any] = {name: columns[name] for name in names}
     legs = tuple(StaticLeg(columns[f"{side}_matrix"], columns[f"{side}_offset"]) for side in ("before", "after"))
     vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
-    family = Chain(scene, *always, legs=legs, vertex=vertex)
+    family = Chain(scene=scene, **always, legs=legs, vertex=vertex)
     return replace(family, vertex=replace(vertex, nearest=read_only(_nearest(family))))
 
 

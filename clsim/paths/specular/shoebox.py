@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -45,11 +45,11 @@ def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> Chain:
         )
     found = shoebox_images(room.size, order)
     source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
-    ends: Any = (read_only(which.astype(np.int32, copy=False)) for which in (source, receiver))
-    ever = np.broadcast_to(-np.inf, images * pairs), np.broadcast_to(np.inf, images * pairs)
+    ends = [read_only(which.astype(np.int32, copy=False)) for which in (source, receiver)]
+    begin, end = np.broadcast_to(-np.inf, images * pairs), np.broadcast_to(np.inf, images * pairs)
     walls, orders = read_only(np.tile(found.walls, (pairs, 1))), read_only(np.tile(found.order, pairs))
     matrix, offset = read_only(np.tile(found.matrix, (pairs, 1, 1))), read_only(np.tile(found.offset, (pairs, 1)))
-    return Chain(scene, *ends, order=orders, start=ever[0], end=ever[1], **image_columns(walls, matrix, offset))
+    return Chain(scene, ends[0], ends[1], orders, begin, end, **image_columns(walls, matrix, offset))
 
 
 def shoebox_image_count(max_order: int) -> int:

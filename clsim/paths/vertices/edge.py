@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     Triple = tuple[Floats, Floats, Floats]
 
+COLUMNS = ("edge", "over_end", "lit", "end_side", "beside")
 LAWS = {"utd": utd_field, "btm": exact_field}
 
 
@@ -87,13 +88,14 @@ class EdgeVertex:
 
     def part(self, rows: Rows) -> EdgeVertex:
         """Return some of the vertices."""
-        columns: Any = (x[rows] for x in (self.edge, self.over_end, self.lit, self.end_side, self.beside))
-        return EdgeVertex(*columns, lines=self.lines, model=self.model)
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
+        return replace(self, **columns)
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
-        names = ("edge", "over_end", "lit", "end_side", "beside", "model")
-        for name in names if moving else ("frame", "n", "faces", "lit", "end_place", "end_side", "beside"):
+        for name in (
+            (*COLUMNS, "model") if moving else ("frame", "n", "faces", "lit", "end_place", "end_side", "beside")
+        ):
             yield name, getattr(self, name)
         if not moving:
             yield "edge_names", self.lines.names

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from clsim.acoustics.diffraction import ON_LINE, edge_way, lit_angles, wedge_terms
 from clsim.acoustics.double_edge import double_tie, double_transition
-from clsim.paths.vertices.edge import EdgeVertex
+from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_field import cylindrical, face_factor
 from clsim.paths.vertices.edge_lengths import EdgeView, RolledOut
 
@@ -46,9 +46,8 @@ class EdgePairVertex(EdgeVertex):
 
     def part(self, rows: Rows) -> EdgePairVertex:
         """Return some of the vertices."""
-        columns: Any = (x[rows] for x in (self.edge, self.over_end, self.lit, self.end_side, self.beside))
-        more: Any = {"last": self.last.part(rows), "shared": self.shared[rows]}
-        return EdgePairVertex(*columns, lines=self.lines, model=self.model, **more)
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
+        return replace(self, **columns, last=self.last.part(rows), shared=self.shared[rows])
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
