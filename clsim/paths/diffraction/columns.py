@@ -49,7 +49,7 @@ def _first_edges(rows: Found) -> dict[str, Any]:
     sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, SIDES)
     edge = np.array([r["edges"][0] for r in rows], dtype=np.int64)
     end = np.array([r["end_of"] for r in rows], dtype=np.int8)
-    values = (edge, end, sides[:, :TERMS], sides[:, TERMS], sides[:, ENDS_BESIDE])
+    values: tuple[Any, ...] = (edge, end, sides[:, :TERMS], sides[:, TERMS], sides[:, ENDS_BESIDE])
     return {name: read_only(column) for name, column in zip(COLUMNS, values, strict=True)}
 
 
