@@ -78,6 +78,10 @@ class RenderOptions:
         Whether what a source emits in narrow bands is rendered as complex envelopes at low rates, several times
         faster, and only the rest of it (onsets, ends) at the recording's; where the scene allows it, with the OpenCL
         engine and a `Bandlimited` interpolator. Left out: where an estimate says that it pays.
+    channels : bool, optional
+        Whether pairs of source and receiver of very many paths are rendered by impulse responses that are sampled as
+        fast as Doppler shifts change them; where the scene allows it, on CPUs, with the OpenCL engine and a
+        `Bandlimited` interpolator. Left out: where an estimate says that it pays.
     tail : {"off", "auto"}
         Whether what images leave, higher orders and all that walls scatter, is rendered as a diffuse tail by rays:
         with "auto" for sources whose signal reaches below 40 kHz, in closed rooms, where more than -60 dB is left.
@@ -119,6 +123,7 @@ class RenderOptions:
     chunk: int | None = None
     convolve_static: bool = True
     narrowband: bool | None = None
+    channels: bool | None = None
     tail: TailChoice = "off"
     tail_directions: int = 64
     tail_error_db: float = 0.25
@@ -143,8 +148,9 @@ class RenderOptions:
             "tail_error_db": as_number("tail_error_db", self.tail_error_db, at_least=0.02, at_most=3.0, unit="dB"),
             "tail_seed": as_count("tail_seed", self.tail_seed),
         }
-        if self.narrowband is not None:
-            checked["narrowband"] = as_flag("narrowband", self.narrowband)
+        for name in ("narrowband", "channels"):
+            if getattr(self, name) is not None:
+                checked[name] = as_flag(name, getattr(self, name))
         if self.baseband is not None:
             if self.narrowband:
                 raise InputError("narrowband", "must not be True in baseband, which is narrow as a whole")

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
 BLOCKS = (768, 384, 192, 96, 48, 24, 8)  # samples in a block, divisors of a segment, tried in this order
+LONG_BLOCKS = (3072, 1536, *BLOCKS[:4])  # the same where block polynomials are looked at a few times each
 FINE = 96  # samples, shorter blocks than which are rendered in small subblocks by all terms of their cubics
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TRANSFORMED = 80.0  # bytes of a sample while what is emitted is filtered: transforms in float64, measured
@@ -169,7 +170,7 @@ class Plan:
     @property
     def memory_bytes(self) -> int:
         """Memory that the rendering takes at a time, estimated, bytes."""
-        return int(sum(self._memory().values())) + sum(part.plan.memory_bytes for part in self.allocation.narrow)
+        return int(sum(self._memory().values())) + sum(plan.memory_bytes for plan in self.allocation.plans)
 
     @property
     def largest_field(self) -> str:
@@ -219,7 +220,7 @@ class Plan:
             mine = [
                 pair
                 for i, pair in enumerate(self.tracks.pairs)
-                if pair.source == source and i not in self.allocation.convolved and len(pair)
+                if pair.source == source and i not in self.allocation.claimed and len(pair)
             ]
             slots = [-(-len(pair) // BATCH) * BATCH for pair in mine]
             a_segment = self.bytes_per_node(source) * (self.segment // self.shortest_block)
@@ -289,6 +290,17 @@ class NarrowPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ChannelPart:
+    """Pairs of one source, rendered by impulse responses that are sampled over time."""
+
+    plan: Plan  # of these pairs alone, in long blocks
+    source: int  # index
+    pairs: frozenset[int]  # indices
+    spacing: int  # samples from one response to the next
+    error_db: float  # measured, of what is between them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Allocation:
     """The pairs and bands that each rendering method claims; whatever no other method claims is rendered per sample."""
 
@@ -296,14 +308,25 @@ class Allocation:
     convolved: frozenset[int] = frozenset()
     # Bands that are rendered as complex envelopes, for all other pairs of their sources.
     narrow: tuple[NarrowPart, ...] = ()
+    channels: tuple[ChannelPart, ...] = ()  # pairs of which impulse responses are sampled
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
 
-    def convolves(self, tracks: Tracks, source: int) -> bool:
-        """Test whether a source has paths and all of them are convolved."""
+    @property
+    def plans(self) -> list[Plan]:
+        """Plans of the parts that have one of their own."""
+        return [part.plan for part in self.narrow] + [part.plan for part in self.channels]
+
+    @property
+    def claimed(self) -> frozenset[int]:
+        """Indices of the pairs that are not rendered path by path."""
+        return self.convolved.union(*(part.pairs for part in self.channels))
+
+    def claims(self, tracks: Tracks, source: int) -> bool:
+        """Test whether a source has paths and none of them is rendered path by path."""
         mine = {i for i, pair in enumerate(tracks.pairs) if pair.source == source}
-        return bool(mine) and mine <= self.convolved
+        return bool(mine) and mine <= self.claimed
 
     def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
         """Return the same with diffuse tails."""

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from clsim.errors import InputError
-from clsim.numerics.resampling import Upsampler
 from clsim.plugins import METHODS, with_plugins
-from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
-from clsim.render.blas_threads import with_blas_threads
+from clsim.render.allocation import allocate, moved_to
+from clsim.render.baseband import check_ends, segmented
 from clsim.render.diffuse_tail import diffuse_tail
-from clsim.render.envelope import design_envelope
-from clsim.render.methods import narrow_choice, narrow_part, per_sample, static
-from clsim.render.methods.narrow_band import NarrowFilters, Split, design_split
+from clsim.render.methods import narrow_part, per_sample, sampled_channel, static
 from clsim.render.options import RenderOptions, keywords_of
-from clsim.render.plan import BLOCKS, SEGMENT, Allocation, NarrowPart, Plan, chunk_of, max_rate
-from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
+from clsim.render.plan import BLOCKS, SEGMENT, Plan, chunk_of, max_rate
 from clsim.render.tails import NO_TAILS, FoundTails, find_tails
-from clsim.scene.signal.occupied_bandwidth import spectra
 from clsim.tracks.pruning import pruned
-from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
 
 if TYPE_CHECKING:
@@ -39,6 +32,7 @@ BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     per_sample.build,
     narrow_part.build,
     static.build,
+    sampled_channel.build,
     diffuse_tail,
 ]
 
@@ -176,89 +170,3 @@ def _blocks(tracks: Tracks, options: RenderOptions, rate: float) -> tuple[int, t
     if options.baseband is None:
         return SEGMENT, BLOCKS
     return segmented(tracks, rate, options.baseband[0], max_rate(tracks))
-
-
-def allocate(
-    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, options: RenderOptions, samples: int
-) -> tuple[tuple[SourceFilters, ...], Allocation]:
-    """Return the filters of what each source emits, and the allocation, for a recording of a length in samples."""
-    convolved = Allocation(static.pairs_at_rest(tracks, options))
-    rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
-    made: list[SourceFilters] = []
-    narrow: list[tuple[int, NarrowFilters]] = []
-    notes: list[str] = []
-    with with_blas_threads(1):
-        for i, (emitted, start) in enumerate(emissions):
-            emission = _emission(
-                i, emitted.at_rate(options.sampling_rate), start, tracks, options, samples / rate, convolved
-            )
-            pairs = [k for k, p in enumerate(tracks.pairs) if p.source == i and k not in convolved.convolved]
-            split, why = _cheapest_split(emission, pairs)
-            notes += [why] if why else []
-            if split is None:
-                made.append((design_source_filters if options.baseband is None else design_envelope)(emission))
-            else:
-                rest, bands = design_split(emission, split)
-                made.append(rest)
-                narrow += [(i, filters) for filters in bands]
-    carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
-    parts = tuple(_narrow_part(carrier, narrow, tracks, convolved, options, samples) for carrier in carriers)
-    return tuple(made), replace(convolved, narrow=parts, notes=tuple(notes))
-
-
-def _emission(
-    source: int, signal: Signal, start: float, tracks: Tracks, options: RenderOptions, until: float, claimed: Allocation
-) -> Emission:
-    sound, spectrum = spectra(signal)
-    drawn = cache(partial(Draw.of, tracks, source, until))
-    static_only = claimed.convolves(tracks, source)
-    return Emission(source, signal, start, sound, tracks, options, until, static_only, spectrum, drawn)
-
-
-def _cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, str]:
-    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used."""
-    offers = narrow_choice.offers(emission, pairs)
-    if not offers:
-        return None, ""
-    best = min(offers, key=lambda offer: offer.cost)
-    if best.cost > per_sample.cost_of_whole(emission) and not emission.options.narrowband:
-        return None, ""
-    why = narrow_choice.can(emission, pairs, best.split)
-    if why is None:
-        return best.split, ""
-    return None, f"source {emission.source}: rendered as a whole, without a narrow part: {why}"
-
-
-def _narrow_part(
-    carrier: tuple[float, float],
-    narrow: list[tuple[int, NarrowFilters]],
-    tracks: Tracks,
-    claimed: Allocation,
-    options: RenderOptions,
-    samples: int,
-) -> NarrowPart:
-    """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
-    mine = {i: filters for i, filters in narrow if (filters.carrier, filters.rate) == carrier}
-    # Others have no paths in it; what stands for their filters is not looked at.
-    first = next(iter(mine.values()))
-    filters = tuple(mine.get(i, first) for i in range(tracks.source_count))
-    band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
-    upsampler = Upsampler.about(carrier[0], options.sampling_rate, first.mixer.every, 0.5 * band.bandwidth)
-    within = replace(options, baseband=band, narrowband=None, chunk=None)
-    others = claimed.convolved | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
-    blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
-    count, segment = math.ceil(samples / upsampler.every) + upsampler.reach, segment_of(blocks)
-    chunk = chunk_of(tracks, within, count, carrier[1], segment)
-    alone, builders = Allocation(frozenset(others)), [per_sample.build]
-    plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
-    return NarrowPart(plan, tuple(mine), upsampler)
-
-
-def moved_to(allocation: Allocation, device: str) -> Allocation:
-    """Return the same allocation with envelopes rendered on a device."""
-    return replace(allocation, narrow=tuple(_part_on(device, part) for part in allocation.narrow))
-
-
-def _part_on(device: str, part: NarrowPart) -> NarrowPart:
-    options = replace(part.plan.options, device=device)
-    return replace(part, plan=replace(part.plan, options=options, builders=[per_sample.build]))

@@ -6,6 +6,13 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clsim.errors import DeviceError
+from clsim.opencl.device import find_device
+
+if TYPE_CHECKING:
+    from clsim.render.options import RenderOptions
 
 FILE = Path(__file__).with_name("costs.toml")
 
@@ -22,6 +29,12 @@ class Costs:
     upsampled: float
     split: float
     planned: float
+    branch: float
+    function: float
+    channel_path: float
+    channel_function: float
+    channel_point: float
+    channel_nodes: float
     gpu: float
 
 
@@ -30,3 +43,11 @@ def measured_costs() -> Costs:
     """Return the costs of this installation."""
     content = tomllib.loads(FILE.read_text("utf-8"))
     return Costs(**content["nanoseconds"], **content["times"])
+
+
+def on_gpu(options: RenderOptions) -> bool:
+    """Test whether the device that is requested, or found, is a GPU."""
+    try:
+        return find_device(options.device)[0].kind == "GPU"
+    except DeviceError:  # reported when it is needed
+        return False

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.errors import DeviceError
-from clsim.opencl.device import find_device
 from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.interpolator import Bandlimited
-from clsim.render.methods.costs import measured_costs
+from clsim.render.methods.costs import measured_costs, on_gpu
 from clsim.render.methods.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
+from clsim.render.methods.passes import is_passed, passes
 from clsim.render.methods.per_sample import cost_of_rest, cost_of_whole
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
@@ -24,9 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from clsim.arrays import Floats
-    from clsim.render.options import RenderOptions
     from clsim.render.source_filters import Emission
-    from clsim.scene.motion.trajectory import Trajectory
     from clsim.scene.signal.signal import Signal
     from clsim.tracks.tracks import SceneTracks, Tracks
 
@@ -36,7 +33,6 @@ _MOST_BANDS = 6
 _BINS = 10.0  # of short-time spectra: what a tone spreads in them
 _LEAST_EVERY = 4  # samples of the sound in one of the envelope
 _WINDOWS, _ENDS = 48, 4  # of short-time spectra that are looked at, and of these at either end
-_COARSE, _FINE = 0.02, 5e-4  # s between places at which ends are looked at
 _LOOKED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
 _STRETCH = 0.02  # s
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
@@ -64,7 +60,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         return []
     known, rate, error_db = measured_costs(), signal.sampling_rate, options.interpolator.error_db
     samples = min(signal.duration, emission.until) * rate
-    path_samples = max(_heard(tracks, pairs, emission.until) * samples / (known.gpu if _on_gpu(options) else 1.0), 1.0)
+    path_samples = max(_heard(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
     of_band = samples * known.upsampled * len(pairs) / path_samples
     of_all = (known.planned + samples * known.split) / path_samples
     if of_band + of_all > cost_of_whole(emission) and not options.narrowband:
@@ -167,13 +163,6 @@ def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
     return ShortTimeSpectra(sound.frequencies, sound.energy[rows], np.concatenate([sound.weights[ends], weights]))
 
 
-def _on_gpu(options: RenderOptions) -> bool:
-    try:
-        return find_device(options.device)[0].kind == "GPU"
-    except DeviceError:  # told when it is needed
-        return False
-
-
 def _obstacle(
     index: int,
     tracks: SceneTracks,
@@ -207,46 +196,12 @@ def _obstacle(
     rate = narrow.baseband.sampling_rate or 0.0
     shortest = blocks_of(rate, carrier, tracks.max_rate(index))[-1] / rate
     needed = max(needed, shortest * (9.0 * GAIN_ERROR[8] / silence) ** 0.25)
-    for what, ends_of, most, radius in _passes(tracks, index, receivers):
-        if most > 0.0 and _is_passed(ends_of, span[2], needed, most, radius):
+    for what, ends_of, most, radius in passes(tracks, index, receivers):
+        if most > 0.0 and is_passed(ends_of, span[2], needed, most, radius):
             return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
     if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > silence:
         return "ends move so quickly that what is heard is not narrow"
     return ""
-
-
-def _passes(
-    tracks: SceneTracks, index: int, receivers: list[int]
-) -> Iterator[tuple[str, tuple[Trajectory, Trajectory], float, float]]:
-    """Yield endpoints of direct legs: name, both motions, sum of their speeds in m/s, and radius in m."""
-    scene, speeds = tracks.scene, tracks.speeds
-    source = scene.sources[index].trajectory, float(speeds.source[index])
-    ears = [(scene.receivers[i].trajectory, float(speeds.receiver[i])) for i in receivers]
-    for i, (ear, speed) in zip(receivers, ears, strict=True):
-        yield f"receiver {i}", (source[0], ear), source[1] + speed, 0.0
-    for i, scatterer in enumerate(scene.scatterers):
-        fast, radius = scatterer.peak_speeds()[1], scatterer.shape.radius
-        for end, speed in (source, *ears):
-            yield f"scatterer {i}", (end, scatterer.trajectory), speed + fast, radius
-
-
-def _is_passed(ends: tuple[Trajectory, Trajectory], until: float, needed: float, most: float, radius: float) -> bool:
-    """Test whether two ends come within `radius` m plus the distance that they cover in `needed` s at up to `most` m/s.
-
-    Sound that is heard until the end was emitted before. Ends that are carried together do not pass each other.
-    """
-
-    def apart(times: Floats) -> Floats:
-        return np.asarray(ends[0].position(times) - ends[1].position(times))
-
-    times = np.arange(0.0, until + _COARSE, _COARSE)
-    bound = np.linalg.norm(apart(times), axis=-1) - 0.5 * most * _COARSE
-    near = times[bound < radius + needed * most]
-    within = np.arange(-0.5 * _COARSE, 0.5 * _COARSE + _FINE, _FINE)
-    places = apart((near[:, None] + within).ravel()).reshape(len(near), len(within), 3)
-    moved = np.linalg.norm(np.diff(places, axis=1), axis=-1)
-    distance = np.linalg.norm(places, axis=-1)[:, :-1] - radius
-    return bool(np.any(distance < (0.5 + needed / _FINE) * moved))
 
 
 def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.render.plan import Plan
-    from clsim.render.source_filters import Emission
+    from clsim.render.source_filters import Emission, SourceFilters
 
 _OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
 
@@ -31,6 +31,12 @@ def cost_of_whole(emission: Emission) -> float:
     return known.plain + known.wide * (high - low) / (0.5 * emission.signal.sampling_rate)
 
 
+def cost_of_filters(filters: SourceFilters) -> float:
+    """Return the same with filters that are designed."""
+    known = measured_costs()
+    return known.branch * float(filters.rows[-1]) + known.function * len(filters.basis)
+
+
 def cost_of_rest(emission: Emission, loud: float) -> float:
     """Return the same of what narrow bands leave, by the share of time in which that is not silent.
 
@@ -41,8 +47,8 @@ def cost_of_rest(emission: Emission, loud: float) -> float:
 
 
 def build(plan: Plan) -> PathSum | None:
-    """Return the sum over a plan's paths except those that are convolved; None if there are no others."""
-    return None if len(plan.allocation.convolved) == len(plan.tracks.pairs) else PathSum(plan)
+    """Return the sum over a plan's paths except those that other methods claim; None if there are no others."""
+    return None if len(plan.allocation.claimed) == len(plan.tracks.pairs) else PathSum(plan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +66,7 @@ class PathSum:
         """Describe the filters of each source for delays and responses, and the bound of the error."""
         lines = []
         for i, filters in enumerate(self.plan.source_filters):
-            if not self.plan.allocation.convolves(self.plan.tracks, i):
+            if not self.plan.allocation.claims(self.plan.tracks, i):
                 lines += [f"source {i}: {filters.describe_filters()}", f"source {i}: {filters.describe()}"]
                 lines.append(
                     f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"
@@ -79,7 +85,7 @@ class PathSum:
     def digest(self) -> str:
         """Return a text that changes with the filters: linear algebra on other threads may round them otherwise."""
         plan = self.plan
-        found = hashlib.sha256(repr((sorted(plan.allocation.convolved), plan.segment, plan.blocks)).encode())
+        found = hashlib.sha256(repr((sorted(plan.allocation.claimed), plan.segment, plan.blocks)).encode())
         for filters in plan.source_filters:
             found.update(filters.digest().encode())
         return found.hexdigest()

@@ -61,14 +61,18 @@ class PathBatch:
         return slice(int(self.first_slot[i]), int(self.first_slot[i + 1]))
 
 
-def fill_batch(plan: Plan, active: list[ActivePaths], batch: int) -> PathBatch:
-    """Return the slots of some pairs' active paths, sorted by the middle of their delays."""
+def fill_batch(plan: Plan, active: list[ActivePaths], batch: int, apart: int = 1) -> PathBatch:
+    """Return the slots of some pairs' active paths, sorted by the middle of their delays.
+
+    apart: slots side by side that are dealt from so many equal stretches of that order.
+    """
     path, padding, first = [], [], [0]
     for pair in active:
         order = pair.rows[np.argsort(pair.low + pair.high, kind="stable")]
         extra = -len(order) % batch
-        path.append(np.concatenate([order, np.full(extra, order[-1])]))
-        padding.append(np.arange(len(order) + extra) >= len(order))
+        dealt = np.arange(len(order) + extra).reshape(apart, -1).T.ravel()
+        path.append(np.concatenate([order, np.full(extra, order[-1])])[dealt])
+        padding.append(dealt >= len(order))
         first.append(first[-1] + len(order) + extra)
     receivers = [plan.tracks.pairs[pair.index].receiver for pair in active]
     return PathBatch(

@@ -87,10 +87,10 @@ class BranchSignals:
         if start < min(stop, self.last) and self._ahead[0] != following:
             self._ahead = following, self._feed(*following)
 
-    def _active(self, source: int, start: int, length: int) -> list[ActivePaths]:
+    def active(self, source: int, start: int, length: int) -> list[ActivePaths]:
         """Return the paths of a source that are active within a chunk."""
         plan, rate, pairs = self._plan, self._plan.sampling_rate, self._plan.tracks.pairs
-        mine = [i for i, pair in enumerate(pairs) if pair.source == source and i not in plan.allocation.convolved]
+        mine = [i for i, pair in enumerate(pairs) if pair.source == source and i not in plan.allocation.claimed]
         # Nodes lie up to a block before and two after what is rendered.
         begin, end = start - plan.blocks[0], start + length + 2 * plan.blocks[0]
         bounds = plan.tracks.delay_ranges(mine, begin / rate, end / rate)
@@ -103,7 +103,7 @@ class BranchSignals:
     def _feed(self, source: int, start: int, length: int) -> Feed | None:
         """Return the part of a signal that can arrive in a chunk; None if it is zero."""
         filters, rate = self._plan.source_filters[source], self._plan.sampling_rate
-        active = self._active(source, start, length)
+        active = self.active(source, start, length)
         if not active:
             return None
         times = filters.oversampling

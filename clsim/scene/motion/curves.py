@@ -194,6 +194,30 @@ def legs_through(times: Floats, positions: Floats) -> Piecewise:
     return _continued(np.stack([none, none, speed, positions[:-1]]), np.asarray(times))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Onward:
+    """A curve that goes on straight, at its last velocity, beyond two times, s."""
+
+    curve: Curve
+    first: float
+    last: float
+
+    def position(self, time: Floats) -> Floats:
+        known = np.clip(time, self.first, self.last)
+        return np.asarray(self.curve.position(known) + self.curve.velocity(known) * (time - known)[..., None])
+
+    def velocity(self, time: Floats) -> Floats:
+        return self.curve.velocity(np.clip(time, self.first, self.last))
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        return self.curve.speed_over(np.clip(begin, self.first, self.last), np.clip(end, self.first, self.last))
+
+
+def onward(curve: Curve, first: float, last: float) -> Curve:
+    """Return a curve that goes on smoothly beyond two times, s: lines and circles as they are."""
+    return curve if isinstance(curve, Straight | Circular) else Onward(curve, first, last)
+
+
 def kinks(times: Floats, positions: Floats) -> Floats:
     """Return those of `times` (n,) at which straight legs between `positions` (n, 3) change velocity."""
     speed = np.diff(positions, axis=0) / np.diff(times)[:, None]

@@ -63,6 +63,7 @@ def test_all_are_checked_and_converted_once() -> None:
         ({"duration": 0.0}, "duration: must be above 0 s, but is 0 s"),
         ({"chunk": 0}, "chunk: must be at least 1, but is 0"),
         ({"convolve_static": 1}, "convolve_static: must be True or False, but is 1"),
+        ({"channels": "yes"}, "channels: must be True or False, but is 'yes'"),
         ({"narrowband": "yes"}, "narrowband: must be True or False, but is 'yes'"),
         ({"tail": "on"}, 'tail: must be one of "off", "auto", but is \'on\''),
         ({"tail": "auto", "baseband": (4e3, 1e3)}, "tail: must be 'off' in baseband, but is 'auto'"),

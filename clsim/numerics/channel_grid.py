@@ -1,0 +1,137 @@
+"""Impulse responses on a grid of points and nodes: how paths are spread over delay, and nodes joined over time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.numerics.kaiser import shape_of
+
+if TYPE_CHECKING:
+    from clsim.arrays import Complexes, Floats
+
+TAPS = 8  # points over which a path is spread
+PHASES = 2048  # of its place between two points for which the window is kept; between them it is linear
+FINER, COARSER = 5, 4  # points of the grid in so many samples
+WIDEST = 0.95  # share of half the sampling rate, up to which the window's images are 92 dB below
+_SHAPE = 0.61 * math.pi * TAPS  # of the Kaiser-Bessel window: the least images up to that share, found by search
+SPREAD_ERROR_DB = -92.0  # at most, of a frequency at that end of the band
+NODES = 11  # on either side of an instant from which its response is made
+OVERSAMPLING = 1.35  # node rate over the least that holds how responses change
+NODE_ERROR_DB = -90.0  # of the window over nodes, from its transition band; see `node_window`
+_STEP = 16  # points that the grid's length is a multiple of, over 5
+
+
+def window_at(place: Floats) -> Floats:
+    """Return the Kaiser-Bessel window at distances from a path, points; 0 beyond `TAPS` / 2."""
+    from scipy.special import i0e
+
+    across = np.sqrt(np.maximum(1.0 - np.square(place / (0.5 * TAPS)), 0.0))
+    inside = np.abs(place) <= 0.5 * TAPS
+    return np.asarray(np.where(inside, i0e(_SHAPE * across) * np.exp(_SHAPE * (across - 1.0)), 0.0))
+
+
+def window_spectrum(frequencies: Floats) -> Floats:
+    """Return the window's transform at frequencies, cycles a point (Lewitt 1990, eq. A3, in one dimension)."""
+    root = np.sqrt(_SHAPE**2 - np.square(math.pi * TAPS * frequencies))
+    return np.asarray(TAPS * np.sinh(root) / root * math.exp(-_SHAPE))
+
+
+@cache
+def window_table() -> Floats:
+    """Return values of the window at the points about a path, and their changes to the next phase.
+
+    Shapes: result (PHASES + 3, 2, TAPS), from one phase before the first to one behind the last.
+    """
+    phases = np.arange(-1, PHASES + 3) / PHASES
+    values = window_at(np.arange(1 - TAPS // 2, TAPS // 2 + 1) - phases[:, None])
+    return read_only(np.stack([values[:-1], np.diff(values, axis=0)], axis=1))
+
+
+def spread(places: Floats, gains: Floats, points: int) -> Floats:
+    """Return grids (K, points) of paths at places (P,), points, with gains (K, P): twin of ``scatter.cl``."""
+    near = np.floor(places).astype(np.int64)[:, None] + np.arange(1 - TAPS // 2, TAPS // 2 + 1)
+    window = window_at(near - places[:, None])
+    return np.stack([np.bincount(near.ravel(), (window * gain[:, None]).ravel(), points) for gain in gains])
+
+
+@cache
+def node_window(spacing: int) -> Floats:
+    """Return the weights (2 NODES spacing - 1,) of a node's response in the samples about it.
+
+    A sinc with zeros at other nodes, through Kaiser's window. What changes by up to 1 / (2 OVERSAMPLING) of the node
+    rate is passed and its images are stopped, both within `NODE_ERROR_DB` (J. F. Kaiser, 1974).
+    """
+    from scipy.special import i0
+
+    place = np.arange(1 - NODES * spacing, NODES * spacing) / spacing
+    shape = shape_of(-NODE_ERROR_DB)
+    return read_only(np.sinc(place) * i0(shape * np.sqrt(1.0 - np.square(place / NODES))) / i0(shape))
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelGrid:
+    """Where responses lie over delay, and how long transforms are.
+
+    Attributes
+    ----------
+    first : int
+        Delay of the first point, samples.
+    span : int
+        Samples from there to the end of the longest response.
+    spacing : int
+        Samples from node to node.
+    size : int
+        Samples of a transform; of the grid there are 5 / 4 as many points.
+    """
+
+    first: int
+    span: int
+    spacing: int
+    size: int
+
+    @classmethod
+    def between(cls, shortest: float, longest: float, ringing: int, spacing: int) -> ChannelGrid:
+        """Return the grid for delays, samples, that ring so many samples to either side."""
+        from scipy.fft import next_fast_len
+
+        first = math.floor(shortest) - ringing - TAPS
+        span = math.ceil(longest) + ringing + TAPS - first
+        least = span + 2 * NODES * spacing
+        return cls(first, span, spacing, COARSER * next_fast_len(-(-least // COARSER), real=True))
+
+    @property
+    def points(self) -> int:
+        """Points of the grid."""
+        return self.size // COARSER * FINER
+
+    def places(self, delays: Floats) -> Floats:
+        """Return places of delays in samples, points."""
+        return np.asarray((delays - self.first) * (FINER / COARSER))
+
+    def heard(self, node: int) -> tuple[int, int]:
+        """Return the first sample that a node's window weighs, and the one behind the last."""
+        return (node - NODES) * self.spacing + 1, (node + NODES) * self.spacing
+
+    def needed(self, node: int) -> int:
+        """Return the first sample of what is emitted, without delay, that is transformed for a node."""
+        return self.heard(node)[0] - self.first - self.span
+
+    def shaping(self, filters: Floats) -> Complexes:
+        """Return the spectra (K, size / 2 + 1) of filters (K, L) about their middle, over that of the window."""
+        from scipy.fft import rfft
+
+        half = filters.shape[1] // 2
+        placed = np.zeros((len(filters), self.size))
+        placed[:, : half + 1], placed[:, self.size - half :] = filters[:, half:], filters[:, :half]
+        return np.asarray(rfft(placed) / window_spectrum(np.arange(self.size // 2 + 1) / self.points))
+
+
+def nodes_of(start: int, stop: int, spacing: int) -> range:
+    """Return the nodes whose windows weigh any of the samples from `start` up to `stop`."""
+    return range(start // spacing - NODES + 1, (stop - 1) // spacing + NODES + 1)

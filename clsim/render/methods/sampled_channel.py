@@ -1,0 +1,219 @@
+"""Pairs whose impulse responses are sampled over time, as fast as Doppler changes them: for thousands of paths."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.numerics.channel_grid import NODE_ERROR_DB, NODES, OVERSAMPLING, SPREAD_ERROR_DB, WIDEST, node_window
+from clsim.render.contributions import Stateless
+from clsim.render.interpolator import Bandlimited
+from clsim.render.methods.channel_frames import ChannelFilters
+from clsim.render.methods.costs import measured_costs, on_gpu
+from clsim.render.methods.passes import is_passed, passes
+from clsim.render.methods.per_sample import PathSum, cost_of_filters
+from clsim.render.opencl.channel_engine import ChannelEngine
+from clsim.render.plan import LONG_BLOCKS
+from clsim.tracks.basis import flat_basis
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.render.options import RenderOptions
+    from clsim.render.plan import ChannelPart, Plan
+    from clsim.render.source_filters import Emission, SourceFilters
+    from clsim.tracks.tracks import SceneTracks, Tracks
+
+_SPARE, _MARGINS = 1.03, (12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order
+_BEYOND = 1.0  # s beyond delays and blocks, for which motions go on at either end: as long as nodes weigh at most
+_LEAST_SPACING = 16  # samples between nodes, below which the sum over paths is as cheap
+_LOOKED_AT = (4, 8, 24)  # pairs, paths of each, and instants at which the error over time is measured
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelOffer:
+    """Sampled channels of the pairs of one source."""
+
+    pairs: tuple[int, ...]  # indices among the tracks' pairs
+    tracks: SceneTracks  # between ends that go on smoothly where nothing sounds
+    spacing: int  # samples from node to node
+    error_db: float  # measured, of interpolation from node to node at the end of the band
+
+
+def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple[ChannelOffer | None, str]:
+    """Return the sampled channels of pairs of a source, None where the sum over paths is cheaper, and why not."""
+    options = emission.options
+    mine = [pair for pair in pairs if can(emission.tracks, options, pair) is None]
+    if not mine or options.channels is False or filters.oversampling > 1 or not len(emission.sound.energy):
+        return None, ""
+    rate = emission.signal.sampling_rate
+    if filters.band > 0.5 * WIDEST * rate:
+        return None, ""
+    of_scene = emission.tracks.of_scene
+    assert of_scene is not None, "channels are those of scenes"
+    longest = of_scene.longest_delay(0.0, emission.until, emission.source)
+    tracks = of_scene.continued(2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate)
+    for margin in _MARGINS:
+        shift = emission.max_rate * filters.band
+        spacing = math.floor(rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
+        if spacing < _LEAST_SPACING or not _pays(emission, filters, mine, spacing):
+            return None, ""
+        why = _obstacle(emission, mine, shift, margin)
+        error_db = -math.inf if why else _error_db(tracks, emission, filters, mine, spacing)
+        if not why and error_db <= _allowed_db(options):
+            return ChannelOffer(tuple(mine), tracks, spacing, error_db), ""
+    why = why or f"responses change faster than Doppler shifts: {error_db:.0f} dB between nodes"
+    return None, f"source {emission.source}: every path is summed, without sampled channels: {why}"
+
+
+def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
+    """Return the reason against sampling the channel of a pair, by its index; None if there is none."""
+    of_scene = tracks.of_scene
+    if of_scene is None:
+        return "tracks without a scene"
+    if options.engine != "opencl" or not isinstance(options.interpolator, Bandlimited) or options.baseband is not None:
+        return "every path is rendered by the requested delay filter"
+    if on_gpu(options):
+        return "a GPU sums paths faster"
+    family, scene = of_scene.pair_paths[pair].family, of_scene.scene
+    if family.moves or scene.air.fluctuation is not None:
+        return "what is in between moves"
+    member = tracks.pairs[pair]
+    if not member.always_heard:
+        return "paths begin or end"
+    ends = scene.sources[member.source], scene.receivers[member.receiver]
+    if any(len(end.trajectory.breaks) for end in ends):
+        return "a velocity jumps"
+    return None
+
+
+def _allowed_db(options: RenderOptions) -> float:
+    assert isinstance(options.interpolator, Bandlimited)
+    return options.interpolator.error_db
+
+
+def _pays(emission: Emission, filters: SourceFilters, pairs: list[int], spacing: int) -> bool:
+    """Test whether the processor time of sampled channels is below that of the sum over paths, or is requested."""
+    if emission.options.channels:
+        return True
+    tracks, rate, known = emission.tracks, emission.signal.sampling_rate, measured_costs()
+    paths, functions = sum(len(tracks.pairs[pair]) for pair in pairs), len(filters.basis)
+    samples = min(emission.signal.duration + 2.0 * NODES * spacing / rate, emission.until) * rate
+    grid = ChannelFilters.of(filters).grid(0.0, tracks.longest_delay(0.0, emission.until, emission.source), spacing)
+    nodes = emission.until * rate / spacing + 2 * NODES
+    transforms = grid.size * ((1.25 * functions + 1.0) * len(pairs) + 1.0) * known.channel_point
+    a_node = paths * (known.channel_path + known.channel_function * functions) + transforms
+    return nodes * a_node + known.channel_nodes * paths * samples < cost_of_filters(filters) * paths * samples
+
+
+def _obstacle(emission: Emission, pairs: list[int], shift: float, margin: float) -> str:
+    """Return the reason why responses hold more than Doppler shifts and a margin, Hz; "" if there is none.
+
+    Passing an end at a distance d with a speed v spreads a tone beyond its shift D, at an offset f, by
+    ``exp(-2 pi sqrt(f^2 - D^2) d / v)``: the phase has branch points at +-j d / v.
+    """
+    tracks = emission.tracks.of_scene
+    assert tracks is not None, "offers are made for scenes"
+    level = 10 ** (_allowed_db(emission.options) / 20)
+    needed = -math.log(level) / (2.0 * math.pi * math.sqrt(margin * (margin + 2.0 * shift)))
+    receivers = sorted({tracks.pairs[pair].receiver for pair in pairs})
+    for what, ends, most, radius in passes(tracks, emission.source, receivers):
+        if most > 0.0 and is_passed(ends, emission.until, needed, most, radius):
+            return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound changes fast"
+    return ""
+
+
+def _error_db(tracks: SceneTracks, emission: Emission, filters: SourceFilters, pairs: list[int], spacing: int) -> float:
+    """Measure the error of responses between nodes at the end of the band, relative to them, dB, from a sample.
+
+    The sample is the first and some other paths of some pairs at some instants, the first and the last among them.
+    """
+    rate = emission.signal.sampling_rate
+    rng, window = np.random.default_rng(emission.source), node_window(spacing)
+    count = _LOOKED_AT[2]
+    places = rng.integers(0, max(round(emission.until * rate), 1), count)
+    places[:2] = 0, round(emission.until * rate)
+    whole, within = np.divmod(places, spacing)
+    whole, within = whole[:, None] + np.arange(1 - NODES, NODES + 1), np.where(within == 0, spacing // 2, within)
+    weights = window[within[:, None] + spacing * np.arange(2 * NODES - 1, -1, -1) - 1]
+    times = np.concatenate([whole * spacing, whole[:, NODES - 1, None] * spacing + within[:, None]], axis=1) / rate
+    wrong = loud = 0.0
+    for pair in pairs[:: -(-len(pairs) // _LOOKED_AT[0])]:
+        rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
+        delay, _, gain = tracks.evaluate(pair, times.ravel(), flat_basis(filters.band), rows)
+        turned = (gain[0] * np.exp(-2j * math.pi * filters.band * delay)).reshape(len(rows), count, -1)
+        apart = np.einsum("pin,in->pi", turned[..., :-1], weights) - turned[..., -1]
+        wrong += float(np.max(np.sum(np.abs(apart) ** 2, axis=0)))
+        loud += float(np.mean(np.sum(np.abs(turned[..., -1]) ** 2, axis=0)))
+    return 10.0 * math.log10(max(wrong / max(loud, 1e-300), 1e-30))
+
+
+def build(plan: Plan) -> SampledChannels | None:
+    """Return the contribution of a plan's sampled channels; None if there are none."""
+    return SampledChannels(plan.allocation.channels) if plan.allocation.channels else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledChannels:
+    """Contribution of the pairs whose impulse responses are sampled over time."""
+
+    parts: tuple[ChannelPart, ...]  # one for each source
+
+    @property
+    def name(self) -> str:
+        """Name of its kind."""
+        return "sampled channels"
+
+    def describe(self) -> list[str]:
+        """Describe node rates, functions of frequency and errors, some lines."""
+        return [line for part in self.parts for line in _described(part)]
+
+    def digest(self) -> str:
+        """Return a text that changes with any tap."""
+        found = hashlib.sha256()
+        for part in self.parts:
+            found.update(repr((part.source, part.spacing)).encode() + PathSum(part.plan).digest().encode())
+        return found.hexdigest()
+
+    def begin(self) -> _Adding:
+        """Return an object that adds them."""
+        return _Adding(self.parts)
+
+
+def _described(part: ChannelPart) -> list[str]:
+    plan, filters, here = part.plan, part.plan.source_filters[part.source], f"source {part.source}"
+    rate = plan.sampling_rate
+    reach = ChannelFilters.of(filters).ringing
+    parts_db = (NODE_ERROR_DB, SPREAD_ERROR_DB, filters.basis.error_db, plan.motion_error_db)
+    promised_db = 10.0 * math.log10(sum(10.0 ** (db / 10.0) for db in parts_db))
+    return [
+        f"{here}: impulse responses of {len(part.pairs)} pairs are sampled {rate / part.spacing:.3g} times a second "
+        f"(every {part.spacing} samples), within {part.error_db:.0f} dB between them; they sound up to {reach} samples "
+        f"({1e3 * reach / rate:.3g} ms) before an arrival",
+        f"{here}: {filters.describe()}",
+        f"{here}: all of it together within {promised_db:.0f} dB of what is heard in some 40 ms",
+    ]
+
+
+class _Adding(Stateless):
+    """Adds sampled channels; the engines start with the first piece."""
+
+    def __init__(self, parts: tuple[ChannelPart, ...]) -> None:
+        self._parts = parts
+        self._engines: list[ChannelEngine] = []
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what sampled channels make from sample `start` on to the pressure (receivers, n), Pa."""
+        if not self._engines:
+            self._engines = [ChannelEngine(part.plan, part.spacing) for part in self._parts]
+        for engine in self._engines:
+            engine.add(pressure, start)
+
+    def warn(self) -> None:
+        """Warn of residuals above the requested error."""
+        for engine in self._engines:
+            engine.warn()
