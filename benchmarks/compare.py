@@ -72,7 +72,7 @@ def ours(order: int, duration: float = 1.0, receivers: int = 1) -> tuple[int, fl
 class Kernel:
     """The last launch of the kernel that sums paths, and the same sum by a plain loop in C, on all cores."""
 
-    def __init__(self, folder: Path, paths: clsim.PathSet, duration: float) -> None:
+    def __init__(self, folder: Path, paths: clsim.PathSet, duration: float, rate: float = RATE) -> None:
         original, kept = Compiler.kernel, []
 
         def kernel(compiler: Compiler, program: str, constants: dict) -> object:
@@ -87,7 +87,7 @@ class Kernel:
 
         Compiler.kernel = kernel
         try:
-            clsim.render(paths, RATE, duration=duration, responses="centre", narrowband=False)
+            clsim.render(paths, rate, duration=duration, responses="centre", narrowband=False, channels=False)
         finally:
             Compiler.kernel = original
         self._launch, self._queue, self._items, given = kept

@@ -152,3 +152,16 @@ EDGE_INTERVALS = {
     "edges": taken("edge_of_room", "edges of the room"), "edge_of": taken("int", "paths, 2"),
     "face_of": taken("int", "paths, 2"), "end_of": taken("int", "paths"), "from_receiver": INT, "far": DOUBLE,
 }  # fmt: skip
+SCATTER = {
+    "delay": taken("int", "blocks, slots"),
+    "polynomials": taken("float", "blocks, slots, terms"),
+    "slots": INT, "functions": INT,
+    "node_block": taken("int", "nodes"),
+    "node_place": taken("float", "nodes"),
+    "nodes": INT,
+    "first_slot": taken("int", "receivers + 1"),
+    "receivers": INT,
+    "window": taken("float", "PHASES + 3, 2, TAPS"),
+    "first": INT, "shift": FLOAT, "points": INT,
+    "grids": made("float", "nodes, receivers, functions, points"),
+}  # fmt: skip

@@ -31,6 +31,7 @@ from clsim.opencl.arguments import (
     NODES_MADE,
     PATHS_ACTIVE,
     PRESSURE,
+    SCATTER,
     TABLES,
     VIEWS,
     Argument,
@@ -248,19 +249,7 @@ PROGRAMS = {
     ),
     "scatter": Program(
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "channels/scatter.cl"),
-        {
-            "delay": taken("int", "blocks, slots"),
-            "polynomials": taken("float", "blocks, slots, terms"),
-            "slots": INT, "functions": INT,
-            "node_block": taken("int", "nodes"),
-            "node_place": taken("float", "nodes"),
-            "nodes": INT,
-            "first_slot": taken("int", "receivers + 1"),
-            "receivers": INT,
-            "window": taken("float", "PHASES + 3, 2, TAPS"),
-            "first": INT, "shift": FLOAT, "points": INT,
-            "grids": made("float", "nodes, receivers, functions, points"),
-        },
+        SCATTER,
         frozenset({"LANES", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "PHASES", "TAPS"}),
     ),
     "plane_waves": Program(

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.channel_grid import NODE_ERROR_DB, NODES, OVERSAMPLING, SPREAD_ERROR_DB, WIDEST, node_window
+from clsim.numerics.channel_grid import NODES, OVERSAMPLING, SPREAD_ERROR_DB, WIDEST, node_window
+from clsim.render.channel_frames import ChannelFilters
 from clsim.render.contributions import Stateless
 from clsim.render.interpolator import Bandlimited
-from clsim.render.methods.channel_frames import ChannelFilters
 from clsim.render.methods.costs import measured_costs, on_gpu
 from clsim.render.methods.passes import is_passed, passes
 from clsim.render.methods.per_sample import PathSum, cost_of_filters
@@ -188,7 +188,7 @@ def _described(part: ChannelPart) -> list[str]:
     plan, filters, here = part.plan, part.plan.source_filters[part.source], f"source {part.source}"
     rate = plan.sampling_rate
     reach = ChannelFilters.of(filters).ringing
-    parts_db = (NODE_ERROR_DB, SPREAD_ERROR_DB, filters.basis.error_db, plan.motion_error_db)
+    parts_db = (part.error_db, SPREAD_ERROR_DB, filters.basis.error_db, plan.motion_error_db)
     promised_db = 10.0 * math.log10(sum(10.0 ** (db / 10.0) for db in parts_db))
     return [
         f"{here}: impulse responses of {len(part.pairs)} pairs are sampled {rate / part.spacing:.3g} times a second "

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.numerics.channel_grid import PHASES, TAPS, ChannelGrid, nodes_of, window_table
 from clsim.opencl.launch import work
-from clsim.render.methods.channel_frames import ChannelFilters, ChannelFrames
+from clsim.render.channel_frames import ChannelFilters, ChannelFrames
 from clsim.render.opencl.batches import ActivePaths, fill_batch
 from clsim.render.opencl.branch_signals import Branches
 from clsim.render.opencl.engine import OpenclEngine, Run, Task

@@ -1,0 +1,219 @@
+"""Sampled channels: against the oracle, against their float64 twin, against the sum over paths, and where they are not used."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from default_cases import Case, circles
+from default_cases import measured as figures_of
+from default_oracle import Circle, Line, Room
+from exhaustive import few
+
+import clsim
+from clsim.numerics import channel_grid
+from clsim.numerics.channel_grid import NODES, OVERSAMPLING, TAPS, node_window, spread, window_at, window_table
+from clsim.render.channel_frames import ChannelFilters
+from clsim.render.channel_reference import reference_channels
+from clsim.render.plan import Plan
+from clsim.render.render import record
+
+PROMISED_DB = -86.0
+TWIN_DB = -105.0  # float32 and linear phases beside float64: measured -112 to -118
+RATE = 16e3
+CHANNELS: dict[str, Any] = {"channels": True, "narrowband": False}
+pytestmark = [
+    pytest.mark.usefixtures("device"),
+    pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning"),  # signals that begin at once, tables that end
+]
+
+
+def case(name: str, band: tuple[float, float], rate: float, order: int, speed: float, length: float) -> Case:
+    room, noise = (
+        Room((6.0, 5.0, 3.0), 0.9, order, clsim.Air().speed_of_sound),
+        clsim.Signal.noise(length, rate, 1, band),
+    )
+    ends = (
+        (Circle((3.0, 2.5, 1.4), 1.0, 2.0 * np.pi / speed),),
+        (Line((4.9, 0.8, 1.2)), Line((5.0, 1.0, 1.0), (-0.5, 0.4, 0.2))),
+    )
+    return Case(name, room, (noise,), *ends, rate, length, samples=1500, options=CHANNELS | {"duration": length})
+
+
+CASES = [
+    case("speech band, order 8", (100.0, 6500.0), RATE, 8, 1.0, 0.6),
+    case("ultrasound, order 4", (20e3, 80e3), 192e3, 4, 1.0, 0.1),
+    case("near the end of the band, fast", (500.0, 22.5e3), 48e3, 3, 5.0, 0.3),
+    replace(circles()[1], name="a tone, order 10", options=CHANNELS | {"duration": 0.1}, samples=500),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("one", few((pytest.param(one, id=one.name) for one in CASES), kept=(0, 1)))
+def test_the_promise_is_kept_against_the_oracle(one: Case, measured: Any) -> None:
+    assert one.plan().allocation.channels
+    found = figures_of(one).error_db
+    assert measured("sampled channels", "the oracle", found, PROMISED_DB) <= PROMISED_DB
+
+
+def scene(duration: float = 0.5, sources: int = 1, start: float = 0.0, **receiver: Any) -> clsim.Scene:
+    """Return a room of walls and beams by frequency: sources on circles, one receiver moving and one at rest."""
+    soft = clsim.Material.from_absorption([125, 500, 2e3, 8e3], [0.1, 0.2, 0.35, 0.5])
+    room = clsim.Shoebox((6.0, 5.0, 3.0), {"default": clsim.Material.from_reflection(0.9), "z_min": soft})
+    beam = clsim.FirstOrder(0.5)
+    emitters = [
+        clsim.Source(
+            f"s{i}", clsim.Signal.noise(duration - 0.1, RATE, i, (200.0, 6e3)),
+            clsim.Trajectory.circle((2.5, 2.5, 1.4), 0.8 + 0.3 * i, 6.0, duration), beam, aim=(1.0, 0.0, 0.3), start=start,
+        )
+        for i in range(sources)
+    ]  # fmt: skip
+    ears = [
+        clsim.Receiver("moving", clsim.Trajectory.waypoints(
+            np.linspace(0.0, duration, 4), [(4.0, 1.0 + 0.5 * k * duration, 2.0 - 0.03 * k * k) for k in range(4)]), **receiver),
+        clsim.Receiver("at rest", clsim.Trajectory.fixed((4.5, 4.0, 2.5)), beam, aim=(-1.0, 0.0, 0.0)),
+    ]  # fmt: skip
+    return clsim.Scene(room, clsim.Air(), emitters, ears)
+
+
+def planned(one: clsim.Scene, order: int = 4, **options: Any) -> Plan:
+    return clsim.plan_render(clsim.find_paths(one, order), RATE, **CHANNELS | options)
+
+
+def apart_db(one: np.ndarray, other: np.ndarray) -> float:
+    return float(20.0 * np.log10(max(np.linalg.norm(one - other) / np.linalg.norm(other), 1e-15)))
+
+
+def sound(plan: Plan) -> np.ndarray:
+    return record(plan).samples.astype(np.float64)
+
+
+def test_the_device_gives_what_the_twin_in_float64_gives(measured: Any) -> None:
+    plan = planned(scene(0.3))
+    (part,) = plan.allocation.channels
+    exact = reference_channels(part, 0, plan.samples)
+    found = apart_db(sound(plan), exact)
+    assert measured("sampled channels", "the twin", found, TWIN_DB) <= TWIN_DB
+
+
+@pytest.mark.parametrize(
+    ("one", "options"),
+    [
+        pytest.param(scene(), {}, id="walls and beams by frequency"),
+        pytest.param(scene(start=0.03123), {"responses": "centre"}, id="begins later, responses at the centre"),
+        pytest.param(scene(sources=2), {}, id="two sources"),
+        pytest.param(
+            scene(electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=1e-3, high_cut=5e3, gain_db=20.0)), {},
+            id="electronics, clock",
+        ),
+    ],
+)  # fmt: skip
+def test_it_is_what_the_reference_engine_gives(one: clsim.Scene, options: dict[str, Any], measured: Any) -> None:
+    plan = planned(one, order=2, **options)
+    assert len(plan.allocation.channels) == len(one.sources)
+    assert any("impulse responses of 2 pairs are sampled" in line for line in plan.describe())
+    right = planned(one, order=2, **options | {"engine": "reference", "channels": None})
+    found = apart_db(sound(plan), sound(right))
+    assert measured("sampled channels", "the reference engine", found, PROMISED_DB) <= PROMISED_DB
+
+
+def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
+    one = scene(2.6)
+    plan = planned(one, order=2, chunk=18432)
+    whole = sound(plan).astype(np.float32)
+    later = [piece for _, piece in clsim.render_chunks(plan, first=18432)]
+    np.testing.assert_array_equal(np.concatenate(later, axis=1), whole[:, 18432:])
+    assert apart_db(sound(planned(one, order=2)), whole) < -115.0
+
+
+def test_pairs_at_rest_are_convolved_beside_channels() -> None:
+    one = scene()
+    still = [
+        clsim.Source("still", clsim.Signal.noise(0.3, RATE, 7, (200.0, 6e3)), clsim.Trajectory.fixed((1.0, 1.0, 1.0)))
+    ]
+    both = clsim.Scene(one.room, one.air, [*one.sources, *still], one.receivers)
+    plan = planned(both, order=2)
+    assert len(plan.allocation.convolved) == 1
+    assert [len(part.pairs) for part in plan.allocation.channels] == [2, 1]
+    assert apart_db(sound(plan), sound(planned(both, order=2, channels=False))) <= PROMISED_DB
+
+
+def test_nothing_sounds_before_an_arrival() -> None:
+    """Whole windows of nodes are transformed, so that there is rounding within one, and nothing at all before."""
+    one, start = scene(1.2), 0.8
+    late = replace(one.sources[0], signal=clsim.Signal.noise(0.2, RATE, 3, (200.0, 6e3)), start=start)
+    plan = planned(clsim.Scene(one.room, one.air, [late], one.receivers), order=2)
+    (part,) = plan.allocation.channels
+    channel, made = ChannelFilters.of(plan.source_filters[0]), sound(plan)
+    grid = channel.grid(0.0, plan.tracks.longest_delay(0.0, 1.2), part.spacing)
+    onset = int(start * RATE)
+    assert onset > grid.size + 1000
+    assert not np.any(made[:, : onset - grid.size])
+    assert np.abs(made[:, : onset - channel.ringing]).max() < 1e-6 * np.abs(made).max()
+
+
+NEAR = clsim.Trajectory.line((3.0, 2.0, 1.0), (5.0, 2.0, 1.0), 0.5)
+LEGS = clsim.Trajectory.waypoints([0.0, 0.2, 0.5], [(1, 1, 1), (1.2, 1, 1), (1.2, 1.3, 1)], smooth=False)
+
+
+@pytest.mark.parametrize(
+    ("way", "why"), [pytest.param(NEAR, "receiver 0 is passed so near", id="near"), pytest.param(LEGS, "", id="legs")]
+)
+def test_where_channels_would_not_do_every_path_is_summed(way: clsim.Trajectory, why: str) -> None:
+    source = clsim.Source("s", clsim.Signal.noise(0.4, RATE, 1, (200.0, 6e3)), way)
+    ear = clsim.Receiver("r", clsim.Trajectory.fixed((4.0, 2.012, 1.0)))
+    room = clsim.Shoebox((6.0, 5.0, 3.0), clsim.Material.from_reflection(0.9))
+    plan = planned(clsim.Scene(room, clsim.Air(), [source], [ear]), order=1)
+    assert not plan.allocation.channels
+    told = [line for line in plan.describe() if "sampled channels" in line]
+    assert [why in line for line in told] == ([True] if why else [])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"interpolator": clsim.Lagrange(12)}, {"engine": "reference"}, {"channels": None}, {"channels": False}],
+)
+def test_other_engines_filters_and_few_paths_take_the_sum(options: dict[str, Any]) -> None:
+    plan = planned(scene(0.3), order=1, **options)
+    assert not plan.allocation.channels
+    assert not any("sampled channels" in line for line in plan.describe())
+
+
+def test_thousands_of_paths_are_sampled_by_themselves() -> None:
+    assert planned(scene(1.0), order=14, channels=None, narrowband=None).allocation.channels
+
+
+def test_the_spread_of_a_path_is_a_delay() -> None:
+    """Over its band the grid's spectrum, over that of the window, is the phase of the delay: images are 92 dB below."""
+    points, place = 1000, 500.3712
+    grid = spread(np.array([place]), np.ones((1, 1)), points)[0]
+    f = np.arange(points // 2 + 1) / points
+    found = np.fft.rfft(grid) / channel_grid.window_spectrum(f)
+    inside = f < 0.5 * channel_grid.WIDEST * 4 / 5
+    wrong = np.abs(found - np.exp(-2j * np.pi * f * place))[inside]
+    assert 20.0 * np.log10(wrong.max()) < channel_grid.SPREAD_ERROR_DB + 1.0
+    assert 20.0 * np.log10(wrong.max()) > -110.0  # a wider window would be a waste
+
+
+def test_the_table_is_the_window() -> None:
+    table = window_table()
+    phase = 0.123456789
+    row, rest = divmod(phase * channel_grid.PHASES, 1.0)
+    found = table[int(row) + 1, 0] + rest * table[int(row) + 1, 1]
+    # Linear between phases: an eighth of the second difference, which is at most 8 / TAPS^2 of the shape.
+    np.testing.assert_allclose(found, window_at(np.arange(1 - TAPS // 2, TAPS // 2 + 1) - phase), atol=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 1.0])
+def test_nodes_hold_what_changes_as_fast_as_they_are_made_for(share: float) -> None:
+    spacing = 40
+    change = share / (2.0 * OVERSAMPLING)  # cycles from node to node
+    window, within = node_window(spacing), np.arange(spacing)
+    found = np.zeros(spacing, dtype=complex)
+    for n in range(1 - NODES, NODES + 1):
+        inside = np.abs(within - n * spacing) < NODES * spacing
+        found[inside] += np.exp(2j * np.pi * change * n) * window[within[inside] - n * spacing + NODES * spacing - 1]
+    wrong = np.abs(found - np.exp(2j * np.pi * change * within / spacing))
+    # What is passed and the nearest image are each within the window's error; at the end of the band both add up
+    # (6 dB), and Kaiser's formula is right within 1 dB.
+    assert 20.0 * np.log10(wrong.max()) < channel_grid.NODE_ERROR_DB + 7.0
+    assert share == 0.0 or 20.0 * np.log10(wrong.max()) > -130.0
