@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -85,13 +84,6 @@ class PathSet:
 
     def __len__(self) -> int:
         return sum(map(len, self.families))
-
-    def with_motion_continued(self, seconds: float) -> PathSet:
-        """Return the same paths between ends that go on for so many seconds, see `Scene.with_motion_continued`."""
-        scene, families = self.scene.with_motion_continued(seconds), tuple(copy(family) for family in self.families)
-        for family in families:
-            object.__setattr__(family, "scene", scene)
-        return PathSet(scene, families)
 
     @cached_property
     def source(self) -> NDArray[np.int32]:

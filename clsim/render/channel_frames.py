@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.channel_grid import ChannelGrid, node_window, nodes_of
 from clsim.numerics.kaiser import low_pass_between
+from clsim.render.channel_grid import ChannelGrid, node_window, nodes_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

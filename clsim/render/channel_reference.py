@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.numerics.channel_grid import spread
 from clsim.render.channel_frames import ChannelFilters, ChannelFrames
+from clsim.render.channel_grid import spread
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats

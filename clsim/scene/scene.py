@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -189,19 +188,6 @@ class Scene:
         check_scatterers(self.named_scatterers(), ends, distance, self.air.slowest)
         check_bodies(self.room, self.named_bodies(), [*ends, *self.named_scatterers()], self.air.slowest)
         _check_bands(self)
-
-    def with_motion_continued(self, seconds: float) -> Scene:
-        """Return the same scene with sources and receivers that go on before their start and after their end.
-
-        Nothing is checked: there is no sound where they may be outside of the room.
-        """
-        scene = copy(self)
-        for name in ("sources", "receivers"):
-            ends = [copy(end) for end in getattr(self, name)]
-            for end in ends:
-                object.__setattr__(end, "trajectory", end.trajectory.continued(seconds))
-            object.__setattr__(scene, name, tuple(ends))
-        return scene
 
     def named_ends(self) -> list[tuple[str, End]]:
         """Return every source and receiver with the name of its field, e.g. ``"sources[0]"``.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -270,13 +270,6 @@ class SceneTracks(Tracks):
     def of_scene(self) -> SceneTracks:
         """These tracks."""
         return self
-
-    def continued(self, seconds: float) -> SceneTracks:
-        """Return the same tracks with ends that move on before their start and after their end."""
-        paths = self.paths.with_motion_continued(seconds)
-        twins = {id(family): twin for family, twin in zip(self.paths.families, paths.families, strict=True)}
-        pair_paths = tuple(replace(pair, family=twins[id(pair.family)]) for pair in self.pair_paths)
-        return replace(self, paths=paths, pair_paths=pair_paths)
 
     @property
     def scene(self) -> Scene:

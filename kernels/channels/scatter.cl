@@ -1,5 +1,5 @@
 // The impulse response of a receiver at one instant, for each function of frequency: every path is spread over eight
-// points of a grid, five to four samples, by a Kaiser-Bessel window (numerics/channel_grid.py). Work-item: dimension 0
+// points of a grid, five to four samples, by a Kaiser-Bessel window (render/channel_grid.py). Work-item: dimension 0
 // counts nodes (instants), dimension 1 receivers. Neighbouring slots have delays that lie far apart, so that what one
 // path adds does not wait for what the last one wrote.
 

@@ -11,9 +11,9 @@ from default_oracle import Circle, Line, Room
 from exhaustive import few
 
 import clsim
-from clsim.numerics import channel_grid
-from clsim.numerics.channel_grid import NODES, OVERSAMPLING, TAPS, node_window, spread, window_at, window_table
+from clsim.render import channel_grid
 from clsim.render.channel_frames import ChannelFilters
+from clsim.render.channel_grid import NODES, OVERSAMPLING, TAPS, node_window, spread, window_at, window_table
 from clsim.render.channel_reference import reference_channels
 from clsim.render.plan import Plan
 from clsim.render.render import record

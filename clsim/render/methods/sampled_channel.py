@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.channel_grid import NODES, OVERSAMPLING, SPREAD_ERROR_DB, WIDEST, node_window
 from clsim.render.channel_frames import ChannelFilters
+from clsim.render.channel_grid import NODES, OVERSAMPLING, SPREAD_ERROR_DB, WIDEST, node_window
 from clsim.render.contributions import Stateless
 from clsim.render.interpolator import Bandlimited
 from clsim.render.methods.costs import measured_costs, on_gpu
@@ -19,6 +19,7 @@ from clsim.render.methods.per_sample import PathSum, cost_of_filters
 from clsim.render.opencl.channel_engine import ChannelEngine
 from clsim.render.plan import LONG_BLOCKS
 from clsim.tracks.basis import flat_basis
+from clsim.tracks.continued import continued
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,7 +57,7 @@ def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple
     of_scene = emission.tracks.of_scene
     assert of_scene is not None, "channels are those of scenes"
     longest = of_scene.longest_delay(0.0, emission.until, emission.source)
-    tracks = of_scene.continued(2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate)
+    tracks = continued(of_scene, 2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate)
     for margin in _MARGINS:
         shift = emission.max_rate * filters.band
         spacing = math.floor(rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))

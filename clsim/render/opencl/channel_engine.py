@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.channel_grid import PHASES, TAPS, ChannelGrid, nodes_of, window_table
 from clsim.opencl.launch import work
 from clsim.render.channel_frames import ChannelFilters, ChannelFrames
+from clsim.render.channel_grid import PHASES, TAPS, ChannelGrid, nodes_of, window_table
 from clsim.render.opencl.batches import ActivePaths, fill_batch
 from clsim.render.opencl.branch_signals import Branches
 from clsim.render.opencl.engine import OpenclEngine, Run, Task

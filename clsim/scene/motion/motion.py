@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Self
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.arrays import Floats, as_number, read_only
-from clsim.scene.motion.curves import CONTINUATION, Curve, is_static, onward
+from clsim.scene.motion.curves import CONTINUATION, Curve, is_static
 from clsim.scene.motion.instants import Instants
 
 if TYPE_CHECKING:
@@ -77,17 +77,6 @@ class Motion:
     def turns(self) -> bool:
         """Whether the orientation changes."""
         return self.turning is not None and self.turning.turns
-
-    def continued(self, seconds: float) -> Self:
-        """Return the same motion that goes on smoothly for so many seconds before its start and after its end.
-
-        Lines and circles go on as they are, all others straight from 0.05 s on. Impulse responses of
-        nodes beyond the ends, where nothing sounds, need not be right, but must change smoothly.
-        """
-        if self.end == np.inf:
-            return self
-        curve = onward(self.curve, self.start - CONTINUATION, self.end + CONTINUATION)
-        return replace(self, curve=curve, start=self.start - seconds, end=self.end + seconds)
 
     def position(self, t: ArrayLike) -> Floats:
         """Return positions, m.

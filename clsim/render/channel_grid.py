@@ -28,7 +28,10 @@ _STEP = 16  # points that the grid's length is a multiple of, over 5
 
 
 def window_at(place: Floats) -> Floats:
-    """Return the Kaiser-Bessel window at distances from a path, points; 0 beyond `TAPS` / 2."""
+    """Return the Kaiser-Bessel window at distances from a path, points; 0 beyond `TAPS` / 2.
+
+    J. A. Fessler, B. P. Sutton, IEEE Trans. Signal Processing 51(2), 2003; see `numerics/nufft.py`.
+    """
     from scipy.special import i0e
 
     across = np.sqrt(np.maximum(1.0 - np.square(place / (0.5 * TAPS)), 0.0))
@@ -54,7 +57,10 @@ def window_table() -> Floats:
 
 
 def spread(places: Floats, gains: Floats, points: int) -> Floats:
-    """Return grids (K, points) of paths at places (P,), points, with gains (K, P): twin of ``scatter.cl``."""
+    """Return grids (K, points) of paths at places (P,), points, with gains (K, P): twin of ``scatter.cl``.
+
+    The gridding step of a nonuniform Fourier transform (Fessler and Sutton, 2003, section III).
+    """
     near = np.floor(places).astype(np.int64)[:, None] + np.arange(1 - TAPS // 2, TAPS // 2 + 1)
     window = window_at(near - places[:, None])
     return np.stack([np.bincount(near.ravel(), (window * gain[:, None]).ravel(), points) for gain in gains])
@@ -133,5 +139,5 @@ class ChannelGrid:
 
 
 def nodes_of(start: int, stop: int, spacing: int) -> range:
-    """Return the nodes whose windows weigh any of the samples from `start` up to `stop`."""
+    """Return the nodes whose windows weigh any of the samples from `start` up to `stop` (Kaiser, 1974)."""
     return range(start // spacing - NODES + 1, (stop - 1) // spacing + NODES + 1)
