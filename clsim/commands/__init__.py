@@ -12,6 +12,7 @@ COMMANDS = {
     "plot": "draw directivities, or what air absorbs",
     "materials": "list or draw the built-in materials, with sources and uncertainty",
     "score": "tell how well ranges are found in the results of a run",
+    "validate": "simulate rooms that were measured, and write a page of how far that is from the measurement",
     "verify": "compare the results of a run or a study with the digests and checksums of what was written",
     "study": "render a scene many times with other values of some of its fields",
     "devices": "list the OpenCL devices of this machine",

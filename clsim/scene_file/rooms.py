@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, ValidationError
 
-from clsim.errors import InputError
+from clsim.errors import InputError, not_one_of
+from clsim.files.input_files import read_toml
 from clsim.scene.material.material import Material
-from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.mesh import MeshRoom, by_group
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.room.walls import FLATNESS
+from clsim.scene_file.explain import explain
 from clsim.scene_file.materials import MaterialModel, is_material
 from clsim.scene_file.model import Model, Vector, within
 
@@ -93,6 +95,62 @@ class PlanModel(Model):
         return MeshRoom.from_plan(self.outline, self.height, materials, [np.array(p) for p in self.pillars])
 
 
+class PolygonsFile(Model):
+    """A file of polygons: corners, m, and polygons of them by name, in tables by material."""
+
+    sheets: list[str] = []
+    corners: dict[str, Vector]
+    polygons: dict[str, dict[str, list[int | str]]]
+
+    def rows(self, leave_out: list[str]) -> tuple[list[list[int]], list[str], list[str]]:
+        """Collect corners by number, material and name of every polygon, but for materials that are left out."""
+        for field, listed in (("leave_out", leave_out), ("sheets", self.sheets)):
+            for i, name in enumerate(listed):
+                if name not in self.polygons:
+                    raise InputError(f"{field}[{i}]", not_one_of(name, self.polygons))
+        number = {name: i for i, name in enumerate(self.corners)}
+        rows, groups, labels = [], [], []
+        for group, polygons in self.polygons.items():
+            for name, corners in () if group in leave_out else polygons.items():
+                for i, corner in enumerate(corners):
+                    if str(corner) not in number:
+                        raise InputError(f"polygons.{group}.{name}[{i}]", f"must name a corner, but is {corner!r:.40}")
+                rows.append([number[str(corner)] for corner in corners])
+                groups.append(group)
+                labels.append(f"{group} {name}")
+        return rows, groups, labels
+
+
+class PolygonsModel(Model):
+    """A room of polygons from a file."""
+
+    kind: Literal["polygons"]
+    path: str
+    leave_out: list[str] = []
+    flatness: float = FLATNESS
+    heal: float | Literal["auto", "off"] = "auto"
+    materials: Materials
+
+    def build(self, base: Path) -> MeshRoom:
+        materials = within("materials", lambda: _build_materials(self.materials, base))
+        file = base / self.path
+        content = read_toml(file)
+        try:
+            polygons = PolygonsFile.model_validate(content)
+        except ValidationError as error:
+            raise InputError("path", f"{file}: {explain(error, content, PolygonsFile)}") from error
+        try:
+            rows, groups, labels = polygons.rows(self.leave_out)
+        except InputError as error:
+            raise InputError(error.field, f"{file}: {error.problem}") from error
+        by_name = by_group(tuple(dict.fromkeys(groups)), self.path, materials)
+        return MeshRoom.from_polygons(
+            list(polygons.corners.values()), rows, [by_name[group] for group in groups],
+            double_sided=[i for i, group in enumerate(groups) if group in polygons.sheets], heal=self.heal,
+            flatness=self.flatness, labels=labels,
+        )  # fmt: skip
+
+
 def _obstacle_kind(value: Any) -> str:
     return str(value.get("kind", "mesh")) if isinstance(value, dict) else "mesh"
 
@@ -147,4 +205,11 @@ class PlanRoomModel(_WithObstacles, PlanModel):
         return self.with_obstacles(super().build(base), base)
 
 
-RoomModel = Annotated[ShoeboxRoomModel | MeshRoomModel | PlanRoomModel, Field(discriminator="kind")]
+class PolygonsRoomModel(_WithObstacles, PolygonsModel):
+    """A room of polygons from a file."""
+
+    def build(self, base: Path) -> MeshRoom:
+        return self.with_obstacles(super().build(base), base)
+
+
+RoomModel = Annotated[ShoeboxRoomModel | MeshRoomModel | PlanRoomModel | PolygonsRoomModel, Field(discriminator="kind")]

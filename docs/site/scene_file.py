@@ -50,6 +50,7 @@ TEXTS = {
     "obstacles": "What stands in the room: a `[[room.obstacles]]` each, a mesh or a plan.",
     "default": "Of walls that are not named.",
     "roughness": "Standard deviation of the surface's height, m.",
+    "leave_out": "Materials whose polygons are not in the room.",
     "sheets_below": "Shells thinner than this are taken as sheets, m; 0 for none.",
     "reflection": "The same factor at all frequencies: a number, or `[real, imaginary]`.",
     "named": "Of the built-in materials: `clsim materials` lists them.",
@@ -81,6 +82,7 @@ IN_TABLE = {
         "scale": "Metres in the file's unit of length: 0.001 for millimetres.",
         "translate": "Moves what is scaled and turned, m.",
     },
+    "PolygonsRoomModel": {"path": "A TOML file of corners and polygons: see [meshes](meshes.md)."},
     "_Porous": {"outside": "`\"extend\"`: the model also where it was not fitted; an error where left out."},
 }  # fmt: skip
 
@@ -251,7 +253,7 @@ EXAMPLES = {
     "phases": "[0.0, 0.1]", "prune_below_db": "-100.0", "_TruncatedLagrange.order": "13", "_TruncatedLagrange.length": "8", "chunk": "147456",
     "DirectivityTableModel.angle": '"angle"', "DirectivityTableModel.frequency": '"frequency"', "DirectivityTableModel.values": '"values"',
     "_NamedTransducer.name": '"MA40S4R"', "_Named.name": '"MA40S4S"', "_Person.height": "1.75", "_File.path": '"walk.txt"', "_Wav.path": '"call.wav"',
-    "_ImpulseResponseFile.path": '"response.wav"', "DirectivityTableModel.path": '"beam.csv"', "SofaModel.path": '"beam.sofa"',
+    "PolygonsRoomModel.path": '"studio.toml"', "_ImpulseResponseFile.path": '"response.wav"', "DirectivityTableModel.path": '"beam.csv"', "SofaModel.path": '"beam.sofa"',
     "_PositionsFile.path": '"microphones.csv"', "_CapturedPerson.path": '"walk.bvh"',
     "flow_resistivity": "20e3", "thickness": "0.05", "density": "1800.0", "sound_speed": "2500.0", "magnitudes": "[0.5, 1.0]",
 }  # fmt: skip

@@ -37,6 +37,7 @@ LAYERS = [
     ("cluster",),
     ("workflow",),
     ("study",),
+    ("measured",),
     ("commands",),
     ("cli",),
     ("__main__",),

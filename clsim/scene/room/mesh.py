@@ -183,13 +183,13 @@ class MeshRoom:
         from clsim.scene.room.mesh_files import read_mesh
 
         mesh = read_mesh(path, scale=scale, up=up)
-        by_group = _by_group(mesh.groups, Path(path).name, materials)
+        of_group = by_group(mesh.groups, Path(path).name, materials)
         stem = Path(path).stem
         names = [mesh.groups[g] for g in mesh.group]
         labels = [f"{stem} {name}".strip() for name in names]
         healed = heal_mesh(mesh.vertices, mesh.triangles, heal)
         return MeshRoom(
-            healed.vertices, healed.triangles, [by_group[names[i]] for i in healed.origin], flatness,
+            healed.vertices, healed.triangles, [of_group[names[i]] for i in healed.origin], flatness,
             [labels[i] for i in healed.origin], (*mesh.notes, *healed.notes), float(scale),
         )  # fmt: skip
 
@@ -302,7 +302,7 @@ class MeshRoom:
         (8, True)
         """
         vertices, triangles, labels = extruded_plan(outline, height, pillars)
-        of_label = _by_group(tuple(dict.fromkeys(labels)), "the plan", materials)
+        of_label = by_group(tuple(dict.fromkeys(labels)), "the plan", materials)
         return MeshRoom(vertices, triangles, [of_label[label] for label in labels], labels=labels)
 
     @staticmethod
@@ -656,7 +656,7 @@ def _per_triangle(name: str, materials: object, count: int) -> list[Material]:
     return list(materials)
 
 
-def _by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str, Material]:
+def by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str, Material]:
     """Return the material of each group of the mesh `name`."""
     if isinstance(materials, Material):
         return dict.fromkeys(groups, materials)

@@ -1,0 +1,1 @@
+"""Rooms that somebody measured, against simulations of them."""

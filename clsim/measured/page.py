@@ -1,0 +1,234 @@
+"""The page "Measured rooms": tables of what was measured and what clsim finds, and two pictures of each room."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.measured.simulated import mean_difference, noticeable
+from clsim.pictures.measured_plots import ParameterPanel, parameters_picture, ranks_picture
+from clsim.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from clsim.arrays import Floats
+    from clsim.measured.rooms import Aim, MeasuredRoom, MeasuredState
+    from clsim.measured.simulated import Simulated
+
+UNITS = {  # of pages: factor and unit
+    "t30": (1.0, "s"), "t20": (1.0, "s"), "edt": (1.0, "s"), "d50": (100.0, "%"), "c80": (1.0, "dB"),
+    "ts": (1000.0, "ms"), "g": (1.0, "dB"), "lf": (100.0, "%"), "lfc": (100.0, "%"), "iacc": (1.0, ""),
+}  # fmt: skip
+_NAMES = {"ts": "Ts"}
+_HEAD = """# Measured rooms
+
+Rooms whose impulse responses somebody measured, and what clsim finds from the published inputs: images of order 2 and
+the diffuse tail. Nothing was fitted to these rooms. `clsim validate` writes this page, also for [rooms of your
+own](validate.md). Differences are in just noticeable ones (JND; ISO 3382-1:2009, table A.1): 5 % of times, 5 points of
+D50, 1 dB of C80 and G, 10 ms of Ts. Values of clsim are means over the seeds, and lines are means over all pairs.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validated:
+    """A measured room and what clsim found for each of its states."""
+
+    room: MeasuredRoom
+    found: tuple[Simulated, ...]
+
+    def states(self) -> Iterator[tuple[MeasuredState, Simulated]]:
+        """Pair every state with what was found."""
+        return zip(self.room.states, self.found, strict=True)
+
+
+def provenance() -> str:
+    """Version of clsim, and in a checkout the commit and its date."""
+    root = Path(__file__).resolve().parents[2]
+
+    def git(*words: str) -> str:
+        try:
+            done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError):
+            return ""
+        return done.stdout.strip()
+
+    if not (root / "pyproject.toml").is_file():
+        return f"clsim {__version__}"
+    commit = git("log", "-1", "--format=commit %h of %cs", "--abbrev=10")
+    changed = ", with changes" if git("status", "--porcelain", "--", "clsim", "kernels", "examples/measured") else ""
+    return f"clsim {__version__}" + (f", {commit}{changed}" if commit else "")
+
+
+def page_text(rooms: Sequence[Validated], seeds: Sequence[int]) -> str:
+    """Text of the page in Markdown; pictures are beside it in ``pictures``."""
+    drawn = ", ".join(map(str, seeds))
+    lines = [_HEAD, f"Written with {provenance()}; seed{'s' if len(seeds) > 1 else ''} {drawn} of rays and noise.", ""]
+    for one in rooms:
+        lines += _room(one, len(seeds))
+    return "\n".join(lines)
+
+
+def picture_names(room: MeasuredRoom) -> list[str]:
+    """Names of a room's pictures."""
+    ranks = [f"{room.key}_ranks.png"] if any(state.participants for state in room.states) else []
+    return [f"{room.key}_{_slug(state.name)}.png" for state in room.states] + ranks
+
+
+def draw(one: Validated, folder: Path) -> None:
+    """Draw parameters by band, a picture for each state, and mean differences among those of other programs."""
+    room, panels = one.room, []
+    for (state, found), name in zip(one.states(), picture_names(room), strict=False):
+        of_state = [_panel(state, found, parameter) for parameter in found.values[0]]
+        parameters_picture(room.frequencies, of_state, folder / name, f"{room.name}, {state.name}: means over pairs")
+    for aim in room.aims:
+        others = _others(aim, one)
+        if others and aim.unit == "JND":
+            title = f"{' and '.join(aim.states)}\n{', '.join(map(_word, aim.parameters))}\n{_range(aim)}"
+            panels.append((title, _over_states(aim, one), np.array(others)))
+    if panels:
+        ranks_picture(panels, folder / picture_names(room)[-1], f"{room.name}: clsim among the participants")
+
+
+def summary(one: Validated) -> list[str]:
+    """Lines of the aims and what was reached, for the console."""
+    lines = []
+    for aim in one.room.aims:
+        head = f"{one.room.name}, {' and '.join(aim.states)}: {_listed(aim)}"
+        lines.append(f"{head}: {_value(aim, _over_states(aim, one))}, aim {_value(aim, aim.most)}")
+    return lines
+
+
+def _room(one: Validated, seeds: int) -> list[str]:
+    """Section of a room."""
+    room = one.room
+    lines = [f"## {room.name}", "", f"Source: {room.source}.", "", *_aims(one, seeds)]
+    lines += [f"- {note}" for note in room.notes] + [""]
+    for (state, found), name in zip(one.states(), picture_names(room), strict=False):
+        lines += [f"### {room.name}, {state.name}", "", f"![Parameters by band, {state.name}](pictures/{name})", ""]
+        lines += _table(room, state, found)
+        lines += [f"Responses: {'; '.join(found.notes)}.", ""] if found.notes else []
+        missing = [_word(p) for p in state.mean if p not in found.values[0]]
+        if missing:
+            what = "was measured too, and is" if len(missing) == 1 else "were measured too, and are"
+            lines += [f"{', '.join(missing)} {what} not compared yet: they need receivers of several channels.", ""]
+    if len(picture_names(room)) > len(room.states):
+        lines += [f"![Mean differences of all programs](pictures/{picture_names(room)[-1]})", ""]
+    return lines
+
+
+def _aims(one: Validated, seeds: int) -> list[str]:
+    """Table of aims: what was reached, by seed, and where others are."""
+    if not one.room.aims:
+        return []
+    lines = [
+        "| aim | at most | clsim, mean | by seed | missed by | other programs: best, quartile, median |",
+        "|---|---|---|---|---|---|",
+    ]
+    for aim in one.room.aims:
+        reached = _over_states(aim, one)
+        each = [_over_states(aim, one, seed) for seed in range(seeds)]
+        others = _others(aim, one)
+        theirs = ", ".join(_value(aim, x) for x in np.quantile(others, [0.0, 0.25, 0.5])) if len(others) else ""
+        missed = _value(aim, reached - aim.most) if reached > aim.most else "–"
+        lines.append(
+            f"| {_listed(aim)}, {' and '.join(aim.states)} | {_value(aim, aim.most)} | {_value(aim, reached)} | "
+            f"{', '.join(_value(aim, x) for x in each)} | {missed} | {theirs} |"
+        )
+    return [*lines, ""]
+
+
+def _table(room: MeasuredRoom, state: MeasuredState, found: Simulated) -> list[str]:
+    """Table of all parameters by band: measured, clsim, the mean difference, and that of the median participant."""
+    has_others = bool(state.participants)
+    heads = ["", "Hz", "measured", "clsim", "clsim - measured", "mean JND"] + [
+        "median participant - measured"
+    ] * has_others
+    eyring = "t20" in found.values[0]
+    heads += ["Eyring"] if eyring else []
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    for name in found.values[0]:
+        scale, unit = UNITS[name]
+        wanted, got = state.mean[name], found.mean(name)
+        apart = np.mean(np.abs(got - wanted) / noticeable(name, wanted), axis=1)
+        theirs = [np.mean(v[name] - wanted, axis=1) for v in state.participants.values() if name in v]
+        for b, frequency in enumerate(room.frequencies):
+            difference = float(np.mean(got[b] - wanted[b]))
+            cells = [f"{_word(name)} ({unit})" if b == 0 else "", f"{frequency:.4g}"]
+            cells += [f"{scale * x:.3g}" for x in (np.mean(wanted[b]), np.mean(got[b]))]
+            cells += [f"{scale * difference:+.2g}", f"{apart[b]:.2f}"]
+            if has_others:
+                cells.append(f"{scale * float(np.median([x[b] for x in theirs])):+.2g}" if theirs else "")
+            cells += [f"{found.eyring[b]:.3g}" if name in ("t20", "t30") else ""] * eyring
+            lines.append("| " + " | ".join(cells) + " |")
+    return [*lines, ""]
+
+
+def _panel(state: MeasuredState, found: Simulated, name: str) -> ParameterPanel:
+    """Panel of a parameter."""
+    scale, unit = UNITS[name]
+    spread = scale * state.deviation[name].mean(axis=1) if name in state.deviation else None
+    others = [scale * values[name].mean(axis=1) for values in state.participants.values() if name in values]
+    empty = np.empty((0, len(state.mean[name])))
+    return ParameterPanel(
+        _word(name), unit, scale * state.mean[name].mean(axis=1), spread, scale * np.mean(found.mean(name), axis=1),
+        np.array(others) if others else empty,
+    )  # fmt: skip
+
+
+def _reached(aim: Aim, one: Validated, state: MeasuredState, seed: int | None = None) -> float:
+    """Mean over seeds, or that of one seed, of the value of an aim in a state."""
+    found = one.found[one.room.states.index(state)]
+    each = range(len(found.values)) if seed is None else [seed]
+    return float(np.mean([_of(aim, one.room, state, found.values[i]) for i in each]))
+
+
+def _of(aim: Aim, room: MeasuredRoom, state: MeasuredState, values: dict[str, Floats]) -> float:
+    """Value of an aim: the mean in JND, or the largest relative or absolute difference in a band."""
+    bands = aim.bands(room)
+    if aim.unit == "JND":
+        return mean_difference(state, values, aim.parameters, bands)
+    worst = []
+    for name in aim.parameters:
+        wanted = state.mean[name][bands].mean(axis=1)
+        got = np.mean(values[name][bands], axis=1)
+        worst.append(np.abs(100.0 * (got / wanted - 1.0) if aim.unit == "%" else got - wanted).max())
+    return float(max(worst))
+
+
+def _over_states(aim: Aim, one: Validated, seed: int | None = None) -> float:
+    """Mean of what is reached over the aim's states."""
+    return float(np.mean([_reached(aim, one, s, seed) for s in one.room.states if s.name in aim.states]))
+
+
+def _others(aim: Aim, one: Validated) -> list[float]:
+    """List values of an aim of other programs, in the mean over its states; those without a state are left out."""
+    states = [state for state in one.room.states if state.name in aim.states]
+    programs = [p for p in states[0].participants if all(p in state.participants for state in states)]
+    return [float(np.mean([_of(aim, one.room, s, s.participants[p]) for s in states])) for p in programs]
+
+
+def _listed(aim: Aim) -> str:
+    """Parameters and frequencies of an aim, in words."""
+    named = ", ".join(_word(p) for p in aim.parameters)
+    return f"{named}, {_range(aim)}" + (f", {aim.remark}" if aim.remark else "")
+
+
+def _range(aim: Aim) -> str:
+    return f"{aim.low:g} to {aim.high:g} Hz" if aim.low < aim.high else f"{aim.high:g} Hz"
+
+
+def _value(aim: Aim, value: float) -> str:
+    return f"{value:.1f} %" if aim.unit == "%" else f"{value:.2f} {aim.unit}"
+
+
+def _word(parameter: str) -> str:
+    return _NAMES.get(parameter, parameter.upper())
+
+
+def _slug(text: str) -> str:
+    return "".join(letter if letter.isalnum() else "_" for letter in text)
