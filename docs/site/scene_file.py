@@ -253,7 +253,7 @@ EXAMPLES = {
     "phases": "[0.0, 0.1]", "prune_below_db": "-100.0", "_TruncatedLagrange.order": "13", "_TruncatedLagrange.length": "8", "chunk": "147456",
     "DirectivityTableModel.angle": '"angle"', "DirectivityTableModel.frequency": '"frequency"', "DirectivityTableModel.values": '"values"',
     "_NamedTransducer.name": '"MA40S4R"', "_Named.name": '"MA40S4S"', "_Person.height": "1.75", "_File.path": '"walk.txt"', "_Wav.path": '"call.wav"',
-    "PolygonsRoomModel.path": '"studio.toml"', "_ImpulseResponseFile.path": '"response.wav"', "DirectivityTableModel.path": '"beam.csv"', "SofaModel.path": '"beam.sofa"',
+    "PolygonsRoomModel.path": '"studio.toml"', "leave_out": '["curtain"]', "_ImpulseResponseFile.path": '"response.wav"', "DirectivityTableModel.path": '"beam.csv"', "SofaModel.path": '"beam.sofa"',
     "_PositionsFile.path": '"microphones.csv"', "_CapturedPerson.path": '"walk.bvh"',
     "flow_resistivity": "20e3", "thickness": "0.05", "density": "1800.0", "sound_speed": "2500.0", "magnitudes": "[0.5, 1.0]",
 }  # fmt: skip

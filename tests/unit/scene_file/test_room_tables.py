@@ -87,7 +87,7 @@ def test_shoeboxes_and_plans_with_obstacles(tmp_path: Path) -> None:
         ),
         ({"kind": "plan", "outline": [[0.0, 0.0], [1.0, 0.0]], "height": 3.0, "materials": {"reflection": 0.9}}, r"room\.outline: must be three"),
         ({"kind": "barn"}, r"room\.kind: must be one of"),
-        ({"path": "floor.obj"}, r'room\.kind: must be one of "shoebox", "mesh", "plan", but is missing'),
+        ({"path": "floor.obj"}, r'room\.kind: must be one of "shoebox", "mesh", "plan", "polygons", but is missing'),
     ],
 )  # fmt: skip
 def test_rooms_that_are_none_are_refused(tmp_path: Path, room: dict, message: str) -> None:
