@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.paths.vertices.edge_field import BOTH
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -13,8 +15,6 @@ if TYPE_CHECKING:
 
     Rows = NDArray[np.int64]
     Sides = NDArray[np.int8]
-
-BOTH = 2  # times a term's side: both ways round its boundary count as much beyond the end
 
 
 def joined_over_ends(

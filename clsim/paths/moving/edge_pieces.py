@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.paths.moving.looks import evaluated, first_change
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -17,8 +19,7 @@ if TYPE_CHECKING:
     Codes = NDArray[np.int8]
     CodesAt = Callable[[Rows, Floats], Codes]
 
-_PARTS = 4  # of the time between two looks, and so on
-_AT_A_TIME = 20_000  # paths and times
+_CODES = 20_000  # paths and times that are coded together
 
 
 def pieces(
@@ -40,7 +41,7 @@ def pieces(
     )
     last = np.empty(sum(len(rows) for rows, _ in looks))
     for rows, times in looks:
-        seen = _codes_at(codes, rows, np.broadcast_to(times, (len(rows), len(times))))
+        seen = evaluated(codes, rows, np.broadcast_to(times, (len(rows), len(times))), _CODES)
         path, gap = np.nonzero(seen[:, 1:] != seen[:, :-1])
         found.append((rows, np.full(len(rows), times[0]), seen[:, 0]))
         gaps.append((rows[path], times[gap], times[gap + 1], seen[path, gap], seen[path, gap + 1]))
@@ -48,8 +49,8 @@ def pieces(
     path, begin, stop, code, then = (np.concatenate([gap[i] for gap in gaps]) for i in range(5))
     path = path.astype(np.int64)
     while len(path):
-        change = _first_change(codes, path, (begin, stop), code, resolution)
-        after = np.where(change >= stop, then, _codes_at(codes, path, change[:, None])[:, 0])
+        change = first_change(codes, path, (begin, stop), code, resolution, _CODES)
+        after = np.where(change >= stop, then, evaluated(codes, path, change[:, None], _CODES)[:, 0])
         found.append((path, change, after))
         more = (after != then) & (change < stop)
         path, begin, stop, code, then = (x[more] for x in (path, change, stop, after, then))
@@ -61,24 +62,3 @@ def pieces(
     until[goes_on] = when[goes_on + 1]
     kept = code >= 0
     return path[kept], when[kept], until[kept], code[kept]
-
-
-def _first_change(codes: CodesAt, rows: Rows, between: tuple[Floats, Floats], code: Codes, resolution: float) -> Floats:
-    """Return the first of the times (n,) between two, the second included, at which paths are no more as coded, s."""
-    begin, end = (np.array(x) for x in between)
-    share = np.arange(1, _PARTS) / _PARTS
-    while len(rows) and np.max(end - begin) > resolution:
-        times = begin[:, None] + (end - begin)[:, None] * share
-        differs = _codes_at(codes, rows, times) != code[:, None]
-        any_differs, first = differs.any(axis=1), np.argmax(differs, axis=1)
-        step = (end - begin) / _PARTS
-        part = np.where(any_differs, first, _PARTS - 1)
-        begin, end = begin + step * part, np.where(any_differs, begin + step * (part + 1), end)
-    return end
-
-
-def _codes_at(codes: CodesAt, rows: Rows, times: Floats) -> Codes:
-    if not times.size:
-        return np.empty(times.shape, dtype=np.int8)
-    parts = np.array_split(np.arange(len(rows)), max(1, -(-times.size // _AT_A_TIME)))
-    return np.concatenate([codes(rows[part], times[part]) for part in parts if len(part)])

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from clsim.scene.motion.motion import Motion
 
     Status = Callable[[NDArray[np.int64], Floats], NDArray[np.bool_]]
+    Rows = NDArray[np.int64]
+    CodesAt = Callable[[Rows, Floats], NDArray[Any]]
     Nearby = Callable[[NDArray[np.int64], Floats], Status]
 
 ROUNDS = 5  # of the search for events, where 1e-9 m do
@@ -92,23 +94,27 @@ def _found(
     if not len(some):
         return np.empty(0)
     begin, end = between
-    change = _changes(quick, some, between, resolution)
+    last = quick(some, end[:, None])[:, 0]
+    change = first_change(quick, some, between, ~last, resolution, _AT_A_TIME)
     near = np.stack([np.maximum(change - resolution, begin), np.minimum(change, end)], axis=1)
-    seen, last = _at(status, rows[some], near), quick(some, end[:, None])[:, 0]
+    seen = evaluated(status, rows[some], near, _AT_A_TIME)
     wrong = np.flatnonzero((seen[:, 0] == last) | (seen[:, 1] != last))
     if len(wrong):
-        change[wrong] = _changes(status, rows[some[wrong]], (begin[wrong], end[wrong]), resolution)
+        these, spans = rows[some[wrong]], (begin[wrong], end[wrong])
+        before = ~evaluated(status, these, spans[1][:, None], _AT_A_TIME)[:, 0]
+        change[wrong] = first_change(status, these, spans, before, resolution, _AT_A_TIME)
     return change
 
 
-def _changes(status: Status, rows: NDArray[np.int64], between: tuple[Floats, Floats], resolution: float) -> Floats:
-    """Return the first time (n,) of those between two at which a path is no more as it was at the first, s."""
+def first_change(
+    codes: CodesAt, rows: Rows, between: tuple[Floats, Floats], code: Any, resolution: float, together: int
+) -> Floats:
+    """Find the first of the times (n,) between two, the second included, at which paths are not as coded, s."""
     begin, end = (np.array(x) for x in between)
-    before = ~_at(status, rows, end[:, None])[:, 0]
     share = np.arange(1, _PARTS) / _PARTS
-    while np.max(end - begin) > resolution:
+    while len(rows) and np.max(end - begin) > resolution:
         times = begin[:, None] + (end - begin)[:, None] * share
-        differs = _at(status, rows, times) != before[:, None]
+        differs = evaluated(codes, rows, times, together) != code[:, None]
         any_differs, first = differs.any(axis=1), np.argmax(differs, axis=1)
         step = (end - begin) / _PARTS
         part = np.where(any_differs, first, _PARTS - 1)
@@ -116,6 +122,9 @@ def _changes(status: Status, rows: NDArray[np.int64], between: tuple[Floats, Flo
     return end
 
 
-def _at(status: Status, rows: NDArray[np.int64], times: Floats) -> NDArray[np.bool_]:
-    parts = np.array_split(np.arange(len(rows)), max(1, -(-times.size // _AT_A_TIME)))
-    return np.concatenate([status(rows[part], times[part]) for part in parts if len(part)])
+def evaluated(codes: CodesAt, rows: Rows, times: Floats, together: int) -> Any:
+    """Codes of paths at times (n, T), computed for so many nodes together."""
+    if not times.size:
+        return np.empty(times.shape, dtype=np.int8)
+    parts = np.array_split(np.arange(len(rows)), max(1, -(-times.size // together)))
+    return np.concatenate([codes(rows[part], times[part]) for part in parts if len(part)])

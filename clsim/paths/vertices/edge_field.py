@@ -17,13 +17,15 @@ from clsim.acoustics.diffraction import (
 )
 from clsim.acoustics.edge_end import AT_CORNER, end_transition
 from clsim.acoustics.exact_wedge import exact_wedge_terms
-from clsim.paths.diffraction.end_pieces import BOTH
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
     from clsim.paths.response import SceneResponse
+
+
+BOTH = 2  # times a term's side: both paths round its boundary count as much beyond the end
 
 
 @dataclass(frozen=True, slots=True, eq=False)
