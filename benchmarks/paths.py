@@ -18,8 +18,9 @@ import numpy as np
 
 import clsim
 from clsim.opencl import compiler as compiler_module
-from clsim.paths.specular import beam_tree, device_intervals
+from clsim.paths.search import beam_tree
 from clsim.paths.trajectory_tables import trajectory_tables
+from clsim.paths.visibility import device as device_intervals
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[1] / "shared" / "data"

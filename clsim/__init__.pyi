@@ -7,13 +7,11 @@ from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.lateral_measures import LateralMeasures, lateral_measures
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
-from clsim.paths.echo_truth import EchoTruth
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
-from clsim.paths.moving.truth import BodyTruth, body_truth
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import PathTable
-from clsim.paths.scattering.truth import ScattererTruth, scatterer_truth
+from clsim.paths.target_truth import BodyTruth, EchoTruth, ScattererTruth, body_truth, scatterer_truth
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange

@@ -11,9 +11,9 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.paths.arrivals import QUASI_STATIC
-from clsim.paths.coverage import check_band_coverage
 from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
 from clsim.paths.path_set import PathSet
+from clsim.paths.response import check_band_coverage
 from clsim.tail.design import ULTRASOUND, searched_order
 from clsim.tail.diffuse_field import DiffuseField
 from clsim.tail.frozen import frozen_tails

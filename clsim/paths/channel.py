@@ -12,9 +12,8 @@ from clsim.arrays import Floats, as_number, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.numerics.band_kernels import BandKernels
 from clsim.paths.arrivals import slices_of
-from clsim.paths.coverage import check_band_coverage
 from clsim.paths.labelled import labelled_dataset
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import SceneResponse, check_band_coverage
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

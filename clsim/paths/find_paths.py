@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any, cast
 
 from clsim.arrays import as_choice, as_count, as_number
 from clsim.errors import InputError
-from clsim.paths.diffraction.search import double_edge_paths, edge_paths
-from clsim.paths.moving.edge_search import moving_edge_paths
-from clsim.paths.moving.hidden import behind_bodies
-from clsim.paths.moving.scattered_search import body_scattered_paths
-from clsim.paths.moving.search import BodySearch
+from clsim.paths.options import FamilyFinder, PathSearch, RoomFinder
 from clsim.paths.path_set import PathSet
-from clsim.paths.scattering.search import LARGEST_SCATTERING_ORDER, scattered_paths, sides
-from clsim.paths.search import FamilyFinder, PathSearch, RoomFinder
-from clsim.paths.specular.cross_talk import direct_levels, with_direct
-from clsim.paths.specular.mesh import FINDERS, mesh_paths, report
-from clsim.paths.specular.shoebox import shoebox_paths
+from clsim.paths.search.bodies import BodySearch
+from clsim.paths.search.body_edges import moving_edge_paths
+from clsim.paths.search.body_scatterers import body_scattered_paths
+from clsim.paths.search.cross_talk import direct_levels, with_direct
+from clsim.paths.search.edges import double_edge_paths, edge_paths
+from clsim.paths.search.mesh import FINDERS, mesh_paths, report
+from clsim.paths.search.scatterers import LARGEST_SCATTERING_ORDER, scattered_paths, sides
+from clsim.paths.search.shoebox import shoebox_paths
 from clsim.paths.vertices.edge import LAWS
+from clsim.paths.visibility.hidden import behind_bodies
 from clsim.paths.without_edges import warn_without_edges
 from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.room.mesh import MeshRoom
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from clsim.paths.chain import Chain
     from clsim.paths.family import PathFamily
-    from clsim.paths.specular.cross_talk import DirectSound
+    from clsim.paths.search.cross_talk import DirectSound
 
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 LARGEST_DIFFRACTION = 2

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.scene.air import coefficients
 from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
     Walls = NDArray[np.signedinteger[Any]]
+
 
 NEPERS = np.log(10.0) / 20.0  # in one dB
 _GRAZING = 1e-9  # least cosine of an angle of incidence
@@ -212,3 +214,21 @@ def covered(frequencies: Floats, thing: Material | Directivity) -> Floats:
     Where a signal is more than next to nothing they are the same: plans see to that.
     """
     return np.asarray(np.clip(frequencies, *thing.band))
+
+
+def check_band_coverage(scene: Scene, sources: Iterable[int], low: float, high: float, what: str) -> None:
+    """Check that materials and the directivities of receivers and some sources cover a band."""
+    directivities = [(f"sources[{i}]", scene.sources[i].directivity) for i in sources]
+    directivities += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
+    for field, directivity in directivities:
+        if not (directivity.band[0] <= low and high <= directivity.band[1]):
+            raise InputError(
+                f"{field}.directivity",
+                f"must cover {what}, {low:.0f} to {high:.0f} Hz, but covers "
+                f'{directivity.band[0]:.6g} to {directivity.band[1]:.6g} Hz; give more of it, or say outside="hold"',
+            )
+    for material in dict.fromkeys(scene.materials):
+        try:
+            material.check_coverage([low, high])
+        except InputError as error:
+            raise InputError("room", f"{error.field} {error.problem}") from error

@@ -10,8 +10,8 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
+from clsim.paths.cubics import KNOT_RATES, cubics_between
 from clsim.paths.propagation import contract_delay
-from clsim.paths.trajectory_cubics import KNOT_RATES, cubics_between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clsim.output.stores import SoundStore
-    from clsim.paths.echo_truth import EchoTruth
     from clsim.paths.ground_truth import DirectPath
     from clsim.paths.path_table import PathTable
+    from clsim.paths.target_truth import EchoTruth
     from clsim.scene.scene import Scene
     from clsim.study.file import Member, Study
     from clsim.workflow.pipeline import PlannedScene, Sink

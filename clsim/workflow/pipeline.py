@@ -13,8 +13,7 @@ from clsim.errors import InputError, warn
 from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import direct_path
-from clsim.paths.moving.truth import body_truth
-from clsim.paths.scattering.truth import scatterer_truth
+from clsim.paths.target_truth import body_truth, scatterer_truth
 from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths
@@ -31,10 +30,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.echo_truth import EchoTruth
     from clsim.paths.ground_truth import DirectPath
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
+    from clsim.paths.target_truth import EchoTruth
     from clsim.render.plan import Plan
     from clsim.render.rendering import Rendering
     from clsim.scene_file.scene import SceneFile

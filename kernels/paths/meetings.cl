@@ -2,7 +2,7 @@
 // wall, from a ball. A wall in the plane of the last one is none, nor is one whose side that paths can be on the ball
 // does not reach. Where receivers are given, only walls by which the beam may reach one of them: it touches the
 // receiver's sphere mirrored by the wall, and what the receiver sees in the wall touches the ball. The twin of
-// paths/specular/wall_lookup.py.
+// paths/visibility/occlusion.py.
 
 static int touches(__global const double4* half_spaces, int count, triple centre, double radius)
 {

@@ -1,5 +1,5 @@
 // Where things are that are neither source nor receiver, and how they are turned, as cubics between knots. Those of scatterers
-// stand at even distances and wherever a motion has a corner: twin of `pose_knots` in paths/pose_cubics.py. Those of mirrors
+// stand at even distances and wherever a motion has a corner: twin of `pose_knots` in paths/cubics.py. Those of mirrors
 // stand at even distances only, one in each cell: nodes/legs/moving.h.
 
 typedef struct {

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsim.paths.specular.intervals import Intervals
+from clsim.paths.visibility.intervals import Intervals
 
 
 def same(got: Intervals, twin: Intervals, step: float) -> bool:

@@ -10,13 +10,13 @@ from mutants import Mutants
 from same_intervals import same
 
 import clsim
-from clsim.paths.diffraction.intervals import EdgeSearch
-from clsim.paths.diffraction.search import _candidates, _double_candidates, _sequences
-from clsim.paths.diffraction.visibility import EdgeCandidates
 from clsim.paths.propagation import UniformAir
-from clsim.paths.specular.device_intervals import DeviceSearch
-from clsim.paths.specular.intervals import Intervals, VisibilityQuery
+from clsim.paths.search.edges import _candidates, _double_candidates, _sequences
 from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
+from clsim.paths.visibility.device import DeviceSearch
+from clsim.paths.visibility.edge_intervals import EdgeSearch
+from clsim.paths.visibility.edges import EdgeCandidates
+from clsim.paths.visibility.intervals import Intervals, VisibilityQuery
 
 pytestmark = pytest.mark.usefixtures("device")
 STEP = 1.0 / 12e3

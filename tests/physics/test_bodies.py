@@ -10,8 +10,8 @@ from scipy.optimize import brentq, minimize
 from scipy.special import jv
 
 import clsim
-from clsim.paths.moving.events import Events, find_events
-from clsim.paths.moving.mirrors import Mirrors
+from clsim.paths.legs.events import Events, find_events
+from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.propagation import UniformAir
 from clsim.scene.motion.trajectory import Trajectory
 

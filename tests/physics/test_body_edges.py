@@ -10,11 +10,10 @@ from scipy.optimize import minimize
 from test_body_paths import as_it_is
 
 import clsim
-from clsim.paths.moving.edge_events import Chains, EdgeSolver
-from clsim.paths.moving.edge_lines import EdgeLines
-from clsim.paths.moving.mirrors import Mirrors
+from clsim.paths.legs.mirrors import EdgeLines, Mirrors
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.edge_events import Chains, EdgeSolver
 from clsim.scene.motion.trajectory import Trajectory
 
 C = 343.0

@@ -10,10 +10,10 @@ import clsim
 from clsim.numerics.quaternions import rotate
 from clsim.paths.arrivals import QUASI_STATIC, RETARDED
 from clsim.paths.chain import Chain
-from clsim.paths.moving.mirrors import Mirrors
-from clsim.paths.moving.scattered_way import find_scattered
+from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.paths.view import viewed
 from clsim.render.methods.static import pairs_at_rest
 

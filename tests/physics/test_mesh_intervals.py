@@ -11,9 +11,9 @@ from mesh_oracle import Oracle
 from scenes import DATA
 
 import clsim
-from clsim.paths.specular import mesh as mesh_paths
-from clsim.paths.specular import ray_shooting
-from clsim.paths.specular.device_intervals import DeviceSearch
+from clsim.paths.search import mesh as mesh_paths
+from clsim.paths.search import ray_shooting
+from clsim.paths.visibility.device import DeviceSearch
 from clsim.scene.room.mesh_files import read_mesh
 
 WALL = clsim.Material.from_reflection(0.9)

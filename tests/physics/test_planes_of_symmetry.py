@@ -5,9 +5,9 @@ import pytest
 from edge_fields import terms
 
 import clsim
-from clsim.paths.diffraction import pieces
-from clsim.paths.diffraction.visibility import EdgeVisibility
 from clsim.paths.path_set import PathSet
+from clsim.paths.visibility import edge_intervals as pieces
+from clsim.paths.visibility.edges import EdgeVisibility
 
 PLAN = [(0, 0), (8, 0), (8, 4), (4, 4), (4, 8), (0, 8)]
 MOST = 40_000  # evaluations; 0.5 s at 1 ms are 1500 of each path on a boundary, at the resolution of 0.3 us 3 million

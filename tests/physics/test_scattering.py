@@ -14,7 +14,7 @@ from scipy.special import eval_legendre, jv, spherical_jn, spherical_yn
 
 import clsim
 from clsim.numerics.quaternions import rotate
-from clsim.paths.scattering.search import direct_ways
+from clsim.paths.search.scatterers import direct_ways
 
 C, RATE = 343.0, 192e3
 AIR = clsim.Air(speed_of_sound=C, absorption=False)

@@ -4,8 +4,7 @@ import numpy as np
 
 import clsim
 from clsim.numerics.quaternions import rotate
-from clsim.paths.pose_cubics import pose_knots, pose_rate
-from clsim.paths.trajectory_cubics import knot_rate
+from clsim.paths.cubics import knot_rate, pose_knots, pose_rate
 from clsim.scene.motion.motion import Motion
 
 TOLERANCE = 1e-8  # m

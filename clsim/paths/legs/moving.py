@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from clsim.paths.chain import Chain
+from clsim.paths.legs.events import find_events
 from clsim.paths.links import Links, in_chunks, met_in_order
-from clsim.paths.moving.events import find_events
 from clsim.paths.propagation import UniformAir
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, Rows
+    from clsim.paths.legs.mirrors import Mirrors
     from clsim.paths.links import Columns, Integers, Vertex
-    from clsim.paths.moving.mirrors import Mirrors
     from clsim.scene.scene import Scene
 
 _AT_A_TIME = 16384  # nodes that are solved together

@@ -11,10 +11,9 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SPECULAR
-from clsim.paths.heights import Folds
 from clsim.paths.legs.places import path_vertices
 from clsim.paths.links import Links
-from clsim.paths.propagation import arrivals_by, straight
+from clsim.paths.propagation import Folds, arrivals_by, straight
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,8 +11,8 @@ import numpy as np
 from clsim.acoustics.diffraction import ON_LINE, edge_way, lit_angles
 from clsim.paths.arrivals import Arrivals
 from clsim.paths.family import DIFFRACTION
-from clsim.paths.moving.edge_events import Chains, EdgeSolver
 from clsim.paths.propagation import UniformAir, arrivals_by
+from clsim.paths.vertices.edge_events import Chains, EdgeSolver
 from clsim.paths.vertices.edge_field import (
     EndsOfEdges,
     cylindrical,
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Kinematics
     from clsim.paths.family import Instant, Rows
+    from clsim.paths.legs.mirrors import EdgeLines
     from clsim.paths.links import Columns, Links, Pair
-    from clsim.paths.moving.edge_events import EdgeEvents
-    from clsim.paths.moving.edge_lines import EdgeLines
     from clsim.paths.propagation import Medium
     from clsim.paths.response import SceneResponse
+    from clsim.paths.vertices.edge_events import EdgeEvents
 
     Triple = tuple[Floats, Floats, Floats]
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.diffraction import ON_LINE, edge_way
-from clsim.paths.heights import Folds
-from clsim.paths.propagation import straight
+from clsim.paths.propagation import Folds, straight
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats

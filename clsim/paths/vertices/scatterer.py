@@ -10,8 +10,7 @@ import numpy as np
 
 from clsim.paths.family import SCATTERING, ends_at
 from clsim.paths.links import in_chunks
-from clsim.paths.moving.scattered_way import find_scattered
-from clsim.paths.scattering.way import scattered_way
+from clsim.paths.vertices.scatterer_paths import find_scattered, scattered_way
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -22,10 +21,9 @@ if TYPE_CHECKING:
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, Rows
     from clsim.paths.links import Columns, Links, Pair
-    from clsim.paths.moving.scattered_way import ScatteredEvents
     from clsim.paths.propagation import Medium, UniformAir
     from clsim.paths.response import SceneResponse
-    from clsim.paths.scattering.way import Way
+    from clsim.paths.vertices.scatterer_paths import ScatteredEvents, Way
     from clsim.scene.scatterer import Scatterer
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.launch import Scratch, upload, work
-from clsim.paths.trajectory_cubics import CUBIC_COLUMNS, knot_rate, motion_knots
+from clsim.paths.cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR, Environment, receiver_at

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.launch import work
-from clsim.paths.trajectory_cubics import CUBIC_COLUMNS
+from clsim.paths.cubics import CUBIC_COLUMNS
 from clsim.render.opencl.nodes import NodeMaker
 
 if TYPE_CHECKING:

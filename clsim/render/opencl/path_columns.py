@@ -14,12 +14,11 @@ from clsim.acoustics.edge_end import AT_CORNER, END_TERMS
 from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.errors import InputError
-from clsim.paths.moving.events import BEYOND_LEG
-from clsim.paths.moving.face_cubics import FACE_COLUMNS, face_knots, face_rate
-from clsim.paths.moving.mirrors import ROOM
-from clsim.paths.pose_cubics import POSE_COLUMNS, pose_knots, pose_rate
-from clsim.paths.scattering.way import PATIENCE
+from clsim.paths.cubics import FACE_COLUMNS, POSE_COLUMNS, face_knots, face_rate, pose_knots, pose_rate
+from clsim.paths.legs.events import BEYOND_LEG
+from clsim.paths.legs.mirrors import ROOM
 from clsim.paths.vertices.edge_field import BOTH, least_angle
+from clsim.paths.vertices.scatterer_paths import PATIENCE
 from clsim.render.opencl.lookup_tables import end_table, field_tables, transition_table
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ import numpy as np
 import clsim
 from clsim.paths.chain import Chain
 from clsim.paths.legs.static import image_columns
-from clsim.paths.search import PathSearch
+from clsim.paths.options import PathSearch
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
 

@@ -12,9 +12,9 @@ import clsim
 from clsim.arrays import Floats
 from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
 from clsim.paths.family import DIFFRACTION, PathFamily, Rows
+from clsim.paths.options import PathSearch
 from clsim.paths.propagation import arrivals_by, straight
 from clsim.paths.response import SceneResponse
-from clsim.paths.search import PathSearch
 
 POINT, ALONG = np.array([4.0, 3.0, 2.0]), np.array([0.6, 0.8, 0.0])
 GAIN = 0.3

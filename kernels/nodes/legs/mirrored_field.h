@@ -1,5 +1,5 @@
 // Length and factors of paths by bodies at nodes, of mirrors that depend on the angle: twin of
-// `BodyPaths.response` in paths/moving/family.py.
+// `Chain.response` in paths/chain.py.
 
 #if LEG == MOVING
 // Over what pressure falls besides by the source's Mach factor, m.

@@ -1,5 +1,5 @@
 // Mirrors of moving legs (faces of bodies), MIRRORS of them at most, and images of events in these, as the source's own room sees them, where
-// walls at rest are isometries. Twin of paths/moving/events.py. In wind, which all is seen from the air's own frame for, walls
+// walls at rest are isometries. Twin of paths/legs/events.py. In wind, which all is seen from the air's own frame for, walls
 // at rest move, too.
 
 #if LEG == MOVING

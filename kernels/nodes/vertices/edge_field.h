@@ -1,4 +1,4 @@
-// The field beyond an edge: twin of `EdgePaths._edge_field` in paths/diffraction/family.py and of acoustics/diffraction.py.
+// The field beyond an edge: twin of `EdgeVertex._field` in paths/vertices/edge_field.py and of acoustics/diffraction.py.
 
 #if VERTEX == EDGE
 // Coordinates of a place along the axes of an edge, and a vector of these in the room.

@@ -1,5 +1,5 @@
 // Ways by a scatterer: the delay equation of each leg, the later one first, together with the specular point. Twin of
-// paths/scattering/way.py.
+// paths/vertices/scatterer_paths.py.
 
 #if VERTEX == SCATTERER
 #define ROUNDS 60

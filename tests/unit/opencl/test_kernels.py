@@ -12,7 +12,7 @@ from clsim.opencl.compiler import ALONE, LONG_ALONE, LONG_KERNELS, as_built, com
 from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
 from clsim.opencl.launch import NUMBERS, Launch, layout, upload
-from clsim.paths.specular.device_intervals import INTERVAL, SPAN, progress
+from clsim.paths.visibility.device import INTERVAL, SPAN, progress
 from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR
 from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
 from clsim.render.opencl.path_columns import EDGE_VIEW, MIRROR_VIEW, SCATTERER_VIEW

@@ -10,8 +10,8 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 import clsim
-from clsim.paths.specular.beams import beam_planes, clip_rings
 from clsim.paths.trajectory_tables import trajectory_tables
+from clsim.paths.visibility.beams import beam_planes, clip_rings
 
 SQUARE = np.array([[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]], float)  # counterclockwise about +x
 

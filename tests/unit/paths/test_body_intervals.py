@@ -8,12 +8,12 @@ from exhaustive import few
 
 import clsim
 from clsim.paths.find_paths import ROOM_FINDERS
-from clsim.paths.moving import rates, subdivision
-from clsim.paths.moving.events import find_events
-from clsim.paths.moving.hidden import polylines
-from clsim.paths.moving.search import BodySearch
-from clsim.paths.moving.visibility import Legs, hidden_by
-from clsim.paths.search import PathSearch
+from clsim.paths.legs.events import find_events
+from clsim.paths.options import PathSearch
+from clsim.paths.search.bodies import BodySearch
+from clsim.paths.visibility import rates, subdivision
+from clsim.paths.visibility.hidden import polylines
+from clsim.paths.visibility.obstacles import Legs, hidden_by
 
 C, RATE = 343.0, 192e3
 WOOD = clsim.Material.from_reflection(0.9)
@@ -223,7 +223,7 @@ def test_paths_that_run_along_what_decides_are_not_looked_at_for_ever() -> None:
         return truth(times), sure, rates.taken_for(sure, np.full(len(times), 1.0))
 
     spans = np.zeros(1, dtype=np.int64), np.zeros(1), np.ones(1)
-    path, begin, end = subdivision.intervals(look, lambda rows, times: truth(times), spans, 1.0 / 16.0 / RATE)
+    path, begin, end = subdivision.certified(look, lambda rows, times: truth(times), spans, 1.0 / 16.0 / RATE)
     assert path.tolist() == [0, 0]
     assert np.concatenate([begin, end]) == pytest.approx([0.2, 0.7, 0.3, 1.0], abs=1.0 / 16.0 / RATE)
     assert count < 3000

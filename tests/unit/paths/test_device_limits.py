@@ -13,10 +13,9 @@ import clsim
 from clsim.opencl.compiler import Compiler
 from clsim.opencl.device import DeviceInfo, find_device
 from clsim.opencl.limits import operations_in_launch
-from clsim.paths.specular import mesh as mesh_module
-from clsim.paths.specular.device_intervals import DeviceSearch
-from clsim.paths.specular.device_walls import GROUP, OPERATIONS_PER_BOX
+from clsim.paths.search import mesh as mesh_module
 from clsim.paths.trajectory_tables import TrajectoryTables
+from clsim.paths.visibility.device import GROUP, OPERATIONS_PER_BOX, DeviceSearch
 
 pytestmark = pytest.mark.usefixtures("device")
 GIB = 2**30

@@ -3,8 +3,8 @@
 import numpy as np
 
 import clsim
-from clsim.paths.moving.face_cubics import face_knots, face_rate
-from clsim.paths.moving.mirrors import Mirrors
+from clsim.paths.cubics import face_knots, face_rate
+from clsim.paths.legs.mirrors import Mirrors
 
 WOOD = clsim.Material.from_reflection(0.9)
 TOLERANCE = 2e-9  # m

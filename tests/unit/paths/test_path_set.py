@@ -7,7 +7,7 @@ import pytest
 
 import clsim
 from clsim.paths.response import SceneResponse
-from clsim.paths.specular.shoebox import shoebox_image_count, shoebox_images
+from clsim.paths.search.shoebox import shoebox_image_count, shoebox_images
 
 SIZE = np.array([8.0, 6.0, 3.0])
 

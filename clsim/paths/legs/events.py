@@ -1,0 +1,301 @@
+"""Sound by mirrors that move, exactly: images of events.
+
+A mirror ``n x = h + V t`` that moves evenly makes of the wave from an event at a time t and a place x that of the image
+
+    x' = x - 2 g n / (1 - M²),    t' = t - 2 g V / (c² (1 - M²)),    g = n x - V t - h,    M = V / c
+
+(a Lorentz reflection, with the speed of sound for that of light): what the image emits meets the boundary condition on
+the mirror, and at rest it is the usual one. Sequences of mirrors compose. What a mirror does otherwise, such as
+turning, is taken from its tangent in time and space about the event in which the sound meets it, which is found by
+iteration: paths are stationary, so that each round squares what is left but for a factor M.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.paths.legs.mirrors import dot
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.legs.mirrors import Mirrors, Planes
+    from clsim.paths.propagation import UniformAir
+    from clsim.scene.motion.motion import Motion
+
+_ROUNDS = 20
+_CONVERGED = 1e-14  # s
+_APART = 4  # times from one at which events are looked for to the next: between them it is known about when they are
+_LEAST = 6 * _APART  # times, for that
+_LONGEST_GAP = 0.05  # s between these
+_FEW_ROUNDS = 3  # from there on
+_FOUND = 1e-11  # s; what the next step leaves of this is its share of the mirrors' Mach numbers
+BEYOND_LEG = 0.5  # of a leg, by which events of paths that are not there may lie off it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Events:
+    """P paths of N mirrors at T times of reception, from which all times are counted.
+
+    Attributes
+    ----------
+    stretch, carried : ndarray (P, T)
+        By how much the time of reception grows with that of emission for a receiver that rests in the air; what the
+        wind makes of it where all rests in the room.
+    place, time : ndarray (P, T, N + 2, 3), (P, T, N + 2)
+        Emission, reflections and reception in the room, m and s; those of no mirror at that before.
+    share : ndarray (P, T, N)
+        Where the line from the receiver's side to the image meets each mirror: between 0 and 1 if it does.
+    """
+
+    delay: Floats  # (P, T) s, and its derivative by the time of reception
+    rate: Floats  # likewise
+    distance: Floats  # (P, T) from the image of the emission to the receiver in the air's frame, m
+    stretch: Floats
+    carried: Floats
+    mach: Floats  # (P, T) of the source along its way
+    departure: Floats  # (P, T, 3) normals of the wavefront: as it leaves, and back from the receiver
+    arrival: Floats  # likewise
+    place: Floats
+    time: Floats
+    share: Floats
+    cosine: Floats  # (P, T, N) of the angle of incidence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ends:
+    """Source and receiver as the air's frame sees them."""
+
+    motion: tuple[Motion, Motion]
+    now: Floats
+    wind: Floats
+    retarded: bool
+
+    def emitted(self, event: Floats) -> tuple[Floats, Floats]:
+        """Return places and velocities (P, T, 3) of the source in the room at events (P, T)."""
+        source = self.motion[0]
+        if not self.retarded:
+            place = source.position(self.now)
+            return place, np.zeros_like(place)
+        return source.position(self.now + event), source.velocity(self.now + event)
+
+
+def find_events(
+    mirrors: Mirrors,
+    walls: NDArray[np.signedinteger[Any]],
+    motion: tuple[Motion, Motion],
+    medium: UniformAir,
+    times: Floats,
+    retarded: bool = True,
+    rounds: int = _ROUNDS,
+) -> Events:
+    """Return the events of paths by mirrors.
+
+    Shapes: walls (P, N); times (T,) s.
+
+    medium: what sound travels in; in wind all is seen from the air's own frame, where the law is the same.
+
+    retarded: whether all is where it was when the sound passed, or rests where it is at reception.
+
+    result: also of paths that are not there: what would be seen if mirrors had no edges.
+
+    Where times are many and near to each other, events are looked for at every fourth of them first: quintic splines
+    through these are where the others begin, and change no more than how many rounds that takes.
+
+    References
+    ----------
+    A. Einstein, Annalen der Physik 17 (1905), section 8: reflection by a moving mirror, of which this is the form for
+    events; for sound D. Censor, J. Acoust. Soc. Am. 76 (1984), with mirrors that leave the air at rest.
+    """
+    moments = np.asarray(times, dtype=np.float64)
+    search = _Search(mirrors, motion, medium, retarded)
+    few = few_of(moments) if retarded else None
+    if few is None:
+        return search.solved(walls, moments, None, rounds)[0]
+    coarse = search.solved(walls, moments[few], None, rounds)[0]
+    found, left = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
+    rows = np.flatnonzero(left > _FOUND)
+    if not len(rows):
+        return found
+    again = search.solved(walls[rows], moments, None, rounds)[0]
+    for name in (f.name for f in fields(Events)):
+        getattr(found, name)[rows] = getattr(again, name)
+    return found
+
+
+def few_of(times: Floats) -> NDArray[np.int64] | None:
+    """Pick the times among many (T,) near to each other at which events are solved first; None where far."""
+    if times.ndim != 1 or len(times) < _LEAST or np.any(np.diff(times) <= 0.0):
+        return None
+    few = np.arange(0, len(times), _APART)
+    few[-1] = len(times) - 1
+    return few if np.diff(times[few]).max() <= _LONGEST_GAP else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """About when sound is emitted (P, T), and when (P, T, N), s, and where (P, T, N, 3), m, it is reflected."""
+
+    emission: Floats
+    event: Floats
+    place: Floats
+
+    @staticmethod
+    def between(coarse: Events, times: Floats, few: NDArray[np.int64]) -> _Known:
+        """Events at all times (T,) by quintic splines through those at few of them."""
+        from scipy.interpolate import make_interp_spline
+
+        shares = make_interp_spline(times[few], np.eye(len(few)), k=5)(times)
+        when, where = (np.moveaxis(x, 1, -1) @ shares.T for x in (coarse.time, coarse.place))
+        when, where = np.moveaxis(when, -1, 1), np.moveaxis(where, -1, 1)
+        return _Known(when[..., 0], when[..., 1:-1], where[..., 1:-1, :])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """What events are looked for among."""
+
+    mirrors: Mirrors
+    motion: tuple[Motion, Motion]
+    medium: UniformAir
+    retarded: bool
+
+    def solved(
+        self, walls: NDArray[np.signedinteger[Any]], times: Floats, known: _Known | None, rounds: int
+    ) -> tuple[Events, Floats]:
+        """Return the events of paths, and the last steps (P,) of their times of emission, s."""
+        shape, retarded = (len(walls), times.shape[-1]), self.retarded
+        now, receiver = np.broadcast_to(times, shape), self.motion[1]
+        wind, c, count = np.array(self.medium.wind or (0.0, 0.0, 0.0)), self.medium.speed_of_sound, walls.shape[1]
+        ends = _Ends(self.motion, now, wind, retarded)
+        heard_at = np.broadcast_to(receiver.position(times), (*shape, 3))
+        event, place = [np.zeros(shape)] * count, [heard_at] * count
+        emission, first = np.zeros(shape), known is None
+        if known is not None:
+            emission = known.emission
+            event, place = ([x[:, :, k] for k in range(count)] for x in (known.event, known.place))
+        for _ in range(rounds):
+            rest = first or not retarded
+            at = [e if retarded else np.zeros(shape) for e in event]
+            planes = [
+                _in_air(self.mirrors.planes(walls[:, k], now, at[k], None if rest else place[k]), wind)
+                for k in range(count)
+            ]
+            seen = _images(planes, ends, emission, c)
+            apart = heard_at - seen.place[-1]
+            distance = np.linalg.norm(apart, axis=-1)
+            onwards = apart / np.maximum(distance, 1e-300)[..., None]
+            beyond = seen.late - dot(onwards, seen.moved) / c
+            step = -(seen.time[-1] + distance / c) / (1.0 + beyond)
+            emission = emission + step
+            event, place, share = _traced(planes, seen, heard_at, wind)
+            largest = np.abs(step).max(axis=1, initial=0.0)
+            if not first and largest.max(initial=0.0) <= (_CONVERGED if known is None else _FOUND):
+                break
+            first = False
+        found = (emission, event, place, share), (distance, onwards, beyond)
+        return _told(self.mirrors, walls, planes, ends, *found, c), largest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Images:
+    """Images of the emission, before and after each mirror, in the air's frame, and how the last one moves on.
+
+    It is later by ``late``, and farther by ``moved``, m, for a second of emission.
+    """
+
+    time: list[Floats]
+    place: list[Floats]
+    late: Floats
+    moved: Floats
+
+
+def _in_air(planes: Planes, wind: Floats) -> Planes:
+    """Return mirrors as they are in the air's frame, which is that of the room at the times from which is counted."""
+    return replace(planes, speed=planes.speed - planes.normal @ wind) if wind.any() else planes
+
+
+def _images(planes: list[Planes], ends: _Ends, emission: Floats, c: float) -> _Images:
+    """Return the images of what is emitted at times (P, T)."""
+    place, velocity = ends.emitted(emission)
+    places, times = [place - emission[..., None] * ends.wind], [emission]
+    moved, late = velocity - ends.wind, np.zeros(emission.shape)
+    for plane in planes:
+        mach = plane.speed / c
+        twice = 2.0 / (1.0 - mach**2)
+        height = plane.height(times[-1], places[-1]) * twice
+        rise = (dot(plane.normal, moved) - plane.speed * (1.0 + late)) * twice
+        places.append(places[-1] - height[..., None] * plane.normal)
+        times.append(times[-1] - height * mach / c)
+        moved, late = moved - rise[..., None] * plane.normal, late - rise * mach / c
+    return _Images(times, places, late, moved)
+
+
+def _traced(
+    planes: list[Planes], seen: _Images, heard_at: Floats, wind: Floats
+) -> tuple[list[Floats], list[Floats], list[Floats]]:
+    """Return times, places in the room and shares of the reflections, from the receiver back to the source."""
+    time, place = np.zeros(heard_at.shape[:2]), heard_at
+    found: list[tuple[Floats, Floats, Floats]] = []
+    for k in range(len(planes) - 1, -1, -1):
+        near = planes[k].height(time, place)
+        far = planes[k].height(seen.time[k + 1], seen.place[k + 1])
+        apart = near - far
+        share = np.where(apart == 0.0, 0.0, near / np.where(apart == 0.0, 1.0, apart))
+        part = np.clip(share, -BEYOND_LEG, 1.0 + BEYOND_LEG)
+        time, place = (
+            time + part * (seen.time[k + 1] - time),
+            place + part[..., None] * (seen.place[k + 1] - place),
+        )
+        found.append((time, place + time[..., None] * wind, share))
+    times, places, shares = ([each[i] for each in found[::-1]] for i in range(3))
+    return times, places, shares
+
+
+def _told(
+    mirrors: Mirrors, walls: NDArray[np.signedinteger[Any]], planes: list[Planes], ends: _Ends,
+    found: tuple[Floats, list[Floats], list[Floats], list[Floats]], last: tuple[Floats, Floats, Floats], c: float,
+) -> Events:  # fmt: skip
+    """`Events` of the converged solution, with directions of the legs from the receiver back."""
+    emission, event, place, share = found
+    distance, onwards, beyond = last
+    now, wind, shape = ends.now, ends.wind, ends.now.shape
+    source, receiver = ends.motion
+    heading = np.broadcast_to(receiver.velocity(now), (*shape, 3))
+    carried = 1.0 + onwards @ wind / c
+    turned, cosine, growth = onwards, np.empty((*shape, len(planes))), np.zeros(shape)
+    for k in range(len(planes) - 1, -1, -1):
+        before = _reflected(planes[k], turned, c)
+        cosine[..., k] = np.abs(np.sum(planes[k].normal * before, axis=-1))
+        if not ends.retarded:
+            speed = mirrors.planes(walls[:, k], now, np.zeros(shape), place[k]).speed
+            slowness = before / (c + before @ wind)[..., None] - turned / (c + turned @ wind)[..., None]
+            growth += dot(slowness, planes[k].normal) * speed
+        turned = before
+    at, velocity = ends.emitted(emission)
+    leaving = velocity if ends.retarded else np.broadcast_to(source.velocity(now), (*shape, 3))
+    mach = dot(turned, leaving) / (c + turned @ wind)
+    if ends.retarded:
+        away = dot(onwards, heading - wind) / c
+        rate = (beyond + away) / (1.0 + beyond)
+    else:
+        rate = growth - mach + dot(onwards, heading) / (c + onwards @ wind)
+    heard_at = np.broadcast_to(receiver.position(now), (*shape, 3))
+    return Events(
+        -emission, rate, distance, 1.0 + beyond, carried, mach, turned, -onwards,
+        np.stack([np.broadcast_to(at, heard_at.shape), *place, heard_at], axis=-2),
+        np.stack([emission, *event, np.zeros(shape)], axis=-1),
+        np.stack([*share], axis=-1) if share else np.empty((*shape, 0)), cosine,
+    )  # fmt: skip
+
+
+def _reflected(plane: Planes, direction: Floats, c: float) -> Floats:
+    """Return the directions (P, T, 3) in which sound comes to a mirror that leaves it in given ones."""
+    mach = plane.speed / c
+    rise = 2.0 * (dot(plane.normal, direction) - mach) / (1.0 - mach**2)
+    before = direction - rise[..., None] * plane.normal
+    return np.asarray(before / (1.0 - rise * mach)[..., None])

@@ -1,0 +1,228 @@
+"""Walls and faces as mirrors, and their edges as lines, with where they are and how fast at any event."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.numerics.quaternions import cross_product, rotate
+from clsim.scene.room.edges import find_edges
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.body import Body
+    from clsim.scene.scene import Scene
+
+    Integers = NDArray[np.signedinteger[Any]]
+
+
+ROOM = -1  # owner of the walls of the room
+FARTHEST = 2.0  # radii of a body from its origin, beyond which its velocity is not continued
+_ON = 1e-7  # of the room's size; what is nearer to a plane is in it
+
+
+def dot(a: Floats, b: Floats) -> Floats:
+    """Return the products (...) of vectors (..., 3)."""
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Planes:
+    """Flat mirrors, each as it is about one event, of any shape (...).
+
+    The mirror is where ``normal @ x = offset + speed t``, with times counted from some instant.
+    """
+
+    normal: Floats  # (..., 3) unit vectors; zero for no mirror
+    offset: Floats  # (...) m
+    speed: Floats  # (...) along the normal, m/s
+
+    def height(self, time: Floats, place: Floats) -> Floats:
+        """Distances in front of them, m, of events at times (...), s, and places (..., 3), m."""
+        return np.asarray(dot(self.normal, place) - self.speed * time - self.offset)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mirrors:
+    """All mirrors of a scene: the walls of the room, and behind them the faces of its bodies."""
+
+    normal: Floats  # (W, 3) planes ``normal @ x = offset``, of faces in the coordinates of their bodies, m
+    offset: Floats  # likewise
+    owner: NDArray[np.int64]  # (W,) index of the body, `ROOM` for walls of the room
+    first: NDArray[np.int64]  # (bodies,) first face of each body
+    bodies: tuple[Body, ...]  # of the scene
+
+    @staticmethod
+    def of(scene: Scene) -> Mirrors:
+        """Return the mirrors of a scene."""
+        bodies = tuple(scene.bodies)
+        faces = [scene.room.faces, *(body.mesh.faces for body in bodies)]
+        counts = [len(each) for each in faces]
+        return Mirrors(
+            read_only(np.concatenate([each.normals for each in faces])),
+            read_only(np.concatenate([each.offsets for each in faces])),
+            read_only(np.repeat(np.arange(-1, len(bodies)), counts)),
+            read_only(np.cumsum(counts)[:-1]),
+            bodies,
+        )
+
+    def planes(self, walls: Integers, now: Floats, event: Floats, place: Floats | None) -> Planes:
+        """Return mirrors as they are about the events in which sound meets them.
+
+        Shapes: walls (P,); now (P, T) s; event (P, T) s; place (P, T, 3) m.
+
+        A face n(t) x = h(t) that turns is taken as its tangent about the event, a plane of the constant normal n and
+        the speed ``h' - n' x``, which is that of the body's own point there.
+        """
+        met = walls >= 0
+        normal = np.empty((*event.shape, 3))
+        offset, speed = np.empty(event.shape), np.zeros(event.shape)
+        normal[...] = np.where(met[:, None], self.normal[walls], 0.0)[:, None]
+        offset[...] = np.where(met, self.offset[walls], 0.0)[:, None]
+        for body in np.unique(self.owner[walls[met]]).tolist():
+            if body == ROOM:
+                continue
+            mine = np.flatnonzero(met & (self.owner[walls] == body))
+            where = None if place is None else place[mine]
+            self._pose(self.bodies[body], walls[mine], now[mine], event[mine], where, (normal, offset, speed), mine)
+        return Planes(normal, offset, speed)
+
+    def distances(self, walls: Integers, start: Floats, stop: Floats, times: Any) -> Floats:
+        """Lengths of paths (P,) by mirrors at rest where they are at a time, or at times (P,), m.
+
+        Shapes: walls (P, N); start, stop (P, 3) m.
+        """
+        now, none = np.broadcast_to(times, len(walls))[:, None], np.zeros((len(walls), 1))
+        image = start[:, None]
+        for met in walls.T:
+            plane = self.planes(met, now, none, None)
+            image = image - 2.0 * plane.height(none, image)[..., None] * plane.normal
+        return np.asarray(np.linalg.norm(image[:, 0] - stop, axis=1))
+
+    def speeds(self, walls: Integers) -> Floats:
+        """Sum the bounds (P,) of the speeds of the bodies that own mirrors (P, N), m/s."""
+        peak = np.array([*(body.peak_speed for body in self.bodies), 0.0])
+        return np.asarray(peak[np.append(self.owner, ROOM)[walls]].sum(axis=1))
+
+    def _pose(
+        self, body: Body, walls: Integers, now: Floats, event: Floats, place: Floats | None,
+        out: tuple[Floats, Floats, Floats], mine: NDArray[np.int64],
+    ) -> None:  # fmt: skip
+        """Write planes (P, T) of faces (P,) of a body into rows of others."""
+        motion, time = body.trajectory, now + event
+        own = np.broadcast_to(self.normal[walls][:, None], (*time.shape, 3))
+        normal = rotate(motion.orientation(time), own) if motion.has_orientation else own
+        origin = motion.position(time)
+        speed = np.zeros(time.shape)
+        if place is not None and not body.is_static:
+            arm = place - origin
+            far = np.linalg.norm(arm, axis=-1, keepdims=True)
+            arm = arm * np.minimum(FARTHEST * body.radius / np.maximum(far, 1e-300), 1.0)
+            moved = motion.velocity(time) + cross_product(motion.angular_velocity(time), arm)
+            speed = dot(normal, moved)
+        out[0][mine], out[2][mine] = normal, speed
+        out[1][mine] = self.offset[walls][:, None] + dot(normal, origin) - speed * event
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeLines:
+    """All edges of a scene: those of the room, and behind them those of its bodies, E in all.
+
+    Attributes
+    ----------
+    frames : ndarray (E, 4, 3)
+        Start, m, and the vectors `across`, `out` and `along`, see `Edges`; of bodies in their own coordinates.
+    """
+
+    frames: Floats
+    length: Floats  # (E,) m, and exterior angles over π
+    n: Floats  # likewise
+    faces: NDArray[np.int64]  # (E, 2) mirrors that are the 0-face and the n-face, see `Mirrors`
+    free: NDArray[np.bool_]  # (E, 2) whether start and stop are in the air
+    owner: NDArray[np.int64]  # (E,) index of the body, `ROOM` for edges of the room
+    names: tuple[str, ...]  # of each
+    bodies: tuple[Body, ...]  # of the scene
+
+    @staticmethod
+    def of(scene: Scene, of_bodies: bool = True) -> EdgeLines:
+        """Collect the edges of a scene, or of its room alone."""
+        mirrors, bodies = Mirrors.of(scene), tuple(scene.bodies) if of_bodies else ()
+        found = [scene.room.edges()]
+        for body in bodies:
+            found.append(find_edges(body.mesh.walls, replace(body.mesh.faces, names=body.faces), None))
+        first = [0, *mirrors.first.tolist()[: len(bodies)]]
+        return EdgeLines(
+            read_only(np.concatenate([edges.frames for edges in found])),
+            read_only(np.concatenate([edges.length for edges in found])),
+            read_only(np.concatenate([edges.n for edges in found])),
+            read_only(np.concatenate([edges.faces + f for edges, f in zip(found, first, strict=True)])),
+            read_only(np.concatenate([edges.free for edges in found])),
+            read_only(np.repeat(np.arange(-1, len(bodies)), [len(edges) for edges in found])),
+            tuple(name for edges in found for name in edges.names),
+            bodies,
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def placed(self, edge: Integers, along: Floats, times: Floats) -> Floats:
+        """Positions (P, T, 3), m, at times (P, T), s, of points at places (P, T) along edges (P,), m."""
+        own = self.frames[edge, None, 0] + along[..., None] * self.frames[edge, None, 3]
+        for body, rows in self._of_bodies(edge):
+            own[rows] = self.bodies[body].placed(own[rows], times[rows])
+        return own
+
+    def velocity(self, edge: Integers, along: Floats, times: Floats) -> Floats:
+        """Return the velocities (P, T, 3) of the same points, m/s."""
+        found = np.zeros((*times.shape, 3))
+        for body, rows in self._of_bodies(edge):
+            thing, when = self.bodies[body], times[rows]
+            if thing.is_static:
+                continue
+            motion = thing.trajectory
+            arm = self.frames[edge[rows], None, 0] + along[rows, :, None] * self.frames[edge[rows], None, 3]
+            turned = cross_product(motion.angular_velocity(when), rotate(motion.orientation(when), arm))
+            found[rows] = motion.velocity(when) + turned
+        return found
+
+    def axes(self, edge: Integers, times: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return `across`, `out` and `along` (P, T, 3) of edges (P,) as they are turned at times (P, T)."""
+        own = np.repeat(self.frames[edge, None, 1:], times.shape[1], axis=1)
+        for body, rows in self._of_bodies(edge):
+            if self.bodies[body].trajectory.has_orientation:
+                turn = self.bodies[body].trajectory.orientation(times[rows])
+                own[rows] = rotate(turn[..., None, :], own[rows])
+        across, out, along = np.moveaxis(own, 2, 0)
+        return across, out, along
+
+    def in_planes(self, mirrors: Mirrors, size: float) -> NDArray[np.bool_]:
+        """Mask (E, W) of mirrors that hold edges whatever moves: those of the same object."""
+        ends = np.stack([self.frames[:, 0], self.frames[:, 0] + self.length[:, None] * self.frames[:, 3]], axis=1)
+        height = np.abs(ends @ mirrors.normal.T - mirrors.offset).max(axis=1)
+        return np.asarray((height <= _ON * size) & (self.owner[:, None] == mirrors.owner))
+
+    def _of_bodies(self, edge: Integers) -> list[tuple[int, NDArray[np.int64]]]:
+        owner = self.owner[edge]
+        return [(body, np.flatnonzero(owner == body)) for body in np.unique(owner).tolist() if body != ROOM]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgePoint:
+    """Points at places (P, T) along edges (P,) as an end of ways: each keeps its place as time goes on."""
+
+    lines: EdgeLines
+    edge: Integers
+    along: Floats
+
+    def position(self, times: Floats) -> Floats:
+        """Return positions (P, T, 3) at times (P, T), m."""
+        return self.lines.placed(self.edge, self.along, np.broadcast_to(times, self.along.shape))
+
+    def velocity(self, times: Floats) -> Floats:
+        """Return velocities (P, T, 3) at times (P, T), m/s."""
+        return self.lines.velocity(self.edge, self.along, np.broadcast_to(times, self.along.shape))

@@ -1,0 +1,1 @@
+"""Searches for paths, by kind of room and of vertex."""

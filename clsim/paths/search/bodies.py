@@ -1,0 +1,337 @@
+"""Every path by bodies: sequences from beam trees about poses of the bodies, and when each is heard."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.errors import InputError
+from clsim.paths.legs.moving import moving_paths
+from clsim.paths.propagation import mean_medium_of
+from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
+from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
+from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
+from clsim.paths.visibility.mirrors import MirrorLook
+from clsim.paths.visibility.obstacles import Obstacles
+from clsim.paths.visibility.occlusion import WallLookup, air_sides
+from clsim.paths.visibility.rates import BodyRates, EndRates
+from clsim.paths.visibility.subdivision import certified, looks
+from clsim.scene.flush import find_mount
+from clsim.scene.motion.carried import even_ways
+from clsim.scene.room.walls import build_walls
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
+    from clsim.paths.options import PathSearch
+    from clsim.paths.propagation import UniformAir
+    from clsim.paths.visibility.intervals import VisibilityQuery
+    from clsim.scene.ends import End, Receiver, Source
+    from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.walls import Walls
+    from clsim.scene.scene import Scene
+
+    Progress = Callable[[float], None]
+    Span = tuple[float, float]
+
+Found = TypeVar("Found")
+_POSES = 0.3  # m, which images by bodies go, half way, from one pose in which sequences are looked for to the next
+_RATE = 1000.0  # Hz, at which speeds are looked at
+_SHORTEST = 1e-3  # s between poses
+_FASTEST = 0.5  # of the speed of sound, of bodies and sources on a path together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairQuery:
+    """What is looked at between one source and one receiver."""
+
+    ends: tuple[Motion, Motion]  # where they are as validity takes them
+    medium: UniformAir  # what sound travels in
+    rates: EndRates  # how fast these and the bodies are
+    times: Floats  # (T,) looks, s, where nothing is certain
+    resolution: float  # to which begins and ends are found, s
+
+    @property
+    def last(self) -> float:
+        """Until when it is looked at, s."""
+        return float(self.times[-1])
+
+    def bounded(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
+        """Return intervals that reach from the first look or to the last one as endless."""
+        return (
+            np.where(begin <= self.times[0], -np.inf, begin),
+            np.where(end >= self.times[-1], np.inf, end),
+        )
+
+
+class _Lifted:
+    """An end as validity takes it: off the wall that it sits in, and off planes of symmetry."""
+
+    def __init__(self, scene: Scene, end: End, shift: Floats) -> None:
+        self._motion, self._mount, self._shift = end.trajectory, find_mount(scene.room, end), shift
+        self.is_static = end.trajectory.is_static
+
+    def position(self, times: Floats) -> Floats:
+        place = self._motion.position(times)
+        if self._mount is not None:
+            place = self._mount.lifted(place.reshape(-1, 3)).reshape(place.shape)
+        return place + self._shift
+
+    def velocity(self, times: Floats) -> Floats:
+        return self._motion.velocity(times)
+
+
+class BodySearch:
+    """How paths by bodies, and what bodies hide, are looked for in a scene; see `find_paths`."""
+
+    def __init__(self, scene: Scene, search: PathSearch) -> None:
+        if scene.air.layers or scene.air.fluctuation is not None:
+            raise InputError("bodies", "must be left out where the air depends on the height or fluctuates")
+        self.scene, self.search = scene, search
+        self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)
+        self.room, self.obstacles = scene.room.as_mesh(), Obstacles.of(scene)
+        fastest = max(body.peak_speed for body in scene.bodies)
+        most = _FASTEST * scene.air.slowest
+        if 2.0 * fastest * self.order > most:
+            raise InputError(
+                "body_order",
+                f"must be so low that bodies change the length of paths by at most {most:.6g} m/s, but with "
+                f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
+            )
+        self._known: BodyRates | None = None
+        self.posed = lru_cache(maxsize=1)(self._posed)  # edges are reached from both ends in one pose
+        self.queries = [
+            visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
+        ]
+
+    def pair(self, source: int, receiver: int) -> PairQuery:
+        """Candidates between two endpoints."""
+        scene, (query, longest) = self.scene, self.queries[source]
+        ends: tuple[Source, Receiver] = (scene.sources[source], scene.receivers[receiver])
+        moving = [body.trajectory.end for body in scene.bodies if not body.is_static]
+        last = float(query.last[receiver])
+        if all(math.isinf(end.trajectory.end) for end in ends):
+            last = max((t for t in moving if math.isfinite(t)), default=0.0) + longest
+        motions = ends[0].trajectory, ends[1].trajectory
+        times = looks(scene.bodies, motions, last, longest, self.search.body_step)
+        lifted: Any = tuple(_Lifted(scene, ends[i], PERTURBATIONS[i]) for i in range(2))
+        medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
+        rates = self._rates(longest, last).of_ends(motions[0], motions[1:])
+        return PairQuery(lifted, medium, rates, times, query.resolution)
+
+    def _rates(self, longest: float, last: float) -> BodyRates:
+        """Largest speeds of bodies from before the first emission until a last time, s."""
+        if self._known is None or longest > -self._known.first or last > self._known.last:
+            self._known = BodyRates.of(self.scene.bodies, longest, last)
+        return self._known
+
+    def paths(self, progress: Progress = lambda share: None) -> Chain:
+        """Return every path by bodies."""
+        found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]] = []
+        count, sources = 0, len(self.scene.sources)
+        for source in range(sources):
+            pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
+            part = partial(report, progress, source / sources, (source + 1) / sources)
+            for receiver, heard in enumerate(self._heard(source, pairs, part)):
+                found.append((*heard, (source, receiver)))
+                count += len(heard[0])
+            if count > self.search.path_limit:
+                raise InputError(
+                    "body_order", f"must give at most {self.search.path_limit} paths (path_limit), but gives more"
+                )
+        return self._family(found)
+
+    def _heard(
+        self, source: int, pairs: list[PairQuery], progress: Progress
+    ) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
+        """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""
+        found, runs, first = self._sequences(source, pairs), [], 0
+        for pair, (sequence, cell, bounds) in zip(pairs, found, strict=True):
+            which, begin, end = _runs(sequence, cell, np.minimum(bounds, pair.last))
+            runs.append((first + which, begin, end))
+            first += len(sequence)
+        surfaces = np.concatenate([sequence for sequence, _, _ in found])
+        receiver = np.repeat(np.arange(len(pairs)), [len(sequence) for sequence, _, _ in found])
+        looks = self.mirror_look(pairs, surfaces, receiver)
+        which, begin, end = (np.concatenate([run[i] for run in runs]) for i in range(3))
+        path, begin, end = certified(looks.look, looks.status, (which, begin, end), pairs[0].resolution, progress)
+        for ear, pair in enumerate(pairs):
+            mine = np.flatnonzero(receiver[path] == ear)
+            yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
+
+    def mirror_look(
+        self, pairs: Sequence[PairQuery], surfaces: NDArray[np.int32], receiver: NDArray[np.int64]
+    ) -> MirrorLook:
+        """Return the evaluation of paths by mirrors (P, N) of pairs (P,) of one source."""
+        widest = max((pair.rates for pair in pairs), key=lambda rates: rates.bodies.last)
+        rates = EndRates(
+            widest.bodies, widest.source, tuple(pair.rates.receivers[0] for pair in pairs),
+            np.concatenate([pair.rates.held for pair in pairs]),
+        )  # fmt: skip
+        source, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
+        return MirrorLook(self.obstacles, source, ears, medium, rates, surfaces, receiver, self.search.body_step)
+
+    def _sequences(
+        self, source: int, pairs: list[PairQuery]
+    ) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
+        """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
+        query, longest = self.queries[source]
+        last = max(pair.times[-1] for pair in pairs)
+        rows = self.cells(last, lambda span: self._cell(query, longest, span))
+        cells, found = np.array([0.0, *(end for (_, end), _ in rows)]), []
+        for receiver in range(len(pairs)):
+            mine = [sequence[receivers == receiver] for _, (sequence, receivers) in rows]
+            number = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
+            found.append((np.concatenate(mine), number, cells))
+        return found
+
+    def cells(self, last: float, find: Callable[[Span], Found]) -> list[tuple[Span, Found]]:
+        """Return stretches of time until a last one, s, and what is found in each, in order.
+
+        In each bodies are about one pose; they are halved where there are more beams than can be looked at.
+        """
+        waiting, found = self._spans(last)[::-1], []
+        while waiting:
+            begin, end = waiting.pop()
+            try:
+                found.append(((begin, end), find((begin, end))))
+            except TooManyBeamsError as error:
+                if end - begin < 2.0 * _SHORTEST:
+                    raise InputError("body_order", str(error)) from error
+                waiting += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
+        return found
+
+    def _spans(self, last: float) -> list[Span]:
+        """Return stretches of time until a last one, s, in each of which bodies are about one pose."""
+        instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
+        size = self.room.walls.size
+        turning = [np.linalg.norm(body.trajectory.angular_velocity(instants), axis=-1) for body in self.scene.bodies]
+        speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0) + size * np.sum(turning, axis=0)
+        waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
+        return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
+
+    def _cell(
+        self, query: VisibilityQuery, longest: float, span: tuple[float, float]
+    ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        """Return sequences (n, order) that hold a body, and the receiver of each, about one pose of the bodies.
+
+        Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, reflections at
+        the place of the face at which it is: a line from ball to ball that is in all apertures, but bends at mirrors
+        that are off their pose: by 2 a where they are turned by a, by 2 V / c as they move, and by what they are
+        displaced, d, at both ends of a leg. A beam reaches all that lines from its ball through its last aperture do.
+        Drawn on backwards, each leg passes the source by no more than the bends before it times the way to them. So no
+        sequence is lost by a ball that is as much larger, but where the leg between two mirrors is shorter than those
+        are displaced. What bodies hide in the pose they may not hide: nothing is taken to be hidden.
+        """
+        ends, (begin, end) = query.trajectory_tables, span
+        middle = 0.5 * (begin - longest + end)
+        slack = 2.0 * self.order * self.moved(middle, np.linspace(begin - longest, end, 9))
+        walls = self.posed(middle)
+        centre, radius = ends.sphere(0, begin - longest, end)
+        ears = ends.receiver_spheres(begin, end)
+        start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
+        ears = BoundingSpheres(ears.centre, ears.radius + slack)
+        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), UnhiddenLookup(walls))
+        first, width = len(self.scene.room.faces), max(self.order, 1)
+        parts = [(np.empty((0, width), dtype=np.int32), np.empty(0, dtype=np.int64))]
+        for batch in tree.candidates(self.order):
+            rows = np.flatnonzero(np.any(batch.sequence >= first, axis=1)[batch.row])
+            sequence = np.full((len(rows), width), -1, dtype=np.int32)
+            sequence[:, : batch.sequence.shape[1]] = batch.sequence[batch.row[rows]]
+            parts.append((sequence, batch.receiver[rows]))
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def moved(self, time: float, others: Floats) -> float:
+        """Largest distance of images by bodies from those at a time, from the first to the last of others, m.
+
+        That is half of it: by how much a corner goes, and how far the way to the body turns, on the mean of all ways to
+        reflections, each no longer than the room for every leg.
+        """
+        most, between = 0.0, 0.5 * float(np.diff(others).max(initial=0.0))
+        way = 0.5 * (self.order + 1) * self.room.walls.size
+        for body in self.scene.bodies:
+            if not body.is_static:
+                corners, motion = body.mesh.vertices, body.trajectory
+                away = body.placed(corners[None], others[:, None]) - body.placed(corners, np.array(time))
+                cosine = np.abs(motion.orientation(others) @ motion.orientation(np.array(time)))
+                speed = float(body.speed(others).max())
+                turned = float(2.0 * np.arccos(np.minimum(cosine, 1.0)).max()) + motion.peak_turn * between
+                gone = float(np.linalg.norm(away, axis=-1).max()) + speed * between
+                most = max(most, gone + way * (turned + speed / self.scene.air.slowest))
+        return most
+
+    def _posed(self, time: float) -> Walls:
+        """Return the walls of the room and the faces of bodies as they are at a time, numbered as mirrors."""
+        meshes = [self.room, *(body.mesh for body in self.scene.bodies)]
+        placed = [self.room.vertices]
+        placed += [body.placed(body.mesh.vertices, np.array(time)) for body in self.scene.bodies]
+        corners = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+        first = np.cumsum([0, *(len(mesh.walls) for mesh in meshes[:-1])])
+        triangles = np.concatenate([mesh.triangles + c for mesh, c in zip(meshes, corners, strict=True)])
+        surface = np.concatenate([mesh.walls.of_triangle + f for mesh, f in zip(meshes, first, strict=True)])
+        flatness = max(mesh.flatness for mesh in meshes)
+        return build_walls(np.concatenate(placed), triangles, surface, 10.0 * flatness)
+
+    def _family(self, found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]]) -> Chain:
+        """Return paths as columns."""
+        source, receiver = (
+            np.concatenate([np.full(len(path), ends[i], dtype=np.int32) for path, _, _, ends in found])
+            for i in range(2)
+        )
+        surfaces = np.concatenate([path for path, _, _, _ in found])
+        columns = {
+            "source": source, "receiver": receiver, "order": np.sum(surfaces >= 0, axis=1).astype(np.int32),
+            "start": np.concatenate([begin for _, begin, _, _ in found]),
+            "end": np.concatenate([end for _, _, end, _ in found]), "surfaces": surfaces,
+        }  # fmt: skip
+        held = {name: read_only(column) for name, column in columns.items()}
+        return moving_paths(self.scene, self.obstacles.mirrors, held, ("surfaces",))
+
+
+class UnhiddenLookup(WallLookup):
+    """Looks up walls of which none hides another."""
+
+    def crossings(self, start: Floats, stop: Floats) -> tuple[Any, Any, Any]:
+        """Return none."""
+        none = np.empty(0, dtype=np.int64)
+        return none, none, none
+
+
+def _runs(
+    sequence: NDArray[np.int32], cell: NDArray[np.int64], bounds: Floats
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return from when to when sequences (n, N) of cells (n,) are looked at: rows, and times that touch as one."""
+    number = (
+        np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
+    )
+    order = np.lexsort((cell, number))
+    number, cell = number[order], cell[order]
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = (number[1:] != number[:-1]) | (cell[1:] != cell[:-1] + 1)
+    starts = np.flatnonzero(first)
+    stops = np.append(starts[1:], len(order))[: len(starts)] - 1
+    begin, end = bounds[cell[starts]], bounds[cell[stops] + 1]
+    real = end > begin
+    return order[starts][real], begin[real], end[real]
+
+
+def _merged(sequence: NDArray[np.int32], begin: Floats, end: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
+    """Sort paths by order, mirrors and time, and join their intervals that touch."""
+    order = np.sum(sequence >= 0, axis=1)
+    rows = np.lexsort([begin, *sequence.T[::-1], order])
+    sequence, begin, end = sequence[rows], begin[rows], end[rows]
+    first = np.ones(len(rows), dtype=bool)
+    first[1:] = np.any(sequence[1:] != sequence[:-1], axis=1) | (begin[1:] > end[:-1])
+    starts = np.flatnonzero(first)
+    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
+    return sequence[starts], begin[starts], end[stops]

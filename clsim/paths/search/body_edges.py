@@ -1,0 +1,232 @@
+"""Every path over one edge of a body, or over one of the room by bodies: sequences, and when each is heard."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.diffraction import TERMS, edge_way, lit_angles, partner_reflections
+from clsim.arrays import read_only
+from clsim.errors import InputError
+from clsim.paths.legs.mirrors import ROOM, EdgeLines
+from clsim.paths.legs.moving import moving_paths
+from clsim.paths.search.beam_tree import BeamTree
+from clsim.paths.search.bodies import UnhiddenLookup
+from clsim.paths.search.edge_chains import joined_over_ends, tied
+from clsim.paths.search.mesh import BEAM_LIMIT
+from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
+from clsim.paths.vertices.edge_events import Chains, EdgeSolver
+from clsim.paths.visibility.subdivision import ROUNDS, coded
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
+    from clsim.paths.family import PathFamily
+    from clsim.paths.legs.events import Events
+    from clsim.paths.search.bodies import BodySearch, PairQuery
+
+    Rows = NDArray[np.int64]
+    Codes = NDArray[np.int8]
+
+_INNER = 1e-9  # share of a way between two hits, from which on the one is not at the other
+_ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends
+_END, _HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
+
+
+def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
+    """Return every path over one edge of which the edge or a mirror belongs to a body.
+
+    others: paths without edges, and over those of the room: where an edge path takes over from one of them, that one's
+    time is taken.
+    """
+    finder, scene = _EdgeFinder(search), search.scene
+    found = [finder.paths(s, r) for s in range(len(scene.sources)) for r in range(len(scene.receivers))]
+    columns: dict[str, Any] = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+    if len(columns["edge"]) > search.search.path_limit:
+        raise InputError(
+            "body_order", f"must give at most {search.search.path_limit} paths over edges (path_limit), but gives more"
+        )
+    held = {name: read_only(column) for name, column in columns.items()}
+    own: dict[str, Any] = {name: held[name] for name in COLUMNS}
+    vertex = EdgeVertex(**own, lines=EdgeLines.of(scene), model=search.search.diffraction_model)
+    return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
+
+
+class _EdgeFinder:
+    """Looks for paths over edges, pair by pair."""
+
+    def __init__(self, search: BodySearch) -> None:
+        self._search, self._lines = search, EdgeLines.of(search.scene)
+        self._mirrors, self._order = search.obstacles.mirrors, search.order
+        self._held = self._lines.in_planes(self._mirrors, search.room.walls.size)
+        self._reached = cache(self._find_reached)
+
+    def paths(self, source: int, receiver: int) -> dict[str, Any]:
+        """Return the paths between two ends as columns."""
+        pair = self._search.pair(source, receiver)
+        chains, looks, count = [], [], 0
+        for span, met in self._search.cells(pair.times[-1], partial(self._chains, source, receiver)):
+            chains.append(met)
+            rows = count + np.arange(len(chains[-1].edge))
+            inner = pair.times[(pair.times > span[0]) & (pair.times < span[1])]
+            looks.append((rows, np.unique([span[0], *inner, span[1]])))
+            count += len(rows)
+        every = Chains(*(np.concatenate([getattr(c, f.name) for c in chains]) for f in fields(Chains)))
+        row, begin, end, code = coded(_Look(self._search, self._lines, pair, every), looks, pair.resolution)
+        met, begin, end, code = _joined(every.part(row), begin, end, code)
+        begin, end = pair.bounded(begin, end)
+        return self._columns((source, receiver), met, (begin, end), code)
+
+    def _columns(
+        self, ends: tuple[int, int], chains: Chains, heard: tuple[Floats, Floats], code: Codes
+    ) -> dict[str, Any]:
+        count, met = len(code), np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
+        lit = np.where(code[:, None] & (1 << np.arange(TERMS)), 1, -1)
+        lit[met[:, None] + partner_reflections(self._lines.n[chains.edge]) > self._order] = 0
+        side = np.where(chains.end < 0, 0, np.where(code & _END, 1, -1))
+        columns = {
+            "source": np.full(count, ends[0], dtype=np.int32), "receiver": np.full(count, ends[1], dtype=np.int32),
+            "order": (met + 1).astype(np.int32), "start": heard[0], "end": heard[1], "before": chains.before,
+            "after": chains.after, "edge": chains.edge, "over_end": chains.end.astype(np.int8),
+            "lit": lit.astype(np.int8), "end_side": side.astype(np.int8),
+            "beside": np.column_stack([np.where(code & bit, 1, -1) for bit in _HALVES]).astype(np.int8),
+        }  # fmt: skip
+        return _with_joined_ends(columns)
+
+    def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> Chains:
+        """Objects that paths may meet within an interval of time."""
+        width, owner = max(self._order, 1), self._mirrors.owner
+        from_source = self._reached(source, None, span)
+        to_receiver = self._reached(source, receiver, span)
+        parts = [(np.empty((0, width), np.int32),) * 2 + (np.empty(0, np.int64),) * 2]
+        fewest = partner_reflections(self._lines.n).min(axis=1)
+        for edge in range(len(self._lines)):
+            before, after = from_source[edge], to_receiver[edge]
+            i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
+            before, after = before[i], after[j]
+            kept = np.sum(before >= 0, axis=1) + np.sum(after >= 0, axis=1) <= self._order - fewest[edge]
+            if self._lines.owner[edge] == ROOM:
+                kept &= np.any(np.append(owner, ROOM)[np.concatenate([before, after], axis=1)] >= 0, axis=1)
+            before, after = before[kept], after[kept]
+            for end in (-1, *np.flatnonzero(self._lines.free[edge]).tolist()):
+                parts.append((before, after, np.full(len(before), edge), np.full(len(before), end)))
+        return Chains(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
+
+    def _find_reached(self, source: int, receiver: int | None, span: tuple[float, float]) -> list[NDArray[np.int32]]:
+        """Return for each edge the mirrors (n, order) by which one end may reach it, both from the source's side.
+
+        Beams run from a ball that holds the end to balls that hold the edges, about one pose of the bodies, with the
+        slack of `BodySearch` for what moves off it.
+        """
+        (query, longest), (begin, end) = self._search.queries[source], span
+        times = np.linspace(begin - longest, end, 9)
+        middle = 0.5 * (begin - longest + end)
+        moved = self._search.moved(middle, times)
+        slack = 2.0 * (self._order + 1) * moved
+        at_rest, lines = np.full((len(self._lines), 1), middle), self._lines
+        everyone = np.arange(len(lines))
+        spheres = BoundingSpheres(
+            lines.placed(everyone, 0.5 * lines.length[:, None], at_rest)[:, 0], 0.5 * lines.length + slack
+        )
+        tables = query.trajectory_tables
+        ball = (
+            tables.sphere(0, begin - longest, end)
+            if receiver is None
+            else tables.sphere(1 + receiver, begin - longest, end)
+        )
+        walls = self._search.posed(middle)
+        # What bodies hide in this pose they may not hide in the next: as for `BodySearch`, nothing is.
+        tree = BeamTree(walls, ball[0], ball[1] + slack, spheres, BEAM_LIMIT, None, UnhiddenLookup(walls))
+        width = max(self._order, 1)
+        found: list[list[Any]] = [[np.empty((0, width), dtype=np.int32)] for _ in everyone]
+        for batch in tree.candidates(self._order):
+            for edge in np.unique(batch.receiver).tolist():
+                given = batch.sequence[batch.row[batch.receiver == edge]]
+                found[edge].append(self._padded(edge, given, receiver is not None))
+        return [np.concatenate(parts) for parts in found]
+
+    def _padded(self, edge: int, given: NDArray[np.int32], backwards: bool) -> NDArray[np.int32]:
+        """Return sequences (n, order) but those that meet a mirror at the edge, turned round if they are backwards."""
+        if given.shape[1]:
+            given = given[~self._held[edge][given[:, -1]]]
+        found = np.full((len(given), max(self._order, 1)), -1, dtype=np.int32)
+        found[:, : given.shape[1]] = given[:, ::-1] if backwards else given
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """How paths of a pair are at some times, as codes: `_ABSENT`, or bits for what of theirs is seen."""
+
+    search: BodySearch
+    lines: EdgeLines
+    pair: PairQuery
+    chains: Chains
+
+    def __call__(self, rows: Rows, times: Floats) -> Codes:
+        obstacles, pair = self.search.obstacles, self.pair
+        solver = EdgeSolver(obstacles.mirrors, self.lines, pair.ends, pair.medium, rounds=ROUNDS)
+        chains = self.chains.part(rows)
+        events = solver.find(chains, times)
+        length, n, end = self.lines.length[chains.edge], self.lines.n[chains.edge], chains.end
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = events.source, events.receiver
+        on = (end >= 0)[:, None] | (events.along > 0.0) & (events.along < length[:, None])
+        for angle in (t_s, t_r):
+            on &= (angle > 0.0) & (angle < np.pi * n[:, None])
+        p, t = np.nonzero(on)
+        for mirrors, legs, when in ((chains.before, events.first, events.time), (chains.after, events.last, times)):
+            there = _free(self.search, mirrors[p], legs, when, p, t)
+            p, t = p[there], t[there]
+        code = np.full(times.shape, _ABSENT, dtype=np.int8)
+        seen = lit_angles(n[p], t_s[p, t], t_r[p, t]) >= 0.0
+        apex = edge_way(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
+        met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
+        seen &= met[p, None] + partner_reflections(n[p]) <= self.search.order
+        inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
+        code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside
+        for bit, angle in zip(_HALVES, (t_s, t_r), strict=True):
+            code[p, t] += bit * (angle[p, t] > 0.5 * np.pi * n[p])
+        return code
+
+
+def _free(search: BodySearch, mirrors: NDArray[np.int32], legs: Events, when: Floats, p: Rows, t: Rows) -> Any:
+    """Mask (n,) of some paths at times (n,) that meet their mirrors (n, N) and are free of obstacles."""
+    some = type(legs)(*(getattr(legs, f.name)[p, t][:, None] for f in fields(legs)))
+    there = search.obstacles.there(mirrors, some, when[p, t][:, None])[:, 0]
+    share = some.share[:, 0]
+    return there & np.all((mirrors < 0) | (share > _INNER) & (share < 1.0 - _INNER), axis=1)
+
+
+def _with_joined_ends(columns: dict[str, Any]) -> dict[str, Any]:
+    """Join the rows over ends of edges, see `joined_over_ends`, in sorted columns."""
+    keys = np.column_stack([columns[name] for name in ("edge", "over_end", "before", "after")])
+    path = np.cumsum(np.append(True, np.any(keys[1:] != keys[:-1], axis=1))[: len(keys)])
+    over = columns["over_end"] >= 0
+    some, others = np.flatnonzero(over), np.flatnonzero(~over)
+    pieces = path[some], *(columns[name][some] for name in ("start", "end", "lit", "end_side", "beside"))
+    kept, *changed = joined_over_ends(*pieces)
+    rows = np.concatenate([others, some[kept]])
+    found = {name: column[rows] for name, column in columns.items()}
+    for name, column in zip(("start", "end", "lit"), changed, strict=True):
+        found[name] = np.concatenate([columns[name][others], column])
+    rank = np.lexsort((found["start"], path[rows]))
+    return {name: column[rank] for name, column in found.items()}
+
+
+def _joined(chains: Chains, begin: Floats, end: Floats, code: Codes) -> tuple[Chains, Floats, Floats, Codes]:
+    """Sort paths by order, edge, mirrors and time, and join what goes on from one stretch of time to the next."""
+    met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
+    keys = np.column_stack([met, chains.edge, chains.end, chains.before, chains.after])
+    rows = np.lexsort([begin, *keys.T[::-1]])
+    chains, begin, end, code, keys = chains.part(rows), begin[rows], end[rows], code[rows], keys[rows]
+    first = np.ones(len(rows), dtype=bool)
+    first[1:] = np.any(keys[1:] != keys[:-1], axis=1) | (begin[1:] > end[:-1]) | (code[1:] != code[:-1])
+    starts = np.flatnonzero(first)
+    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
+    return chains.part(starts), begin[starts], end[stops], code[starts]

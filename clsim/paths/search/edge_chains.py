@@ -1,0 +1,289 @@
+"""Chains over edges: from candidates found one by one, with one time for each event at which paths take over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.diffraction import TERMS
+from clsim.arrays import read_only
+from clsim.paths.arrivals import RETARDED
+from clsim.paths.chain import Chain
+from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, ends_at
+from clsim.paths.legs.mirrors import EdgeLines
+from clsim.paths.legs.static import StaticLeg
+from clsim.paths.search.mesh import image_isometries
+from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
+from clsim.paths.vertices.edge_field import BOTH
+from clsim.paths.vertices.edge_pair import EdgePairVertex
+from clsim.paths.visibility.edges import ENDS_BESIDE, SIDES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.family import PairPaths, PathFamily
+    from clsim.scene.scene import Scene
+
+    Found = list[dict[str, Any]]
+    Rows = NDArray[np.int64]
+    Sides = NDArray[np.int8]
+
+
+_SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
+_ROUNDS = 4  # of finding the time of emission
+_WITHIN = 1e-4  # s between two times at which the same event was found, at most
+
+
+def edge_chain(scene: Scene, model: str, order: int, rows: Found) -> Chain:
+    """Make paths over one edge with the field of a model."""
+    lines = EdgeLines.of(scene, of_bodies=False)
+    return _chain(scene, order, rows, EdgeVertex(**_first_edges(rows), lines=lines, model=model))
+
+
+def edge_pair_chain(scene: Scene, order: int, rows: Found) -> Chain:
+    """Make paths over two edges that share a face."""
+    lines, columns = EdgeLines.of(scene, of_bodies=False), _first_edges(rows)
+    second = {
+        "edge": np.array([r["edges"][1] for r in rows], dtype=np.int64),
+        "lit": np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS),
+    }
+    last = EdgeVertex(**(columns | second), lines=lines, model="utd")
+    shared = read_only(np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2))
+    vertex = EdgePairVertex(**columns, lines=lines, model="utd", last=last, shared=shared)
+    return _chain(scene, order, rows, vertex)
+
+
+def _first_edges(rows: Found) -> dict[str, Any]:
+    """Columns of `EdgeVertex` of the first edges."""
+    sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, SIDES)
+    edge = np.array([r["edges"][0] for r in rows], dtype=np.int64)
+    end = np.array([r["end_of"] for r in rows], dtype=np.int8)
+    values: tuple[Any, ...] = (edge, end, sides[:, :TERMS], sides[:, TERMS], sides[:, ENDS_BESIDE])
+    return {name: read_only(column) for name, column in zip(COLUMNS, values, strict=True)}
+
+
+def _chain(scene: Scene, order: int, rows: Found, vertex: EdgeVertex) -> Chain:
+    count, edges = len(rows), len(vertex.lines)
+    objects = np.full((count, order + 2), -1, dtype=np.int32)
+    kinds = np.full((count, order + 2), NONE, dtype=np.int8)
+    for i, r in enumerate(rows):
+        n, m = len(r["before"]), len(r["after"])
+        things = r["edges"] if r["faces"][0] >= 0 else r["edges"][:1]
+        if r["end_of"] >= 0:
+            things = [edges + 2 * things[0] + r["end_of"]]
+        objects[i, : n + m + len(things)] = [*r["before"], *things, *r["after"][::-1]]
+        kinds[i, : n + m + len(things)] = [SPECULAR] * n + [DIFFRACTION] * len(things) + [SPECULAR] * m
+    longest = order + max((1 + (r["faces"][0] >= 0) for r in rows), default=1)
+    objects, kinds = read_only(objects[:, :longest]), read_only(kinds[:, :longest])
+    legs = _leg(scene, order, [r["before"] for r in rows]), _leg(scene, order, [r["after"] for r in rows])
+    columns: dict[str, Any] = {
+        "source": np.array([r["source"] for r in rows], dtype=np.int32),
+        "receiver": np.array([r["receiver"] for r in rows], dtype=np.int32),
+        "order": np.sum(objects >= 0, axis=1).astype(np.int32),
+        "start": np.array([r["start"] for r in rows], dtype=np.float64),
+        "end": np.array([r["end"] for r in rows], dtype=np.float64),
+    }
+    held = {name: read_only(column) for name, column in columns.items()}
+    return Chain(scene=scene, **held, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
+
+
+def _leg(scene: Scene, width: int, sequences: list[NDArray[np.int32]]) -> StaticLeg:
+    """Make legs by sequences of walls."""
+    found = np.full((len(sequences), width), -1, dtype=np.int32)
+    for row, sequence in zip(found, sequences, strict=True):
+        row[: len(sequence)] = sequence
+    if not sequences:
+        return StaticLeg(np.empty((0, 3, 3)), np.empty((0, 3)))
+    return StaticLeg(*(read_only(x) for x in image_isometries(scene.room.as_mesh().walls, found)))
+
+
+def joined_over_ends(
+    path: Rows, begin: Floats, end: Floats, lit: Sides, side: Sides, beside: Sides
+) -> tuple[Rows, Floats, Floats, Sides]:
+    """Join the pieces of paths over ends of edges between two changes of side of the end.
+
+    Shapes: path (n,); begin, end (n,) s; lit (n, 4); side (n,); beside (n, 2); result (m,), (m,) s, (m, 4).
+
+    path: which path each piece belongs to; pieces are in the order of paths and times.
+
+    lit: sides of the terms as the end changes sides: beyond that the field depends on them, elsewhere not. Times `BOTH`
+    where the term passes its own boundary at the same time: the line of sight passes the corner itself, and the paths
+    over both edges there cancel in what each would add by going round its boundary on one side.
+    """
+    follows = np.append(False, (path[1:] == path[:-1]) & (begin[1:] == end[:-1]))[: len(path)]
+    turns = follows & np.append(False, side[1:] != side[:-1])[: len(path)]
+    cut = ~follows | turns | np.append(False, np.any(beside[1:] != beside[:-1], axis=1))[: len(path)]
+    first = np.flatnonzero(cut)
+    last = np.append(first[1:], len(path))[: len(first)] - 1
+    times = np.ones(lit.shape, dtype=np.int8)
+    times[1:][lit[1:] != lit[:-1]] = BOTH
+    found: list[tuple[int, float, float, Sides]] = []
+    for one, other in zip(first.tolist(), last.tolist(), strict=True):
+        at_start = times[one] * lit[one] if turns[one] else None
+        at_end = times[other + 1] * lit[other] if other + 1 < len(path) and turns[other + 1] else None
+        at_start, at_end = (lit[one] if at_end is None else at_end) if at_start is None else at_start, at_end
+        if at_end is None or np.array_equal(at_start, at_end):
+            found.append((one, begin[one], end[other], at_start))
+        else:
+            middle = 0.5 * (begin[one] + end[other])
+            found += [(one, begin[one], middle, at_start), (one, middle, end[other], at_end)]
+    kept, starts, ends, sides = ([row[i] for row in found] for i in range(4))
+    return (
+        np.array(kept, np.int64),
+        np.array(starts),
+        np.array(ends),
+        np.array(sides, np.int8).reshape(-1, lit.shape[1]),
+    )
+
+
+def with_swaps(family: Chain, within: float) -> Chain:
+    """Return the paths with one time for the end of one and the beginning of another where they are the same event.
+
+    This is where two walls are met in another order, or where the apex goes on from an edge to the next one or to its
+    corner: both paths are as long as each other then. Pieces of one path meet already; where a path over an end of an
+    edge changes sides, the path over the edge itself begins or ends.
+    """
+    start, end = _with_ends(family, within)
+    pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
+    ends = np.flatnonzero(np.isfinite(end) & ~_among(pair, end, pair, start))
+    starts = np.flatnonzero(np.isfinite(start) & ~_among(pair, start, pair, end))
+    mine, theirs = _same_events(family, (starts, start[starts]), (ends, end[ends]), within)
+    longer = end[theirs] < end[mine]  # nothing ends as it begins
+    start[mine[longer][::-1]] = end[theirs[longer][::-1]]
+    family = replace(family, start=read_only(start), end=read_only(end))
+    kept = np.flatnonzero(start < end)
+    return family if len(kept) == len(start) else family.part(kept)
+
+
+def _with_ends(family: Chain, within: float) -> tuple[Floats, Floats]:
+    """Compute starts and ends, s, where paths over edges have the times at which those over their ends change sides."""
+    start, end, count = np.array(family.start), np.array(family.end), len(family.vertex.lines)
+    edges = (family.interactions == DIFFRACTION) & (family.objects >= count)
+    over = np.where(edges, (family.objects - count) // 2, family.objects)
+    way = [tuple(row) for row in np.column_stack([family.source, family.receiver, over]).tolist()]
+    follows = np.append(False, np.all(family.objects[1:] == family.objects[:-1], axis=1) & (start[1:] == end[:-1]))
+    turns = follows & np.append(False, family.vertex.end_side[1:] != family.vertex.end_side[:-1])
+    passing: dict[tuple[int, ...], list[float]] = {}
+    for row in np.flatnonzero(turns[: len(start)]).tolist():
+        passing.setdefault(way[row], []).append(float(start[row]))
+    first = np.flatnonzero(~follows[: len(start)])
+    for one, after in zip(first.tolist(), [*first[1:].tolist(), len(start)], strict=True) if passing else ():
+        rows = slice(one, after)
+        for time in passing.get(way[one], []) if family.vertex.end_side[one] == 0 else ():
+            if abs(start[one] - time) <= within:
+                start[one] = time
+                start[rows] = np.maximum(start[rows], time)
+            elif abs(end[after - 1] - time) <= within:
+                end[after - 1] = time
+                end[rows] = np.minimum(end[rows], time)
+    return start, end
+
+
+def _same_events(
+    family: Chain, one: tuple[Rows, Floats], other: tuple[Rows, Floats], within: float
+) -> tuple[Rows, Rows]:
+    """Find the rows of `one` and of `other` (n,) at whose times, s, both paths between two ends are as long.
+
+    Each is given as rows and their times; times are at most `within` apart.
+    """
+    pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
+    found = [np.empty((2, 0), dtype=np.int64)]
+    for each in np.intersect1d(pair[one[0]], pair[other[0]]):
+        (rows, times), (others, their_times) = ((r[pair[r] == each], t[pair[r] == each]) for r, t in (one, other))
+        order = np.argsort(their_times, kind="stable")
+        others, their_times = others[order], their_times[order]
+        first = np.searchsorted(their_times, times - within)
+        count = np.searchsorted(their_times, times + within, side="right") - first
+        mine = np.repeat(np.arange(len(rows)), count)
+        theirs = np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())
+        when = 0.5 * (times[mine] + their_times[theirs])
+        mine, theirs = rows[mine], others[theirs]
+        same = np.abs(_delays(family, mine, when) - _delays(family, theirs, when)) < _SAME_DELAY
+        found.append(np.stack([mine[same], theirs[same]]))
+    both = np.concatenate(found, axis=1)
+    return both[0], both[1]
+
+
+def _among(pair: Rows, times: Floats, other_pair: Rows, others: Floats) -> NDArray[np.bool_]:
+    """Mask of times of pairs that are, to the last bit, among others of the same pair."""
+    known = set(zip(other_pair.tolist(), others.tolist(), strict=True))
+    return np.array([moment in known for moment in zip(pair.tolist(), times.tolist(), strict=True)], dtype=bool)
+
+
+def _delays(family: Chain, rows: Rows, times: Floats) -> Floats:
+    """Return the delays (n,) of rows at times (n,), s, as near as tells whether two are the same."""
+    scene, source = family.scene, family.source[rows]
+    receiver = ends_at(scene.receivers, family.receiver[rows], times)
+    delay = np.zeros(len(rows))
+    for _ in range(_ROUNDS):
+        delay = family.lengths(rows, ends_at(scene.sources, source, times - delay), receiver) / scene.air.speed_of_sound
+    return delay
+
+
+def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
+    """Return the paths with the times at which others begin or end where that is the same event.
+
+    Where sound goes over from one path to another both take the same time: an edge path and the one that passes its
+    edge, or is reflected at it, and a path over an edge and that over the end of it.
+    """
+    start, end = np.array(family.start), np.array(family.end)
+    known: dict[tuple[int, int], list[PairPaths]] = {}
+    for other in others:
+        for pair in other.pairs():
+            known.setdefault((pair.source, pair.receiver), []).append(pair)
+    for pair in family.pairs():
+        rows = pair.index
+        mine = np.concatenate([start[rows], end[rows]])
+        which = np.flatnonzero(np.isfinite(mine))
+        if not len(which):
+            continue
+        at, owner = mine[which], np.concatenate([rows, rows])[which]
+        links: Any = family.links(owner)
+        first = links.events(at[:, None], RETARDED)
+        delay = (first.first.delay + first.last.delay)[:, 0]
+        mine[which] = _settled(at, delay, _events_near(known.get((pair.source, pair.receiver), []), at))
+        start[rows], end[rows] = mine[: len(rows)], mine[len(rows) :]
+    family = replace(family, start=read_only(start), end=read_only(end))
+    kept = np.flatnonzero(start < end)
+    return family if len(kept) == len(start) else family.part(kept)
+
+
+def _settled(times: Floats, delay: Floats, others: tuple[Floats, Floats, Floats]) -> Floats:
+    """Return the times (n,) at which other paths of the delays (n,) begin or end, or the first of the same event."""
+    found, order = np.array(times), np.argsort(times, kind="stable")
+    theirs, their_delay, their_rate = others
+    for place, i in enumerate(order.tolist()):
+        near = slice(*np.searchsorted(theirs, (times[i] - _WITHIN, times[i] + _WITHIN)).tolist())
+        apart = their_delay[near] + their_rate[near] * (times[i] - theirs[near]) - delay[i]
+        same = theirs[near][np.abs(apart) < _SAME_DELAY]
+        if len(same):
+            found[i] = same[np.argmin(np.abs(same - times[i]))]
+            continue
+        before = order[:place][::-1]
+        before = before[: int(np.searchsorted(times[i] - times[before], _WITHIN))]
+        mine = before[np.abs(delay[before] - delay[i]) < _SAME_DELAY]
+        found[i] = found[mine[0]] if len(mine) else times[i]
+    return found
+
+
+def _events_near(pairs: Sequence[PairPaths], near: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return when paths begin and end near given times, in order, and their delays and the rates of these, (n,)."""
+    found, near = [np.empty((3, 0))], np.sort(near)
+    for pair in pairs:
+        index = pair.index
+        bounds = np.concatenate([pair.family.start[index], pair.family.end[index]])
+        rows = np.concatenate([index, index])
+        place = np.searchsorted(near, bounds - _WITHIN)
+        close = np.isfinite(bounds) & (np.append(near, np.inf)[place] <= bounds + _WITHIN)
+        for time in np.unique(bounds[close]):
+            here = rows[close & (bounds == time)]
+            arrivals = pair.family.arrivals(here, np.array([time]))
+            found.append(np.stack([np.full(len(here), time), arrivals.delay[:, 0], arrivals.delay_rate[:, 0]]))
+    times, delay, rate = np.concatenate(found, axis=1)
+    order = np.argsort(times, kind="stable")
+    return times[order], delay[order], rate[order]

@@ -1,0 +1,285 @@
+"""Every path over one edge up to a number of reflections: candidates from beams of both ends, and their intervals."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.diffraction import TERMS, partner_reflections
+from clsim.arrays import as_count
+from clsim.errors import InputError
+from clsim.paths.family import DIFFRACTION
+from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
+from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, with_swaps
+from clsim.paths.search.mesh import (
+    BEAM_LIMIT,
+    LARGEST_MESH_ORDER,
+    float64_device,
+    visibility_query,
+)
+from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.visibility.clearance import mirrored
+from clsim.paths.visibility.device import DeviceSearch
+from clsim.paths.visibility.edge_intervals import EdgeSearch, Pieces, find_pieces
+from clsim.paths.visibility.edges import ENDS_BESIDE, EdgeCandidates
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
+    from clsim.paths.family import PathFamily
+    from clsim.paths.options import PathSearch
+    from clsim.paths.visibility.intervals import VisibilityQuery
+    from clsim.scene.room.edges import Edges
+    from clsim.scene.room.walls import Walls
+    from clsim.scene.scene import Scene
+
+    Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
+    Generator = Callable[[Walls, Sides, list[Sides], Edges, int], Iterator[tuple[float, EdgeCandidates]]]
+
+_ON = 1e-7  # of the room's size
+_BATCH = 20_000  # candidates searched at a time
+_SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
+_FARTHEST = 8  # resolutions, the same where that is more
+
+
+def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> Chain:
+    """Return every path over one edge with up to `max_order` reflections before and after it.
+
+    others: paths without edges: where an edge path takes over from one of them, that one's time is taken.
+
+    A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
+    """
+    rows, order, within = _rows_of(scene, search, others, _candidates)
+    return with_swaps(edge_chain(scene, search.diffraction_model, order, rows), within)
+
+
+def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> Chain:
+    """Return every path over two edges that share a face with up to `max_order` reflections before and after them.
+
+    others: paths without edges and over one: where a path over two edges takes over from one of them, that one's time
+    is taken.
+    """
+    if scene.air.layers or scene.air.fluctuation is not None:
+        raise InputError("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
+    rows, order, within = _rows_of(scene, search, others, _double_candidates)
+    return with_swaps(edge_pair_chain(scene, order, rows), within)
+
+
+def _rows_of(
+    scene: Scene, search: PathSearch, others: tuple[PathFamily, ...], candidates: Generator
+) -> tuple[list[dict[str, Any]], int, float]:
+    """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
+
+    The last is how far apart the times of the same event may have been found, s.
+    """
+    order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
+    edges = scene.room.edges()
+    rows: list[dict[str, Any]] = []
+    within = 0.0
+    if len(edges):
+        for source in range(len(scene.sources)):
+            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), candidates)
+            rows, within = rows + found, _FARTHEST * resolution
+    rows.sort(key=lambda r: (r["source"], r["receiver"], len(r["before"]) + len(r["after"]),
+                             *r["edges"], r["end_of"], *r["before"], *r["after"], r["start"]))  # fmt: skip
+    return rows, order, within
+
+
+def _source_rows(
+    scene: Scene,
+    edges: Edges,
+    source: int,
+    order: int,
+    search: PathSearch,
+    partners: _Partners,
+    generator: Generator,
+) -> tuple[list[dict[str, Any]], float]:
+    """Return the paths of a source, one by one, and to which time their ends are found, s."""
+    room = scene.room.as_mesh()
+    query, longest = visibility_query(scene, room, scene.sources[source], order + 1, search.resolution)
+    device = float64_device(search.engine, search.device)
+    finder = EdgeSearch(query, edges, None if device is None else DeviceSearch(query, device))
+    tables, found = query.trajectory_tables, []
+    spheres = BoundingSpheres(0.5 * (edges.start + edges.stop), 0.5 * edges.length)
+    from_source = _sequences(room.walls, tables.sphere(0, -longest), edges, spheres, order)
+    to_receivers = [
+        _sequences(room.walls, tables.sphere(1 + r), edges, spheres, order) for r in range(len(scene.receivers))
+    ]
+    done = source / len(scene.sources)
+    for share, candidates in generator(room.walls, from_source, to_receivers, edges, order):
+        pieces = find_pieces(finder, candidates, order, partial(search.progress, done))
+        found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
+        if len(found) > search.path_limit:
+            raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
+        done = (source + share) / len(scene.sources)
+        search.progress(done)
+    return found, query.resolution
+
+
+def _sequences(walls: Walls, sphere: tuple[Floats, float], edges: Edges, spheres: BoundingSpheres, order: int) -> Sides:
+    """Return the sequences of walls by which each edge may be reached from a sphere, by number of walls."""
+    found: list[list[list[Any]]] = [[[] for _ in range(order + 1)] for _ in range(len(edges))]
+    tree = BeamTree(walls, *sphere, spheres, BEAM_LIMIT)
+    try:
+        for batch in tree.candidates(order):
+            count = batch.sequence.shape[1]
+            for edge in np.unique(batch.receiver).tolist():
+                sequence = batch.sequence[batch.row[batch.receiver == edge]]
+                found[edge][count].append(sequence[_may_reach(walls, sphere, edges, edge, sequence)])
+    except TooManyBeamsError as error:
+        raise InputError("max_order", str(error)) from error
+    return [
+        [np.concatenate([np.empty((0, n), np.int32), *parts]) for n, parts in enumerate(of_edge)] for of_edge in found
+    ]
+
+
+def _may_reach(
+    walls: Walls, sphere: tuple[Floats, float], edges: Edges, edge: int, sequence: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Mask of sequences (n, N) that may lead to an edge: not from inside its wedge, nor by walls that it lies in.
+
+    As seen from the last walls of a sequence the edge may lie in the plane of an earlier one: such a path would meet
+    that wall at the edge's image, at its very end.
+    """
+    reaches, image = np.ones(len(sequence), dtype=bool), np.tile(sphere[0], (len(sequence), 1))
+    for wall in sequence.T:
+        image = mirrored(walls, wall, image)
+    reaches &= ~np.any(
+        _in_planes(walls, edges.start[edge], sequence) & _in_planes(walls, edges.stop[edge], sequence), axis=1
+    )
+    r, angle, _ = edges.cylindrical(np.full(len(image), edge), image)
+    beyond = np.maximum(-angle, angle - np.pi * edges.n[edge])
+    depth = np.where(beyond < 0.5 * np.pi, r * np.sin(np.clip(beyond, 0.0, 0.5 * np.pi)), r)
+    return reaches & (depth <= sphere[1] + _ON * walls.size)
+
+
+def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Mask of walls of sequences (n, N) in whose plane a place (3,) lies, as seen by the walls behind each."""
+    found, seen = np.zeros(sequence.shape, dtype=bool), np.tile(place, (len(sequence), 1))
+    for k in range(sequence.shape[1] - 1, -1, -1):
+        wall = sequence[:, k]
+        height = np.einsum("ni,ni->n", seen, walls.normal[wall]) - walls.offset[wall]
+        found[:, k] = np.abs(height) <= _ON * walls.size
+        seen = mirrored(walls, wall, seen)
+    return found
+
+
+def _candidates(
+    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
+) -> Iterator[tuple[float, EdgeCandidates]]:
+    """Yield all pairs of sequences to an edge, and to its free ends, by numbers of walls, and the share so far."""
+    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
+    free = [(-1, *np.flatnonzero(ends).tolist()) for ends in edges.free]
+    fewest = partner_reflections(edges.n).min(axis=1)
+    for done, (n, m) in enumerate(numbers):
+        parts: list[tuple[Any, ...]] = []
+        waiting = 0
+        for receiver, to_receiver in enumerate(to_receivers):
+            for edge in np.flatnonzero(n + m + fewest <= order).tolist():
+                for end in free[edge]:
+                    before, after = from_source[edge][n], to_receiver[edge][m]
+                    if end >= 0:  # nothing comes to an end by a wall that it lies in
+                        place = (edges.start, edges.stop)[end][edge]
+                        before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
+                    i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
+                    edge_and_face = np.full((len(i), 2), edge), np.full((len(i), 2), -1)
+                    parts.append((before[i], after[j], *edge_and_face, *(np.full(len(i), x) for x in (end, receiver))))
+                    waiting += len(i)
+                if waiting >= _BATCH:
+                    yield done / len(numbers), _together(parts)
+                    parts, waiting = [], 0
+        if waiting:
+            yield (done + 1) / len(numbers), _together(parts)
+
+
+def _double_candidates(
+    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
+) -> Iterator[tuple[float, EdgeCandidates]]:
+    """Yield all pairs of sequences to edges that share a face, by numbers of walls; and the share so far."""
+    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
+    pairs, faces = edges.pairs()
+    for done, (n, m) in enumerate(numbers):
+        parts: list[tuple[Any, ...]] = []
+        waiting = 0
+        for receiver, to_receiver in enumerate(to_receivers):
+            for pair, face in zip(pairs, faces, strict=True):
+                before, after = from_source[pair[0]][n], to_receiver[pair[1]][m]
+                i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
+                both = (np.tile(x, (len(i), 1)) for x in (pair, face))
+                parts.append((before[i], after[j], *both, np.full(len(i), -1), np.full(len(i), receiver)))
+                waiting += len(i)
+                if waiting >= _BATCH:
+                    yield done / len(numbers), _together(parts)
+                    parts, waiting = [], 0
+        if waiting:
+            yield (done + 1) / len(numbers), _together(parts)
+
+
+def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:
+    return EdgeCandidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+class _Partners:
+    """When other paths begin and end, by receiver, walls and edges."""
+
+    def __init__(self, others: tuple[PathFamily, ...], source: int) -> None:
+        self._events: dict[tuple[int, ...], list[float]] = {}
+        for family in others:
+            met = np.where(family.interactions == DIFFRACTION, -1 - family.objects, family.objects)
+            for row in np.flatnonzero(family.source == source).tolist():
+                events = [float(t) for t in (family.start[row], family.end[row]) if np.isfinite(t)]
+                if events and np.all(family.interactions[row] <= DIFFRACTION):
+                    key = (int(family.receiver[row]), *met[row, : family.order[row]].tolist())
+                    self._events.setdefault(key, []).extend(events)
+
+    def nearest(self, receiver: int, way: tuple[int, ...], time: float, within: float) -> float:
+        """Return when a path begins or ends near a time, s; the time itself where none does.
+
+        The way is by walls, and by edges, which are told as -1 less their number.
+        """
+        events = self._events.get((receiver, *way), [])
+        event = min(events, key=lambda t: abs(t - time), default=np.inf)
+        return event if abs(event - time) <= within else time
+
+
+def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, partners: _Partners) -> Iterator[dict[str, Any]]:
+    """Yield paths, with the times of their partners."""
+    asked, within = pieces.candidates, max(_SAME_EVENT, _FARTHEST * query.resolution)
+    begin, end = pieces.begin.copy(), pieces.end.copy()
+    for i in range(1, len(pieces.row)):
+        row = pieces.row[i]
+        if row != pieces.row[i - 1] or begin[i] != end[i - 1] or asked.end[row] >= 0:
+            continue  # paths over ends go on smoothly where a partner begins
+        before, after = asked.before[row].tolist(), asked.after[row][::-1].tolist()
+        time = float(begin[i])
+        for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():
+            if term not in (TERMS, *ENDS_BESIDE):
+                way = (*before, *_instead(edges, asked, row, term), *after)
+                time = partners.nearest(int(asked.receiver[row]), way, float(begin[i]), within)
+            if time != begin[i]:
+                break
+        begin[i] = end[i - 1] = time
+    last = query.last[asked.receiver[pieces.row]]
+    begin, end = np.where(begin <= 0.0, -np.inf, begin), np.where(end >= last, np.inf, end)
+    for i, row in enumerate(pieces.row.tolist()):
+        if begin[i] < end[i]:
+            yield {
+                "receiver": int(asked.receiver[row]), "before": asked.before[row], "after": asked.after[row],
+                "edges": asked.edge[row].tolist(), "faces": asked.face[row].tolist(), "end_of": int(asked.end[row]),
+                "start": begin[i], "end": end[i], "sides": pieces.sides[i],
+            }  # fmt: skip
+
+
+def _instead(edges: Edges, asked: EdgeCandidates, row: int, term: int) -> list[int]:
+    """Interactions of a term's partner in place of the edges: faces in turn, or the other one of two edges."""
+    one, other = asked.edge[row].tolist()
+    if asked.face[row, 0] >= 0:
+        return [-1 - (other if term < TERMS else one)]
+    faces, count = edges.faces[one].tolist(), int(partner_reflections(edges.n[one])[term])
+    return [int(faces[(term + bounce) % 2]) for bounce in range(count)]

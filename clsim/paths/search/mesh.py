@@ -1,0 +1,297 @@
+"""Paths in a room of any shape: candidates from a finder, intervals by certified subdivision of time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import as_count, read_only
+from clsim.errors import DeviceError, InputError, warn
+from clsim.opencl.device import find_device
+from clsim.paths.chain import Chain
+from clsim.paths.legs.static import image_columns
+from clsim.paths.propagation import mean_medium_of
+from clsim.paths.search.beam_tree import BeamTree, Candidates, TooManyBeamsError
+from clsim.paths.search.ray_shooting import ShotRays
+from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
+from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
+from clsim.paths.visibility.intervals import VisibilityQuery, find_intervals
+from clsim.paths.visibility.occlusion import WallLookup, air_sides
+from clsim.scene.flush import find_mount
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.opencl.device import DeviceInfo
+    from clsim.paths.options import PathSearch
+    from clsim.paths.trajectory_tables import TrajectoryTables
+    from clsim.paths.visibility.intervals import Intervals
+    from clsim.scene.ends import Source
+    from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.mesh import MeshRoom
+    from clsim.scene.room.walls import Walls
+    from clsim.scene.scene import Scene
+
+    Progress = Callable[[float], None]
+    Search = Callable[[NDArray[np.int32], NDArray[np.int64]], Intervals]
+
+LARGEST_MESH_ORDER = 20
+FINDERS = ("auto", "beam-tree", "shooting")
+BEAM_LIMIT = 5_000_000  # of one tree
+_SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not help a tree
+# Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
+# them would be heard at -102 dB.
+_OF_A_SAMPLE = 1.0 / 16.0
+_FEW_WALLS = 64  # are looked up by NumPy: quicker than building kernels for it
+_BATCH = 16_384  # candidates searched at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundPaths:
+    """Paths of one source, sorted by receiver, order, walls and time."""
+
+    receiver: NDArray[np.int64]  # (P,) which, and number of reflections
+    order: NDArray[np.int64]  # likewise
+    walls: NDArray[np.int32]  # (P, max_order) from the source's side, filled up with -1
+    begin: Floats  # (P,) interval in which it is heard, s; infinite where it reaches an end of what matters
+    end: Floats  # likewise
+
+    @staticmethod
+    def none(max_order: int) -> FoundPaths:
+        """Return no paths."""
+        no = np.empty(0, dtype=np.int64)
+        return FoundPaths(no, no, np.empty((0, max_order), dtype=np.int32), np.empty(0), np.empty(0))
+
+    @staticmethod
+    def joined(parts: list[FoundPaths]) -> FoundPaths:
+        """Return the paths of several parts."""
+        names = ("receiver", "order", "walls", "begin", "end")
+        return FoundPaths(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshSearch:
+    """How paths are looked for in a room of any shape; see `find_paths`."""
+
+    max_order: int
+    finder: str
+    resolution: float | None
+    path_limit: int
+    engine: str
+    device: str | None
+
+    def paths(self, scene: Scene, room: MeshRoom, source: Source, progress: Progress) -> FoundPaths:
+        """Return every path from one source to all receivers."""
+        query, longest = visibility_query(scene, room, source, self.max_order, self.resolution)
+        ends, last = query.trajectory_tables, query.last
+        device = float64_device(self.engine, self.device)
+        plant = _planter(room.walls, ends, device)
+        shoot = self._shoots(plant, room.walls.size, ends)
+        parts: list[FoundPaths] = []
+        cells = [(0.0, float(last.max()))]
+        while cells:
+            begin, end = cells.pop()
+            receivers = ends.receiver_spheres(begin, end)
+            centre, radius = ends.sphere(0, begin - longest, end)
+            if shoot:
+                finder: BeamTree | ShotRays = ShotRays(room, source.trajectory, receivers, find_mount(room, source))
+            else:
+                finder = plant(centre, radius, receivers)
+            part = partial(report, progress, begin / last.max(), end / last.max())
+            try:
+                here = query.during(begin, end)
+                search = partial(find_intervals, here) if device is None else DeviceSearch(here, device).find
+                parts.append(self._heard(search, finder, source.name, part))
+                if isinstance(finder, ShotRays):
+                    _tell_missed(finder, parts[-1].walls, shoot)
+            except TooManyBeamsError as error:
+                if radius < _SMALLEST_CELL * room.walls.size:
+                    raise InputError("max_order", str(error)) from error
+                cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
+        return _sorted(parts, last)
+
+    def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> str:
+        """Return why rays are shot, because of a tree that would be far too large or as asked; else nothing."""
+        if self.finder == "auto":
+            centre, radius = ends.sphere(0)
+            tree = plant(centre, min(radius, _SMALLEST_CELL * size), BoundingSpheres.none())
+            beams = tree.estimate(self.max_order)
+            return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
+        return "" if self.finder == "beam-tree" else "rays are shot, as asked"
+
+    def _heard(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
+        """Return a finder's candidates with the intervals in which they are heard."""
+        parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
+        for batch, waiting in _batches(finder.candidates(self.max_order)):
+            sequence, receiver = batch.sequence[batch.row], batch.receiver
+            found = search(sequence, receiver)
+            walls = np.full((len(found.path), self.max_order), -1, dtype=np.int32)
+            walls[:, : sequence.shape[1]] = sequence[found.path]
+            order = np.full(len(found.path), sequence.shape[1])
+            parts.append(FoundPaths(receiver[found.path], order, walls, found.begin, found.end))
+            count += len(order)
+            if count > self.path_limit:
+                raise InputError(
+                    "max_order",
+                    f"must give at most {self.path_limit} paths (path_limit), but {self.max_order} gives more from "
+                    f"{name!r}, after {finder.share:.0%} of the search",
+                )
+            done += len(receiver)
+            progress(finder.share * done / (done + waiting))
+        return FoundPaths.joined(parts)
+
+
+def visibility_query(
+    scene: Scene, room: MeshRoom, source: Source, legs: int, resolution: float | None
+) -> tuple[VisibilityQuery, float]:
+    """Request for a search from one source, and the longest travel time of its paths, s."""
+    medium = mean_medium_of(scene.air, source.emitted.centre_frequency)
+    trajectories = [r.trajectory for r in scene.receivers]
+    mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
+    ends = trajectory_tables(source.trajectory, trajectories, mounts)
+    longest = (legs + 1) * _diameter(room, ends) / scene.air.slowest
+    last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
+    fastest = float(ends.scales[0, 2])
+    if fastest >= medium.slowest:  # a bound: at a sharp corner up to twice the speed
+        raise InputError(
+            "sources.trajectory",
+            f"must surely stay below the speed of sound, {medium.slowest:.6g} m/s, for paths in a mesh, but "
+            f"{source.name!r} is only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
+        )
+    fine = resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
+    return VisibilityQuery(room.walls, ends, medium, np.zeros(len(last)), last, fine), longest
+
+
+def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> Chain:
+    """Return every path of a mesh up to an order, a row for every interval in which it is heard."""
+    order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
+    mesh = MeshSearch(order, search.finder, search.resolution, search.path_limit, search.engine, search.device)
+    count = len(scene.sources)
+    found = [
+        mesh.paths(scene, room, source, partial(report, search.progress, i / count, (i + 1) / count))
+        for i, source in enumerate(scene.sources)
+    ]
+    walls = np.concatenate([f.walls for f in found])
+    if len(walls) > search.path_limit:
+        raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
+    matrix, offset = image_isometries(room.walls, walls)
+    source = read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found]))
+    receiver, orders = (
+        read_only(np.concatenate([getattr(f, name) for f in found]).astype(np.int32)) for name in ("receiver", "order")
+    )
+    begin, end = (read_only(np.concatenate([getattr(f, name) for f in found])) for name in ("begin", "end"))
+    columns: Any = (read_only(x) for x in (walls, matrix, offset))
+    return Chain(scene, source, receiver, orders, begin, end, **image_columns(*columns))
+
+
+def image_isometries(walls: Walls, sequence: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """Return matrices (n, 3, 3) and offsets (n, 3) of the images by sequences of walls (n, N), filled up with -1.
+
+    The image of x is at ``matrix @ x + offset``.
+    """
+    matrix, offset = np.tile(np.eye(3), (len(sequence), 1, 1)), np.zeros((len(sequence), 3))
+    for wall in sequence.T:
+        rows = np.flatnonzero(wall >= 0)
+        normal, away = walls.normal[wall[rows]], walls.offset[wall[rows]]
+        mirror = np.eye(3) - 2.0 * normal[:, :, None] * normal[:, None, :]
+        matrix[rows] = mirror @ matrix[rows]
+        offset[rows] = np.einsum("nij,nj->ni", mirror, offset[rows]) + 2.0 * away[:, None] * normal
+    return matrix, offset
+
+
+def report(progress: Progress, first: float, last: float, share: float) -> None:
+    """Report the share of a part of the work."""
+    progress(first + share * (last - first))
+
+
+def float64_device(engine: str, name: str | None) -> tuple[DeviceInfo, Any] | None:
+    """Return the device that validates paths, None for NumPy: asked for, or where no device has float64."""
+    if engine == "opencl":
+        try:
+            info, chosen = find_device(name)
+            if info.fp64:
+                return info, chosen
+            reason = f"{info.name} has no float64"
+        except DeviceError as error:
+            if name is not None:
+                raise
+            reason = str(error)
+        warn(f"{reason}: paths are validated by NumPy, which is slow")
+    return None
+
+
+def _tell_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> None:
+    """Warn that rays have been shot, and of how many paths they are likely to have missed besides those by `walls`."""
+    met = np.unique(walls, axis=0)
+    warn(
+        f"{reason}: paths by small walls can be missed, at least about {rays.missed(met):.2g} besides {len(met)} that "
+        "were met, as two halves of the rays tell; lower max_order for a search that misses none"
+    )
+
+
+def _planter(walls: Walls, ends: TrajectoryTables, device: tuple[DeviceInfo, Any] | None) -> Callable[..., BeamTree]:
+    """Return a function that makes beam trees in a room, from a sphere to others, as in `BeamTree`."""
+    lookup = DeviceLookup(walls, device) if device is not None and len(walls) > _FEW_WALLS else WallLookup(walls)
+    source = np.zeros(1, dtype=np.int64)
+    start = ends.lifted(source, ends.position(source, np.zeros(1)) + PERTURBATIONS[0])[0]
+    return partial(BeamTree, walls, limit=BEAM_LIMIT, sides=air_sides(walls, start), lookup=lookup)
+
+
+def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:
+    """Join candidates of the same order until they are worth a launch; yield also how many others wait."""
+    waiting: dict[int, list[Candidates]] = {}
+    count = 0
+    for found in candidates:
+        if not len(found.row):
+            continue
+        order = found.sequence.shape[1]
+        waiting.setdefault(order, []).append(found)
+        count += len(found.row)
+        if sum(len(c.row) for c in waiting[order]) >= _BATCH:
+            batch = Candidates.joined(waiting.pop(order))
+            count -= len(batch.row)
+            yield batch, count
+    for some in waiting.values():
+        batch = Candidates.joined(some)
+        count -= len(batch.row)
+        yield batch, count
+
+
+def _last(source: Motion, longest: float, receiver: Motion) -> float:
+    """Return the time from which on nothing changes, or at which the recording ends at the latest, s."""
+    last = min(source.end + longest, receiver.end)
+    if math.isinf(source.end) and math.isinf(receiver.end):
+        return 1.0  # nothing ever changes
+    return max(last, 1e-3)
+
+
+def _diameter(room: MeshRoom, ends: TrajectoryTables) -> float:
+    """Return a bound on the length of a leg, m."""
+    spheres = [ends.sphere(row) for row in range(len(ends.places))]
+    low = np.minimum(room.extent[0], np.min([c - r for c, r in spheres], axis=0))
+    high = np.maximum(room.extent[1], np.max([c + r for c, r in spheres], axis=0))
+    return float(np.linalg.norm(high - low))
+
+
+def _sorted(parts: list[FoundPaths], last: Floats) -> FoundPaths:
+    """Join paths of all cells, intervals that touch included; sort by receiver, order, walls and time."""
+    found = FoundPaths.joined(parts)
+    keys = [found.begin, *found.walls.T[::-1], found.order, found.receiver]
+    rows = np.lexsort(keys)
+    receiver, order, walls = found.receiver[rows], found.order[rows], found.walls[rows]
+    begin, end = found.begin[rows], found.end[rows]
+    first = np.ones(len(rows), dtype=bool)
+    first[1:] = (receiver[1:] != receiver[:-1]) | np.any(walls[1:] != walls[:-1], axis=1) | (begin[1:] != end[:-1])
+    starts = np.flatnonzero(first)
+    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
+    begin, end, receiver = begin[starts], end[stops], receiver[starts]
+    begin = np.where(begin <= 0.0, -np.inf, begin)
+    end = np.where(end >= last[receiver], np.inf, end)
+    return FoundPaths(receiver, order[starts], walls[starts], begin, end)

@@ -1,0 +1,142 @@
+"""Wall sequences that rays meet: quick in very large meshes, but small walls can be missed."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.arrays import unique_rows
+from clsim.numerics.sphere import fibonacci_sphere
+from clsim.packages import check_packages
+from clsim.paths.search.beam_tree import Candidates
+from clsim.scene.motion.instants import Instants
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.trajectory_tables import BoundingSpheres
+    from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.faces import Mount
+    from clsim.scene.room.mesh import MeshRoom
+
+RAYS = 4_000_000  # from all positions of a source together, and at least the next number from each
+_LEAST_RAYS = 20_000
+_AT_ONCE = 1_000_000  # rays
+_RATE = 200.0  # Hz, at which a source's way is measured
+_MOST = 2_000_000  # instants of a longer one
+_STEP = 0.25  # m between positions from which rays are shot
+_OFF_WALL = 1e-4  # of the size; Embree's float32 is no judge nearer than this
+
+
+class ShotRays:
+    """Sequences collected by rays from along a trajectory.
+
+    Attributes
+    ----------
+    share : float
+        Of the work that is done, 0 to 1.
+    """
+
+    def __init__(self, room: MeshRoom, source: Motion, receivers: BoundingSpheres, mount: Mount | None = None) -> None:
+        self._room, self._receivers = room, receivers
+        self._positions = _positions(source)
+        if mount is not None:
+            self._positions = self._positions + _OFF_WALL * room.walls.size * mount.normal
+        self.share = 0.0
+        self._halves: dict[bytes, int] = {}
+        check_packages("finder", "shooting", "shooting", "embreex")
+        from trimesh import Trimesh
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+        self._middle = 0.5 * (room.extent[0] + room.extent[1])  # float32 is finest around 0
+        mesh = Trimesh(room.vertices - self._middle, room.triangles, process=False)
+        self._rays = RayMeshIntersector(mesh)
+
+    def candidates(self, max_order: int) -> Iterator[Candidates]:
+        """Yield the sequences of every order that rays have met, for all receivers."""
+        everyone = np.arange(len(self._receivers.radius))
+        met: list[list[NDArray[np.int32]]] = [[] for _ in range(max_order)]
+        directions = fibonacci_sphere(max(_LEAST_RAYS, RAYS // len(self._positions)))
+        for i, position in enumerate(self._positions):
+            for first in range(0, len(directions), _AT_ONCE):
+                bounces = self._bounce(position, directions[first : first + _AT_ONCE], max_order)
+                for order, sequences in enumerate(bounces):
+                    met[order].append(sequences)
+            self.share = (i + 1) / len(self._positions)
+            if i % 16 == 15:
+                met = [[_once(np.concatenate(some))] if some else [] for some in met]
+        found = [np.empty((1, 0), dtype=np.int32)]
+        for some in (_once(np.concatenate(some)) for some in met if some):
+            found.append(some[:, 1:])
+            self._halves |= {row[1:].tobytes(): int(row[0]) for row in some}
+        for sequence in found:
+            row, receiver = (x.ravel() for x in np.meshgrid(np.arange(len(sequence)), everyone, indexing="ij"))
+            yield Candidates(sequence, row, receiver)
+
+    def missed(self, walls: NDArray[np.int32]) -> float:
+        """Return about how many paths rays have missed, from those (P, N) that they have met, filled up with -1.
+
+        Every other ray is of one half. Of a paths that only the one half has met, b that only the other has and c that
+        both have, Chapman's estimate of all is ``(a + c + 1) (b + c + 1) / (c + 1) - 1``, so that ``a b / (c + 1)`` are
+        missed. It is low where paths differ in how easily they are met.
+
+        References
+        ----------
+        D. G. Chapman, "Some properties of the hypergeometric distribution with applications to zoological sample
+        censuses", University of California Publications in Statistics 1, 131-160, 1951.
+        """
+        halves = [self._halves[row[row >= 0].tobytes()] for row in walls if row.max(initial=-1) >= 0]
+        one, other, both = (halves.count(half) for half in (1, 2, 3))
+        return one * other / (both + 1.0)
+
+    def _bounce(self, position: Floats, directions: Floats, max_order: int) -> Iterator[NDArray[np.int32]]:
+        """Yield the sequences of order 1, 2, … that rays from a position meet, each behind the halves that met it."""
+        walls = self._room.walls
+        origin = np.broadcast_to(position - self._middle, directions.shape)
+        offset = walls.offset - walls.normal @ self._middle
+        sequence = np.empty((len(directions), 0), dtype=np.int32)
+        half = (1 + np.arange(len(directions)) % 2).astype(np.int32)
+        for _ in range(max_order):
+            triangle = self._rays.intersects_first(origin, directions)
+            hit = np.flatnonzero(triangle >= 0)
+            wall = walls.of_triangle[triangle[hit]]
+            origin, directions, sequence = origin[hit], directions[hit], sequence[hit]
+            toward = np.einsum("ni,ni->n", directions, walls.normal[wall])
+            if sequence.shape[1]:
+                fresh = (walls.plane[sequence[:, -1]] != walls.plane[wall]) & (np.abs(toward) > 1e-6)
+            else:
+                fresh = np.abs(toward) > 1e-6
+            half = half[hit][fresh]
+            origin, directions, sequence, wall, toward = (
+                x[fresh] for x in (origin, directions, sequence, wall, toward)
+            )
+            far = (offset[wall] - np.einsum("ni,ni->n", origin, walls.normal[wall])) / toward
+            origin = origin + far[:, None] * directions
+            directions = directions - 2.0 * toward[:, None] * walls.normal[wall]
+            origin = origin + _OFF_WALL * walls.size * directions
+            sequence = np.concatenate([sequence, wall[:, None].astype(np.int32)], axis=1)
+            yield _once(np.column_stack([half, sequence]))
+
+
+def _once(met: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return different sequences (n, 1 + N), each behind all halves of rays that met it, a bit each."""
+    sequence, _, which = unique_rows(met[:, 1:])
+    halves = np.zeros(len(sequence), dtype=np.int32)
+    np.bitwise_or.at(halves, which, met[:, 0])
+    return np.column_stack([halves, sequence])
+
+
+def _positions(source: Motion) -> Floats:
+    """Return positions along a trajectory, some decimetres apart, (n, 3) m."""
+    if source.is_static:
+        return np.atleast_2d(source.position(0.0))
+    instants = Instants(0.0, source.end, min(_RATE, _MOST / source.end))
+    places = source.position(instants.times(np.arange(instants.count)))
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+    stops = np.linspace(0.0, travelled[-1], max(2, min(math.ceil(travelled[-1] / _STEP), _MOST) + 1))
+    return np.asarray(places[np.unique(np.searchsorted(travelled, stops).clip(max=len(places) - 1))])

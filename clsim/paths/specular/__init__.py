@@ -1,1 +1,0 @@
-"""Paths by mirror reflections from walls."""

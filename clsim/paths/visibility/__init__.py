@@ -1,0 +1,1 @@
+"""Intervals in which paths are there: clearance, occlusion, subdivision of time."""

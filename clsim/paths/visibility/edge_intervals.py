@@ -1,0 +1,182 @@
+"""Intervals of paths over edges: of both sides in turn, cut where adjacent paths of their terms begin or end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.diffraction import ON_LINE, TERMS, partner_reflections
+from clsim.errors import InputError
+from clsim.paths.search.edge_chains import joined_over_ends
+from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, ENDS_BESIDE, FAR, SIDES, EdgeVisibility, FaceLegs
+from clsim.paths.visibility.intervals import GRAZE_TIME, MOST_EVALUATIONS, Intervals, find_intervals, merged
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.visibility.device import DeviceSearch
+    from clsim.paths.visibility.edges import EdgeCandidates
+    from clsim.paths.visibility.intervals import VisibilityQuery
+    from clsim.scene.room.edges import Edges
+
+    Rows = NDArray[np.int64]
+
+
+_CHUNK = 20_000  # intervals looked at at a time, which bounds what waits
+MOST_TOGETHER = 10_000_000  # evaluations of all paths of a batch: their intervals take 350 MB at most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeSearch:
+    """Answers one query for paths over the edges of a room: on a device with float64, or by its NumPy twin."""
+
+    query: VisibilityQuery  # room, ends and resolution
+    edges: Edges  # of the room
+    device: DeviceSearch | None  # of the same query; NumPy when None
+
+    def find(self, candidates: EdgeCandidates) -> Intervals:
+        """Return the intervals in which candidates are there.
+
+        The side of the receiver is looked at while that of the source is there: most candidates are gone by then. The
+        way between two edges comes last, on the host: mostly nothing stands there.
+        """
+        row, receiver = np.arange(len(candidates.edge)), candidates.receiver
+        begin, end, evaluations = self.query.first[receiver], self.query.last[receiver], 0
+        for side in (0, 1):
+            found = self._find(candidates, side, row, (begin, end))
+            row, begin, end = row[found.path], found.begin, found.end
+            evaluations += found.evaluations
+        legs = FaceLegs(EdgeVisibility(self.edges, candidates), self.query.walls)
+        hindered = legs.hindered(row)
+        if not hindered.any():
+            return merged(row, begin, end, evaluations)
+        asked, spans = row[hindered], (begin[hindered], end[hindered])
+        found = find_intervals(self.query, asked.astype(np.int32)[:, None], receiver[asked], legs.evaluate, spans)
+        parts = (row, asked[found.path]), (begin, found.begin), (end, found.end)
+        row, begin, end = (np.concatenate([free[~hindered], rest]) for free, rest in parts)
+        return merged(row, begin, end, evaluations + found.evaluations)
+
+    def _find(self, candidates: EdgeCandidates, side: int, row: Rows, spans: tuple[Floats, Floats]) -> Intervals:
+        """Return when one side of some candidates is there within spans of time."""
+        if self.device is None:
+            evaluate = partial(EdgeVisibility(self.edges, candidates).evaluate, side)
+            sequence = row.astype(np.int32)[:, None]
+            return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans)
+        mine, other = (candidates.before, candidates.after)[:: 1 - 2 * side]
+        edges = self.edges
+        columns: dict[str, NDArray[Any]] = {
+            "sequences": mine[row], "others": other[row], "edge_of": candidates.edge[row],
+            "face_of": candidates.face[row],
+            "end_of": candidates.end[row], "receiver_of": candidates.receiver[row],
+        }  # fmt: skip
+        constants = {"AT_EDGE": 1, "CONTRACTIONS": CONTRACTIONS, "CONTRACTED": CONTRACTED, "HALF_TURN": np.pi,
+            "ON_LINE": ON_LINE}  # fmt: skip
+        others = {
+            "other_count": other.shape[1], "from_receiver": side, "far": FAR * self.query.walls.size,
+            "edges": np.column_stack([edges.frames.reshape(-1, 12), edges.length, edges.n]),
+        }  # fmt: skip
+        return self.device.settle("edge_intervals", constants, columns, spans, others)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Stretches of candidates between boundaries of their terms."""
+
+    candidates: EdgeCandidates  # the paths
+    row: NDArray[np.int64]  # (n,) of the candidates
+    begin: Floats  # (n,) s
+    end: Floats  # likewise
+    sides: NDArray[np.int8]  # (n, 11) see `EdgeVisibility.sides`
+
+
+def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell: Callable[[], None]) -> Pieces:
+    """Find the intervals in which candidates are active, and cut them at the boundaries of their terms.
+
+    Certified subdivision, as of `find_intervals`. While a path runs along a boundary, as where source, receiver and
+    edge are in a plane of symmetry, no clearance is enough: an interval of `GRAZE_TIME` is one piece there if its sides
+    are the same at both ends and in the middle.
+    """
+    there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
+    ignored = _ignored(finder, candidates, order)
+    stack = [(there.path, there.begin, there.end)]
+    found: list[tuple[Any, ...]] = [(there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8))]
+    evaluations = np.zeros(len(candidates.edge), dtype=np.int64)
+    while stack:
+        row, begin, end = stack.pop()
+        if len(row) > _CHUNK:
+            stack.append((row[_CHUNK:], begin[_CHUNK:], end[_CHUNK:]))
+            row, begin, end = row[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
+        half = 0.5 * (end - begin)
+        sides, sure, grazes = visibility.sides(finder.query, row, begin + half, half)
+        sides[ignored[row]] = 0
+        done = sure | (2.0 * half <= finder.query.resolution)
+        unsure = np.flatnonzero(~done & grazes & (half <= 0.5 * GRAZE_TIME))
+        for instant in (begin, end) if len(unsure) else ():
+            beside, _, _ = visibility.sides(finder.query, row[unsure], instant[unsure], np.zeros(len(unsure)))
+            beside[ignored[row[unsure]]] = 0
+            unsure = unsure[np.all(beside == sides[unsure], axis=1)]
+        done[unsure] = True
+        np.add.at(evaluations, row, 1)
+        _refuse_endless(finder, candidates, evaluations)
+        tell()
+        found.append((row[done], begin[done], end[done], sides[done]))
+        row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
+        if len(row):
+            middle = begin + half
+            stack.append((np.append(row, row), np.append(begin, middle), np.append(middle, end)))
+    return _joined_pieces(candidates, *(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _ignored(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> NDArray[np.bool_]:
+    """Tell which sides (n, 11) do not matter: those of terms whose partners have too many reflections."""
+    ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)
+    met = candidates.before.shape[1] + candidates.after.shape[1]
+    for edge, term in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
+        ignored[:, term : term + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
+    return ignored
+
+
+def _refuse_endless(finder: EdgeSearch, candidates: EdgeCandidates, evaluations: NDArray[np.int64]) -> None:
+    worst = int(np.argmax(evaluations)) if len(evaluations) else 0
+    together = evaluations.sum()
+    if together > MOST_TOGETHER or (together and evaluations[worst] > MOST_EVALUATIONS):
+        raise InputError(
+            "diffraction",
+            f"must let paths over edges be settled within {MOST_EVALUATIONS} evaluations of each and {MOST_TOGETHER} "
+            f"of a batch, but one over {finder.edges.names[candidates.edge[worst, 0]]!r} has had {evaluations[worst]}: "
+            "it runs along a boundary of shadow or reflection; move an end a millimetre, shorten the run, lower "
+            "max_order, or give a larger resolution",
+        )
+
+
+def _joined_pieces(
+    candidates: EdgeCandidates, row: NDArray[np.int64], begin: Floats, end: Floats, sides: NDArray[np.int8]
+) -> Pieces:
+    """Sort intervals by path and time, and join those that touch and have the same sides."""
+    rank = np.lexsort((begin, row))
+    row, begin, end, sides = row[rank], begin[rank], end[rank], sides[rank]
+    first = np.append(True, (row[1:] != row[:-1]) | (begin[1:] != end[:-1]) | np.any(sides[1:] != sides[:-1], axis=1))
+    starts = np.flatnonzero(first[: len(row)])
+    stops = np.append(starts[1:], len(row))[: len(starts)] - 1
+    return _over_ends(Pieces(candidates, row[starts], begin[starts], end[stops], sides[starts]))
+
+
+def _over_ends(pieces: Pieces) -> Pieces:
+    """Join the pieces of paths over ends of edges, see `joined_over_ends`."""
+    row, begin, end, sides = pieces.row, pieces.begin, pieces.end, pieces.sides
+    over = pieces.candidates.end[row] >= 0
+    some, others = np.flatnonzero(over), np.flatnonzero(~over)
+    of_ends = sides[some, :TERMS], sides[some, TERMS], sides[some][:, ENDS_BESIDE]
+    kept, starting, ending, lit = joined_over_ends(row[some], begin[some], end[some], *of_ends)
+    joined = np.array(sides[some[kept]])
+    joined[:, :TERMS] = lit
+    columns = ((row, row[some[kept]]), (begin, starting), (end, ending), (sides, joined))
+    row, begin, end, sides = (np.concatenate([column[others], more]) for column, more in columns)
+    rank = np.lexsort((begin, row))
+    return Pieces(pieces.candidates, row[rank], begin[rank], end[rank], sides[rank])

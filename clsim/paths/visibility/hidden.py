@@ -1,0 +1,204 @@
+"""What bodies hide of other paths: their intervals, cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import read_only
+from clsim.paths.chain import is_specular
+from clsim.paths.legs.events import find_events
+from clsim.paths.legs.places import path_vertices
+from clsim.paths.propagation import mean_medium_of
+from clsim.paths.search.mesh import report
+from clsim.paths.visibility.obstacles import LegDrift, Legs, hidden_by
+from clsim.paths.visibility.rates import FAR, taken_for
+from clsim.paths.visibility.subdivision import ROUNDS, certified, sampled
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.family import PairPaths, PathFamily
+    from clsim.paths.legs.mirrors import Mirrors
+    from clsim.paths.search.bodies import BodySearch, PairQuery
+    from clsim.paths.visibility.obstacles import Obstacles
+    from clsim.paths.visibility.rates import Pace
+    from clsim.paths.visibility.subdivision import Status
+
+    Progress = Callable[[float], None]
+    Rows = NDArray[np.int64]
+
+_NODES = 8  # times at which corners of paths are asked for, between which they are smooth
+_EARLIER = 1.25  # of a delay, and more, before which sound of a stretch of time was not emitted
+
+
+def behind_bodies(search: BodySearch, family: PathFamily, progress: Progress = lambda share: None) -> PathFamily:
+    """Return the paths of a kind that is reflected by no body without what bodies hide, rows cut as it takes."""
+    rows: list[Any] = [np.empty(0, dtype=np.int64)]
+    begins, ends = [np.empty(0)], [np.empty(0)]
+    pairs = list(family.pairs())
+    for number, pair in enumerate(pairs):
+        part = partial(report, progress, number / len(pairs), (number + 1) / len(pairs))
+        query = search.pair(pair.source, pair.receiver)
+        status = _Status(pair, search)
+        if is_specular(family):
+            look = _Look(status, search.obstacles, query)
+            every = np.arange(len(pair.index))
+            spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
+            path, begin, end = certified(look.look, look.status, spans, query.resolution, part)
+        else:
+            path, begin, end = sampled(status, pair.index, query.times, query.resolution, status.nearby)
+            part(1.0)
+        begin, end = query.bounded(begin, end)
+        path = pair.index[path]
+        begin, end = np.maximum(begin, family.start[path]), np.minimum(end, family.end[path])
+        rows.append(path[begin < end])
+        begins.append(begin[begin < end])
+        ends.append(end[begin < end])
+    path, begin, end = (np.concatenate(each) for each in (rows, begins, ends))
+    order = np.lexsort((begin, path))
+    cut = family.part(path[order])
+    return replace(cut, start=read_only(begin[order]), end=read_only(end[order]))
+
+
+class _Status:
+    """Whether paths of a pair are free of all bodies."""
+
+    def __init__(self, pair: PairPaths, search: BodySearch) -> None:
+        self._family, self._bodies, self._mirrors = pair.family, search.scene.bodies, search.obstacles.mirrors
+        self.index = pair.index
+
+    def polylines(self, rows: Rows, times: Floats) -> tuple[Floats, Floats]:
+        """Return the corners of paths, and when sound is there; see `polylines`."""
+        return polylines(self._family, self._mirrors, rows, times)
+
+    def __call__(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
+        free = np.ones(times.shape, dtype=bool)
+        shared = np.zeros(len(rows), dtype=np.int64)
+        if not is_specular(self._family):  # those looked at at the same times are so together
+            shared = np.unique(times[:, [0, -1]], axis=0, return_inverse=True)[1].ravel()
+        for group in range(int(shared.max(initial=-1)) + 1):
+            some = np.flatnonzero(shared == group)
+            free[some] = self._free(*polylines(self._family, self._mirrors, rows[some], times[some]))
+        return free
+
+    def nearby(self, rows: Rows, times: Floats) -> Status:
+        """Return the same test for some of the rows, from the first to the last of times (T,), by polynomials."""
+        nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
+        weights = np.where(np.arange(_NODES) % 2, -1.0, 1.0)
+        weights[[0, -1]] *= 0.5
+        middle, half = 0.5 * (times[0] + times[-1]), max(0.5 * (times[-1] - times[0]), 1e-12)
+        place, when = self.polylines(rows, np.tile(middle + half * nodes, (len(rows), 1)))
+
+        def status(some: Rows, at: Floats) -> NDArray[np.bool_]:
+            apart = ((at - middle) / half)[..., None] - nodes
+            exact = np.abs(apart) < 1e-14
+            share = weights / np.where(exact, 1.0, apart)
+            share = np.where(exact.any(axis=2, keepdims=True), exact, share)
+            share /= share.sum(axis=2, keepdims=True)
+            corners = np.einsum("ptn,pnvx->ptvx", share, place[some])
+            return self._free(corners, np.einsum("ptn,pnv->ptv", share, when[some]))
+
+        return status
+
+    def _free(self, place: Floats, when: Floats) -> NDArray[np.bool_]:
+        """Mask (P, T) of polylines (P, T, V, 3) of events at times (P, T, V) that pass all bodies."""
+        shape = when.shape[:2]
+        free = np.ones(shape[0] * shape[1], dtype=bool)
+        flat, at = place.reshape(-1, *place.shape[2:]), when.reshape(-1, when.shape[2])
+        for leg in range(at.shape[1] - 1):
+            for body in self._bodies:
+                rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
+                legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
+                none = np.full(len(rows), -1)
+                free[rows] = ~hidden_by(body, legs, none, none)[0]
+        return free.reshape(shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """Whether bodies are in the way of paths by walls of one pair, and for how long that is certain."""
+
+    free: _Status
+    obstacles: Obstacles
+    query: PairQuery
+
+    def status(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
+        """Mask of paths (n,) that are free at times (n,)."""
+        return self.free(self.free.index[rows], times[:, None])[:, 0]
+
+    def look(self, rows: Rows, times: Floats, half: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
+        """Mask of free paths (n,), the time for which that is certain, s, and the speed of what decides, m/s.
+
+        Walls rest: every point at a fixed share of a path moves by no more than its ends, see `certainty`, and a corner
+        along the wall by as much again over the cosine of the angle of incidence.
+        """
+        place, when = (x[:, 0] for x in self.free.polylines(self.free.index[rows], times[:, None]))
+        first = np.zeros(len(rows), dtype=np.int64)
+        pace = self.query.rates.over(first, times - _EARLIER * (half + times - when[:, 0]), times, half)
+        medium = self.query.medium
+        c, wind = medium.speed_of_sound, float(np.linalg.norm(medium.wind or (0.0, 0.0, 0.0)))
+        late = 1.0 + (pace.source + pace.receiver) / np.maximum(c - wind - pace.source, 1e-3)
+        most = np.maximum(late * pace.source, pace.receiver)
+        way = np.diff(place, axis=1)
+        way /= np.maximum(np.linalg.norm(way, axis=2), 1e-300)[..., None]
+        with np.errstate(divide="ignore"):
+            slides = most[:, None] * (1.0 + 2.0 / np.linalg.norm(np.diff(way, axis=1), axis=2))
+        slides = np.where(most[:, None] > 0.0, slides, 0.0)
+        return self._free(place, when, slides, (late, pace))
+
+    def _free(
+        self, place: Floats, when: Floats, slides: Floats, moving: tuple[Floats, Pace]
+    ) -> tuple[NDArray[np.bool_], Floats, Floats]:
+        """Return the same from corners (n, V, 3), when sound is there (n, V), and how fast corners (n, V - 2) move."""
+        late, pace = moving
+        count, legs = len(place), when.shape[1] - 1
+        free, sure = np.ones(count, dtype=bool), np.full(count, FAR)
+        order = np.sum(np.isfinite(when), axis=1) - 2
+        speed = np.column_stack([pace.source * late, slides, np.zeros(count)])
+        speed[np.arange(count), order + 1] = pace.receiver
+        for leg in range(legs):
+            for body, thing in enumerate(self.obstacles.mirrors.bodies):
+                rows = np.flatnonzero(free & (order >= leg))
+                at = np.stack([np.full(len(rows), leg == 0), order[rows] == leg], axis=1)
+                held = pace.held[rows] & at[:, None]
+                ends = speed[rows, leg], speed[rows, leg + 1]
+                sooner = late[rows] + np.maximum(*ends) / self.query.medium.speed_of_sound
+                changes = LegDrift(*ends, sooner, held, pace.part(rows))
+                some = Legs(place[rows, leg], place[rows, leg + 1], when[rows, leg], when[rows, leg + 1])
+                none = np.full(len(rows), -1)
+                blocked, certain = hidden_by(thing, some, none, none, (body, changes))
+                free[rows] = ~blocked
+                sure[rows] = np.where(blocked, certain, np.minimum(sure[rows], certain))
+        jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
+        sure = np.where(jumps & (sure < pace.half), 0.0, sure)
+        return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_ways)
+
+
+def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -> tuple[Floats, Floats]:
+    """Return the corners (P, T, V, 3) of paths of one pair, m, and when sound is there (P, T, V), s.
+
+    It is received at times (P, T), which may differ from path to path where these are reflected by nothing but walls.
+    Behind the receiver of paths of fewer corners stands NaN.
+    """
+    count, every = times.shape
+    source, receiver = (end.trajectory for end in family.ends(rows))
+    if is_specular(family):  # whatever the order of walls, their image is one and the same
+        medium = mean_medium_of(family.scene.air, family.ends(rows)[0].emitted.centre_frequency)
+        delay = find_events(mirrors, family.objects[rows], (source, receiver), medium, times, rounds=ROUNDS).delay
+        faces, walls = family.scene.room.faces, np.repeat(family.objects[rows], every, axis=0)
+        ends = source.position((times - delay).ravel()), receiver.position(times.ravel())
+        corners = path_vertices((faces.normals, faces.offsets), walls, *ends).reshape(count, every, -1, 3)
+    else:
+        delay = family.arrivals(rows, times[0]).delay
+        corners = np.stack([family.vertices(rows, float(time)) for time in times[0]], axis=1)
+    way = np.linalg.norm(np.diff(corners, axis=2), axis=3)
+    along = np.concatenate([np.zeros((count, every, 1)), np.cumsum(way, axis=2)], axis=2)
+    whole = np.nanmax(along, axis=2, keepdims=True)
+    return corners, (times - delay)[..., None] + delay[..., None] * along / np.maximum(whole, 1e-300)

@@ -1,0 +1,339 @@
+"""Which paths are there: hits on mirrors, and legs that nothing crosses, each at the time when sound is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.paths.legs.mirrors import ROOM, Mirrors
+from clsim.paths.visibility.clearance import segments_apart
+from clsim.paths.visibility.occlusion import INNER
+from clsim.paths.visibility.rates import FAR, lasts, middle_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.legs.events import Events
+    from clsim.paths.visibility.rates import Pace
+    from clsim.scene.body import Body
+    from clsim.scene.room.walls import Walls
+    from clsim.scene.scene import Scene
+
+    Bools = NDArray[np.bool_]
+    Rows = NDArray[np.int64]
+
+_STEPS = 2  # of the secant's towards where a leg meets a face that turns
+_SPARE = 1.01  # of a body's radius, for legs that are curved as it sees them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Legs:
+    """Straight ways of sound, n of them: from and to where, (n, 3) m, and when, (n,) s."""
+
+    start: Floats
+    stop: Floats
+    left: Floats
+    arrived: Floats
+
+    def part(self, rows: Rows) -> Legs:
+        """Return some of them."""
+        return Legs(self.start[rows], self.stop[rows], self.left[rows], self.arrived[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegDrift:
+    """At most how fast n legs change, by the time of reception."""
+
+    start: Floats  # (n,) how fast their ends move in the room, m/s
+    stop: Floats  # likewise
+    dilation: Floats  # (n,) of times at which sound is on them to that of reception
+    held: Bools  # (n, B, 2) whether bodies hold their starts and stops where they are
+    pace: Pace  # of all that moves
+
+    def part(self, rows: Rows) -> LegDrift:
+        """Return that of some of them."""
+        return LegDrift(self.start[rows], self.stop[rows], self.dilation[rows], self.held[rows], self.pace.part(rows))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalDrift:
+    """At most how fast n legs change as a body sees them: their ends, and what is between them by more than these, m/s.
+
+    They are off the straight line from one end to the other by `curved`, m, and that matters for `half`, s.
+    """
+
+    start: Floats
+    stop: Floats
+    extra: Floats
+    curved: Floats
+    half: Floats
+
+    def part(self, rows: Rows) -> LocalDrift:
+        """Return that of some of them."""
+        return LocalDrift(*(getattr(self, f.name)[rows] for f in fields(LocalDrift)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Obstacles:
+    """What reflects and hides in a scene."""
+
+    mirrors: Mirrors  # walls and faces
+    walls: Walls  # of the room
+    convex: bool  # whether no wall of the room hides anything in it
+
+    @staticmethod
+    def of(scene: Scene) -> Obstacles:
+        """Return those of a scene."""
+        return Obstacles(Mirrors.of(scene), scene.room.as_mesh().walls, scene.room.is_convex)
+
+    def there(self, surfaces: NDArray[np.signedinteger[Any]], events: Events, times: Floats) -> Bools:
+        """Mask (P, T) of valid paths by mirrors (P, N), received at times (P, T)."""
+        order = np.sum(surfaces >= 0, axis=1)
+        inner = (events.share > 0.0) & (events.share < 1.0) | (surfaces < 0)[:, None]
+        ok = np.array(np.all(inner, axis=2))
+        when = times[..., None] + events.time
+        for k in range(surfaces.shape[1]):
+            for surface in np.unique(surfaces[:, k][surfaces[:, k] >= 0]).tolist():
+                p, t = np.nonzero(ok & (surfaces[:, k] == surface)[:, None])
+                ok[p, t] = self._holds(surface, events.place[p, t, k + 1], when[p, t, k + 1])
+        for leg in range(surfaces.shape[1] + 1):
+            p, t = np.nonzero(ok & (order >= leg)[:, None])
+            legs = Legs(*(x[p, t, leg + i] for x in (events.place, when) for i in (0, 1)))
+            padded = np.pad(surfaces, ((0, 0), (1, 1)), constant_values=-1)
+            ok[p, t] = ~self.blocked(legs, padded[p, leg], padded[p, leg + 1])
+        return ok
+
+    def blocked(self, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
+        """Mask (n,) of legs between mirrors, -1 for none, that a wall or a body blocks."""
+        return self.looked(legs, first, last, None)[0]
+
+    def looked(
+        self, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: LegDrift | None
+    ) -> tuple[Bools, Floats]:
+        """Mask of blocked legs, as `blocked`, and the time for which that is certain, (n,) s."""
+        found, sure = np.zeros(len(legs.left), dtype=bool), np.full(len(legs.left), FAR)
+        if not self.convex:
+            plane = np.append(self.walls.plane, -1)
+            ends = [plane[np.where(x < len(self.walls), x, -1)] for x in (first, last)]
+            local = None if drift is None else local_drift(None, legs, legs.start, legs.stop, drift)
+            skipped = (ends[0][:, None] == self.walls.plane) | (ends[1][:, None] == self.walls.plane)
+            found, sure = _faced(self.walls, skipped, legs.start, legs.stop, None, local)
+        for body, (thing, face) in enumerate(zip(self.mirrors.bodies, self.mirrors.first.tolist(), strict=True)):
+            rows = np.flatnonzero(~found)
+            local_ends = [np.where(self.mirrors.owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last)]
+            local_ends = [np.where(x[rows] < 0, -1, own) for x, own in zip((first, last), local_ends, strict=True)]
+            slack_of = None if drift is None else (body, drift.part(rows))
+            hit, certain = hidden_by(thing, legs.part(rows), local_ends[0], local_ends[1], slack_of)
+            found[rows], sure[rows] = hit, np.where(hit, certain, np.minimum(sure[rows], certain))
+        return found, sure
+
+    def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
+        """Mask of places (n, 3) on a mirror at times (n,), and distances from its border and the body's middle, m."""
+        walls, face, own = self._of(surface, places, times)
+        apart = _edges_apart(walls, face, own, own)
+        for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
+            apart = np.minimum(apart, _edges_apart(walls, int(twin), own, own))
+        body = int(self.mirrors.owner[surface])
+        middle = 0.0 if body == ROOM else middle_of(self.mirrors.bodies[body]).place
+        return self._holds(surface, places, times), apart, np.linalg.norm(own - middle, axis=1)
+
+    def _of(self, surface: int, places: Floats, times: Floats) -> tuple[Walls, int, Floats]:
+        """Return a mirror as a wall of its room or body, and places at times in the coordinates of that."""
+        body = int(self.mirrors.owner[surface])
+        if body == ROOM:
+            return self.walls, surface, places
+        thing = self.mirrors.bodies[body]
+        return thing.mesh.walls, surface - int(self.mirrors.first[body]), thing.seen(places, times)
+
+    def _holds(self, surface: int, places: Floats, times: Floats) -> Bools:
+        """Mask of places (n, 3) in the plane of a mirror at times (n,) that are on it."""
+        walls, face, places = self._of(surface, places, times)
+        held = walls.holds(face, places)
+        for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
+            held &= ~walls.holds(int(twin), places)
+        return held
+
+
+def hidden_by(
+    body: Body, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: tuple[int, LegDrift] | None = None
+) -> tuple[Bools, Floats]:
+    """Mask of legs that a body blocks, and the time for which that is certain, (n,) s.
+
+    Shapes: first, last (n,).
+
+    first, last: faces of the body that they begin and end at, which are in the way of none, -1 for none.
+
+    drift: number of the body, and how fast legs change; without it nothing is certain.
+
+    As the body sees it a leg is straight while the body goes evenly, and curved by ``w d² / (4 c)`` while it turns: on
+    which side of a face its ends are is known, and where it passes that is found by the secant's method. What only the
+    curve touches, and not the ends, is not seen.
+    """
+    walls, found = body.mesh.walls, np.zeros(len(legs.left), dtype=bool)
+    middle = middle_of(body)
+    reach = _SPARE * middle.radius + 0.5 * middle.fastest * np.abs(legs.arrived - legs.left)
+    beside = _apart(body.placed(middle.place, 0.5 * (legs.left + legs.arrived)), legs) - reach
+    sure, around = np.zeros(len(found)), beside <= 0.0
+    if drift is not None:
+        number, all_drift = drift
+        moved = np.maximum(all_drift.start, all_drift.stop) + all_drift.dilation * all_drift.pace.speed[:, number]
+        sure = np.where(beside > 0.0, lasts(np.maximum(beside, 0.0), moved), 0.0)  # at rest, too
+        around = (beside <= 0.0) | (sure < all_drift.pace.half)
+    near = np.flatnonzero(around)
+    some = legs.part(near)
+    start, stop = body.seen(some.start, some.left), body.seen(some.stop, some.arrived)
+    local = (
+        None
+        if drift is None
+        else local_drift(number, some, start - middle.place, stop - middle.place, all_drift.part(near))
+    )
+    plane = np.append(walls.plane, -1)
+    ends = plane[first[near]], plane[last[near]]
+    skipped = (ends[0][:, None] == walls.plane) | (ends[1][:, None] == walls.plane)
+    turning = (body, some) if body.trajectory.turns else None
+    found[near], certain = _faced(walls, skipped, start, stop, turning, local)
+    sure[near] = np.where(found[near], certain, np.maximum(sure[near], certain))
+    return found, sure
+
+
+def local_drift(body: int | None, legs: Legs, start: Floats, stop: Floats, drift: LegDrift) -> LocalDrift:
+    """Rates of legs between places (n, 3) as seen from a body's middle; None is the room.
+
+    A point x of a leg at a fixed share moves by no more than the shares of its ends. The body's own field of velocities
+    is linear in x, but for how it changes while sound is on the leg, by its accelerations, and for what it is faster at
+    one end by the dilation of time. Seen from the body the leg is curved by ``(2 w d T + T² (a + 2 w v + (w² + l) y)) /
+    8`` at the most.
+    """
+    pace, late = drift.pace, drift.dilation
+    if body is None:
+        return LocalDrift(drift.start, drift.stop, np.zeros(len(late)), np.zeros(len(late)), pace.half)
+    speed, turn, gain, lift, jolt, twist = (
+        x[:, body] for x in (pace.speed, pace.turn, pace.gain, pace.lift, pace.jolt, pace.twist)
+    )
+    ends, far = [], np.zeros(len(late))
+    for i, (place, moved) in enumerate(((start, drift.start), (stop, drift.stop))):
+        away = np.linalg.norm(place, axis=1) + pace.half * (moved + late * speed)
+        ends.append(np.where(drift.held[:, body, i], 0.0, moved + late * (speed + turn * away)))
+        far = np.maximum(far, away)
+    length = np.linalg.norm(legs.stop - legs.start, axis=1) + pace.half * (drift.start + drift.stop)
+    while_on = np.abs(legs.arrived - legs.left) + 2.0 * pace.half * (late - 1.0)
+    uneven = jolt + twist * far
+    extra = while_on * (gain + lift * far) + uneven + 2.0 * (late - 1.0) * (speed + turn * far)
+    curved = 2.0 * turn * length * while_on + while_on**2 * (gain + 2.0 * turn * speed + (lift + turn**2) * far)
+    return LocalDrift(ends[0], ends[1], extra, 0.125 * curved + 0.25 * while_on * uneven, pace.half)
+
+
+def _faced(
+    walls: Walls, skipped: Bools, start: Floats, stop: Floats, turning: tuple[Body, Legs] | None,
+    drift: LocalDrift | None,
+) -> tuple[Bools, Floats]:  # fmt: skip
+    """Mask of legs (n,), in their own coordinates, that faces block, and the time for which that is certain, s.
+
+    Those that are `skipped` (n, faces) are in the way of none.
+
+    What blocks does so while both ends keep their sides and the place where the way meets the face does not cross its
+    border. What is free stays so while both ends keep to one side; or while a way that goes beside the face does not
+    touch its border, in the plane or in space.
+    """
+    heights = [x @ walls.normal.T - walls.offset for x in (start, stop)]
+    hit, crossed = np.zeros(skipped.shape, dtype=bool), _crossed(*heights) & ~skipped
+    way, face = np.nonzero(crossed)
+    share = heights[0][way, face] / (heights[0][way, face] - heights[1][way, face])
+    places = start[way] + share[:, None] * (stop[way] - start[way])
+    if turning is not None and len(way):
+        places = _met_turning(walls, turning, way, face, share, [h[way, face] for h in heights])
+    for each in np.unique(face).tolist():
+        these = np.flatnonzero(face == each)
+        hit[way[these], each] = walls.holds(each, places[these])
+    found = np.any(hit, axis=1)
+    if drift is None:
+        return found, np.zeros(len(found))
+    sides = np.minimum(*(lasts(np.abs(h), x[:, None]) for h, x in zip(heights, (drift.start, drift.stop), strict=True)))
+    sure = _past(walls, heights, (start, stop), drift, sides, skipped | found[:, None])
+    used = ~found[way] | hit[way, face]
+    way, face, places, share = way[used], face[used], places[used], share[used]
+    border = np.empty(len(way))
+    for each in np.unique(face).tolist():
+        these = np.flatnonzero(face == each)
+        border[these] = _edges_apart(walls, each, places[these], places[these])
+    border = lasts(border, _slides([h[way, face] for h in heights], (start[way], stop[way]), share, drift.part(way)))
+    sure[way, face] = np.where(
+        hit[way, face], np.minimum(border, sides[way, face]), np.maximum(sure[way, face], border)
+    )
+    blocked = np.where(hit, sure, 0.0).max(axis=1, initial=0.0)
+    return found, np.where(found, blocked, np.where(skipped, FAR, sure).min(axis=1, initial=FAR))
+
+
+def _past(
+    walls: Walls, heights: list[Floats], ends: tuple[Floats, Floats], drift: LocalDrift, sides: Floats, done: Bools
+) -> Floats:
+    """Return for how long ways surely go past faces (n, faces), but for those that are done, s."""
+    start, stop = ends
+    fast = (np.maximum(drift.start, drift.stop) + drift.extra)[:, None]
+    apart = np.linalg.norm(_nearest(walls.centre, start[:, None], stop[:, None]) - walls.centre, axis=2)
+    sure = lasts(np.maximum(apart - walls.radius - drift.curved[:, None], 0.0), np.broadcast_to(fast, apart.shape))
+    sure = np.where(heights[0] * heights[1] > 0.0, np.maximum(sure, sides), sure)
+    way, face = np.nonzero((sure < drift.half[:, None]) & ~done)
+    for each in np.unique(face).tolist():
+        p = way[face == each]
+        reach = _beside(walls, each, start[p], stop[p], [h[p, each] for h in heights]) - drift.curved[p]
+        sure[p, each] = np.maximum(sure[p, each], lasts(np.maximum(reach, 0.0), fast[p, 0]))
+    return sure
+
+
+def _beside(walls: Walls, face: int, start: Floats, stop: Floats, heights: list[Floats]) -> Floats:
+    """Return distances (n,) of straight ways that do not meet a face from it, m."""
+    apart = _edges_apart(walls, face, start, stop)
+    for place, height in zip((start, stop), heights, strict=True):
+        foot = place - height[:, None] * walls.normal[face]
+        apart = np.where(walls.holds(face, foot), np.minimum(apart, np.abs(height)), apart)
+    return apart
+
+
+def _slides(heights: list[Floats], ends: tuple[Floats, Floats], share: Floats, drift: LocalDrift) -> Floats:
+    """Largest speeds of the points where legs meet the planes of faces, (n,) m/s."""
+    moved = (1.0 - share) * drift.start + share * drift.stop + drift.extra
+    length = np.linalg.norm(ends[1] - ends[0], axis=1)
+    slope = np.abs(heights[0] - heights[1]) - 4.0 * drift.curved
+    return np.asarray(np.where(slope > 0.0, moved * (1.0 + length / np.where(slope > 0.0, slope, 1.0)), FAR))
+
+
+def _edges_apart(walls: Walls, face: int, start: Floats, stop: Floats) -> Floats:
+    """Return the distances (n,) of straight ways from the border of a face, m."""
+    return np.asarray(segments_apart(walls.edges_of(face), start, stop).min(axis=1, initial=np.inf))
+
+
+def _apart(points: Floats, legs: Legs) -> Floats:
+    """Return the distances (n,) of points from legs, m."""
+    return np.asarray(np.linalg.norm(points - _nearest(points, legs.start, legs.stop), axis=1))
+
+
+def _nearest(points: Floats, start: Floats, stop: Floats) -> Floats:
+    """Return the places (..., 3) of ways that are nearest to points, m."""
+    along = stop - start
+    share = np.sum((points - start) * along, axis=-1) / np.maximum(np.sum(along * along, axis=-1), 1e-300)
+    return np.asarray(start + np.clip(share, 0.0, 1.0)[..., None] * along)
+
+
+def _crossed(first: Floats, last: Floats) -> Bools:
+    """Mask of legs that cross planes strictly between their endpoints, at these heights over them."""
+    crosses = first * last < 0.0
+    share = first / np.where(crosses, first - last, 1.0)
+    return np.asarray(crosses & (share > INNER) & (share < 1.0 - INNER))
+
+
+def _met_turning(
+    walls: Walls, turning: tuple[Body, Legs], way: Rows, face: Rows, share: Floats, heights: list[Floats]
+) -> Floats:
+    """Points where legs meet the planes of a turning body's faces, in the body's axes, (n, 3) m."""
+    body, legs = turning[0], turning[1].part(way)
+    normal, offset, apart = walls.normal[face], walls.offset[face], heights[0] - heights[1]
+    for step in range(_STEPS + 1):
+        place = legs.start + share[:, None] * (legs.stop - legs.start)
+        own = body.seen(place, legs.left + share * (legs.arrived - legs.left))
+        if step < _STEPS:
+            share = np.clip(share + (np.sum(own * normal, axis=1) - offset) / apart, 0.0, 1.0)
+    return own

@@ -1,0 +1,286 @@
+"""Walls in the way: those that beams and segments meet, and what they hide of apertures from all of a ball.
+
+The twin of ``meetings.cl`` and ``crossings.cl``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from clsim.arrays import spread
+from clsim.paths.visibility.beams import clip_rings
+from clsim.scene.room.walls import INSIDE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.room.walls import Walls
+
+    Ints = NDArray[np.int64]
+    Bools = NDArray[np.bool_]
+    Crossings = Callable[[Floats, Floats], tuple[Ints, Ints, Ints]]
+
+
+_PAIRS = 20_000  # of beam, wall and receiver looked at at a time
+INNER = 1e-9  # share of a segment at either end in which nothing blocks it
+CLEARLY = 1e-6  # of the room's size, by which an obstacle covers what it hides: more than any tolerance of validity
+# Directions that no wall is likely to lie along; where one of them meets an edge, the others outvote it.
+_RAYS = np.array([[0.3607, 0.4783, 0.8007], [-0.7321, 0.5519, -0.3991], [0.5297, -0.8081, 0.2577]])
+_ROUNDS = 5  # of taking hidden parts off apertures
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """n beams: what a ball lights through an aperture."""
+
+    planes: Floats  # (n, p, 4) half-spaces that hold a beam; see `beam_planes`
+    centre: Floats  # (n, 3) of the balls, m
+    radius: float  # of all balls, m
+    last: NDArray[np.int32]  # (n,) walls that the apertures are on
+    slack: float  # by which walls are taken to be larger, m
+
+    def part(self, which: slice) -> Beams:
+        """Return some of them."""
+        return Beams(self.planes[which], self.centre[which], self.radius, self.last[which], self.slack)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ears:
+    """Spheres that hold R receivers, and what each sees.
+
+    Attributes
+    ----------
+    plane : ndarray (P, 4)
+        Half-spaces of the beams from each receiver through what it sees of each wall; see `beam_planes`.
+    first_plane : ndarray (R * W + 1,) int
+        Where those of receiver r and wall w begin, in row ``r * W + w``; none where it cannot see the wall.
+    """
+
+    centre: Floats  # (R, 3) of the spheres, m
+    radius: Floats  # likewise
+    seen: NDArray[np.bool_]  # (R, W) which walls each may see
+    plane: Floats
+    first_plane: Ints
+
+
+class Lookup(Protocol):
+    """Looks up walls, on the host or on a device."""
+
+    def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
+        """Crossings of segments and walls."""
+        ...
+
+    def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
+        """Return pairs of a beam and a wall that it may meet."""
+        ...
+
+
+class WallLookup:
+    """Looks up walls in NumPy."""
+
+    def __init__(self, walls: Walls) -> None:
+        self._walls = walls
+
+    def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
+        """Crossings of segments and walls strictly between their endpoints; see `crossed_pieces`.
+
+        Shapes: start, stop (n, 3) m; result (m,).
+        """
+        return crossed_pieces(self._walls, start, stop)
+
+    def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
+        """Return pairs of a beam and a wall that it may meet, in another plane than its last.
+
+        Shapes: sides (W,); result (m,).
+
+        ears: where given, only walls by which a beam may reach a receiver that sees them.
+        """
+        walls = self._walls
+        beam, wall = walls.tree.meeting_planes(beams.planes, beams.slack)
+        height = np.einsum("ni,ni->n", beams.centre[beam], walls.normal[wall]) - walls.offset[wall]
+        meets = (walls.plane[beams.last[beam]] != walls.plane[wall]) & (sides[wall] * height >= -beams.radius)
+        beam, wall = beam[meets], wall[meets]
+        if ears is None:
+            return beam, wall
+        leads = self._leads(beams, beam, wall, ears)
+        return beam[leads], wall[leads]
+
+    def _leads(self, beams: Beams, beam: Ints, wall: Ints, ears: Ears) -> NDArray[np.bool_]:
+        """Mask of beams that may reach a receiver by a wall.
+
+        They touch the receiver's sphere mirrored by the wall, and what the receiver sees in it touches their ball.
+        """
+        walls, found, seen = self._walls, np.zeros(len(beam), dtype=bool), ears.seen
+        some = np.flatnonzero(np.any(seen[:, wall], axis=0))
+        step = max(1, _PAIRS // max(len(ears.radius), 1))
+        for pair in (some[i : i + step] for i in range(0, len(some), step)):
+            at, by = beam[pair], wall[pair]
+            normal, plane = walls.normal[by], beams.planes[at]
+            cosine = np.einsum("npi,ni->np", plane[..., :3], normal)
+            mirrored = plane[..., :3] - 2.0 * cosine[..., None] * normal[:, None]
+            away = plane[..., 3] - 2.0 * cosine * walls.offset[by, None]
+            touched = np.all(mirrored @ ears.centre.T - away[..., None] >= -ears.radius, axis=1) & seen[:, by].T
+            row, receiver = np.nonzero(touched)
+            height = np.einsum("ni,ni->n", beams.centre[at[row]], normal[row]) - walls.offset[by[row]]
+            image = beams.centre[at[row]] - 2.0 * height[:, None] * normal[row]
+            of, index = spread(ears.first_plane, receiver * len(walls) + by[row])
+            inside = np.einsum("ni,ni->n", image[of], ears.plane[index, :3]) - ears.plane[index, 3] >= -beams.radius
+            leads = np.ones(len(row), dtype=bool)
+            leads[of[np.flatnonzero(~inside)]] = False
+            found[pair[row[leads]]] = True
+        return found
+
+
+def crossed_pieces(walls: Walls, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
+    """Crossings of segments and walls strictly between their endpoints.
+
+    Shapes: start, stop (n, 3) m; result (m,).
+    """
+    tolerance = INSIDE * walls.size
+    row, wall = walls.tree.meeting_segments(start, stop, tolerance)
+    normal, offset = walls.normal[wall], walls.offset[wall]
+    before, behind = (np.einsum("ni,ni->n", x[row], normal) - offset for x in (start, stop))
+    crosses = before * behind < 0.0
+    share = before / np.where(crosses, before - behind, 1.0)
+    some = np.flatnonzero(crosses & (share > INNER) & (share < 1.0 - INNER))
+    row, wall, share = row[some], wall[some], share[some]
+    point = start[row] + share[:, None] * (stop[row] - start[row])
+    of, piece = spread(walls.first_piece, wall)
+    line_of, line = spread(walls.first_line, piece)
+    height = np.einsum("ni,ni->n", walls.line[line, :3], point[of[line_of]]) - walls.line[line, 3]
+    holds = np.ones(len(piece), dtype=bool)
+    holds[line_of[height < -tolerance]] = False
+    return row[of[holds]], wall[of[holds]], piece[holds]
+
+
+def air_sides(walls: Walls, place: Floats) -> Ints:
+    """Return on which side of each wall a path from a place can be: 1 that of its normal, -1 the other, 0 both.
+
+    Shapes: place (3,) m.
+
+    A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
+    there cross the shell an even number of times, or an odd one.
+    """
+    stop = place + _RAYS * (walls.size + np.linalg.norm(walls.centre - place, axis=1).max())
+    ray, wall, _ = crossed_pieces(walls, np.broadcast_to(place, stop.shape), stop)
+    ray, wall = np.unique(np.stack([ray, wall]), axis=1)  # pieces of a wall can share a point
+    crossings = np.zeros((len(_RAYS), int(walls.shell.max()) + 1), dtype=np.int64)
+    np.add.at(crossings, (ray, walls.shell[wall]), 1)
+    inside = np.sum(crossings % 2, axis=0) > len(_RAYS) // 2
+    return np.asarray(np.where(inside[walls.shell], -walls.outward, walls.outward))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """n apertures as seen from balls, some through windows.
+
+    Attributes
+    ----------
+    window : ndarray (n, m, 3)
+        Corners of convex windows through which the balls are seen, m; their centres where there are none.
+    """
+
+    centre: Floats  # (n, 3) of the balls, m
+    radius: float  # of all balls, m
+    window: Floats
+    last: Ints  # (n,) walls that the windows are on, -1 for none
+    ring: Floats  # (n, k, 3) corners of convex apertures; those beyond `corners` repeat the last one
+    corners: Ints  # (n,) number of corners
+    wall: Ints  # (n,) walls that the apertures are on
+
+    def part(self, rows: Ints, ring: Floats, corners: Ints) -> Views:
+        """Return some of them with other apertures."""
+        return Views(
+            self.centre[rows],
+            self.radius,
+            self.window[rows],
+            self.last[rows],
+            ring[rows],
+            corners[rows],
+            self.wall[rows],
+        )
+
+
+def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats, Ints]:
+    """Return the apertures without what walls surely hide of them.
+
+    Shapes: result (n, k', 3), (n,).
+
+    crossings: tells walls that segments cross: `crossed_pieces` of the room, or what is told in its place.
+
+    What is taken away cannot be reached from anywhere in the ball, through the window, but through a wall, in neither
+    of their planes, by clearly more than validity tolerates. Walls that are crossed on the way to the middle of an
+    aperture are looked at. Of what lies beyond such a wall, the ball being before it, a convex piece of it hides what
+    is on the inner side of a plane through each of its sides, which touches the ball from that side: rays from the ball
+    to there cross the wall inside of this side. If one of these planes alone cuts the aperture, its outer side is left.
+    """
+    ring, corners = views.ring, views.corners.copy()
+    rows = np.arange(len(ring))
+    for _ in range(_ROUNDS):
+        if not len(rows):
+            break
+        some = views.part(rows, ring, corners)
+        view, plane, cuts = _shadows(walls, some, crossings)
+        gone = np.zeros(len(rows), dtype=bool)
+        gone[view[cuts == 0]] = True
+        corners[rows[gone]] = 0
+        cut = np.flatnonzero((cuts == 1) & ~gone[view])
+        which, first = np.unique(view[cut], return_index=True)
+        at = rows[which]
+        left, count = clip_rings(ring[at], corners[at], plane[cut[first], None])
+        if left.shape[1] > ring.shape[1]:
+            ring = ring[:, np.minimum(np.arange(left.shape[1]), ring.shape[1] - 1)]
+        ring = ring.copy()
+        ring[at] = left[:, np.minimum(np.arange(ring.shape[1]), left.shape[1] - 1)]
+        corners[at] = np.where(count >= 3, count, 0)
+        rows = at[count >= 3]
+    return ring, corners
+
+
+def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Floats, Ints]:
+    """Occlusion of apertures by walls: view, the outer half-space of a plane that cuts, and number of cuts, (n,)."""
+    middle = views.ring.mean(axis=1)
+    row, other, piece = crossings(_seen_from(walls, views, middle), middle)
+    clearly = CLEARLY * walls.size
+    normal, offset = walls.normal[other], walls.offset[other]
+    side = np.where(np.einsum("ni,ni->n", middle[row], normal) < offset, -1.0, 1.0)
+    normal, offset = side[:, None] * normal, side * offset
+    beyond = np.einsum("nki,ni->nk", views.ring[row], normal).min(axis=1) - offset > clearly
+    beyond &= np.einsum("nki,ni->nk", views.window[row], normal).max(axis=1) - offset < -clearly
+    beyond &= np.einsum("ni,ni->n", views.centre[row], normal) - offset < -clearly - views.radius
+    beyond &= walls.plane[other] != walls.plane[views.wall[row]]
+    beyond &= (views.last[row] < 0) | (walls.plane[other] != walls.plane[views.last[row]])
+    row, piece, normal, offset = row[beyond], piece[beyond], normal[beyond], offset[beyond]
+    of, line = spread(walls.first_line, piece)
+    inward, at = walls.line[line, :3], row[of]
+    centre = views.centre[at]
+    # The centre from the side, which is moved inwards by the clearance: along the wall's plane, and before it.
+    beside = np.einsum("ni,ni->n", centre, inward) - walls.line[line, 3] - clearly
+    below = np.einsum("ni,ni->n", centre, normal[of]) - offset[of]
+    away = beside[:, None] * inward + below[:, None] * normal[of]
+    distance = np.hypot(beside, below)
+    across = (-below[:, None] * inward + beside[:, None] * normal[of]) / distance[:, None]
+    sine = views.radius / distance
+    plane = np.empty((len(line), 4))
+    plane[:, :3] = np.sqrt(1.0 - sine**2)[:, None] * across + (sine / distance)[:, None] * away
+    plane[:, 3] = np.einsum("ni,ni->n", plane[:, :3], centre - away)
+    visible = np.einsum("nki,ni->nk", views.ring[at], plane[:, :3]).min(axis=1) < plane[:, 3]
+    cuts = np.bincount(of[visible], minlength=len(piece))
+    outer = np.zeros((len(piece), 4))
+    outer[of[visible]] = -plane[visible]
+    return row, outer, cuts
+
+
+def _seen_from(walls: Walls, views: Views, middle: Floats) -> Floats:
+    """Points (n, 3) where the lines from the balls' centres to the apertures' middles pass the windows."""
+    normal = walls.normal[views.last]
+    high, low = (np.einsum("ni,ni->n", x - views.window[:, 0], normal) for x in (views.centre, middle))
+    passes = (views.last >= 0) & (high * low < 0.0)
+    share = np.where(passes, high / np.where(passes, high - low, 1.0), 0.0)
+    return np.asarray(views.centre + share[:, None] * (middle - views.centre))

@@ -1,0 +1,299 @@
+"""Intervals in which paths are there, by evaluations of them: certified, or at given times and by bisection.
+
+Each look says whether a path is there, and for how long before and after that is certain. What no look covers is looked
+at in its middle, down to one sample: what a path does within less, as it was before and after it, is not found.
+Where it differs before and after, the change is found to the resolution by halving.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.scene.motion.carried import even_ways
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.body import Body
+    from clsim.scene.motion.motion import Motion
+
+    Bools = NDArray[np.bool_]
+    Rows = NDArray[np.int64]
+    Look = Callable[[Rows, Floats, Floats], tuple[Bools, Floats, Floats]]
+    Status = Callable[[Rows, Floats], Bools]
+    Gaps = tuple[Any, ...]
+    CodesAt = Callable[[Rows, Floats], NDArray[Any]]
+    Nearby = Callable[[NDArray[np.int64], Floats], Status]
+    Codes = NDArray[np.int8]
+
+
+SAMPLE = 16  # resolutions; what lasts less is not found
+_CERTAIN = 0.999  # of the time for which something is certain, what is relied on
+_LOOKS = 4_000  # looks
+_AT_ONCE = 400  # looks, below which more of them cost next to nothing
+_MOST_PARTS = 7  # of a gap, at the middles of which is looked
+_PARTS = 4  # of the time in which something changes, and so on
+ROUNDS = 5  # of the search for events, where 1e-9 m do
+_RATE = 1000.0  # Hz, at which speeds are looked at
+_AT_A_TIME = 50_000  # paths and times
+_ROWS = 1_000  # paths at a time
+_TOGETHER = 32  # looks between which paths are smooth
+_CODES = 20_000  # paths and times that are coded together
+
+
+def certified(
+    look: Look, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float,
+    progress: Callable[[float], None] = lambda share: None,
+) -> tuple[Rows, Floats, Floats]:  # fmt: skip
+    """Return when paths are there: which (n,), begins and ends (n,), s, in the order of spans.
+
+    look: takes paths (n,), times (n,) and halves (n,) of the times about them that matter, s; returns whether each is
+    there, for how long before and after that is certain, s, and for how long it is taken to be so where two looks so
+    far before and after agree, s: where a path runs along what decides about it, or nothing is certain.
+    """
+    which, begin, end = spans
+    parts = [np.arange(i, min(i + _LOOKS, len(which))) for i in range(0, len(which), _LOOKS)]
+    whole, done = float(np.sum(end - begin)) or 1.0, 0.0
+    found: list[tuple[Any, Any, Any]] = [(which[:0], begin[:0], end[:0])]
+    for part in parts:
+        share = float(np.sum(end[part] - begin[part])) / whole
+        tell = partial(_tell, progress, done, share)
+        found.append(_of_part(look, status, (which[part], begin[part], end[part]), resolution, tell))
+        done += share
+    progress(1.0)
+    path, first, last = (np.concatenate([each[i] for each in found]) for i in range(3))
+    return path, first, last
+
+
+def _tell(progress: Callable[[float], None], first: float, share: float, left: float) -> None:
+    """Tell the share of the work that is done, where of one share of it, behind a first one, some is left."""
+    progress(first + share * (1.0 - left))
+
+
+def _of_part(
+    look: Look, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float, tell: Callable[[float], None]
+) -> Any:
+    which, begin, end = spans
+    number, length = np.arange(len(which)), end - begin
+    whole = float(np.sum(length)) or 1.0
+    (at_first, after, _), (at_last, before, _) = (look(which, t, length) for t in (begin, end))
+    left, right = begin + _CERTAIN * after, end - _CERTAIN * before
+    stack: list[Gaps] = [_open((number, left, right, at_first, at_last))]
+    changes: list[Gaps] = [tuple(x[:0] for x in stack[0])]
+    # What two looks are certain of may touch or overlap only where they agree.
+    touching = (at_first != at_last) & (left >= right)
+    changes.append((number[touching], begin[touching], end[touching], at_first[touching], at_last[touching]))
+    while stack:
+        gaps = stack.pop()
+        if len(gaps[0]) > _LOOKS:
+            stack.append(tuple(x[_LOOKS:] for x in gaps))
+            gaps = tuple(x[:_LOOKS] for x in gaps)
+        short = gaps[2] - gaps[1] <= SAMPLE * resolution
+        differs = short & (gaps[3] != gaps[4])
+        changes.append(tuple(x[differs] for x in gaps))
+        if not np.all(short):
+            stack.append(_divided(look, which, tuple(x[~short] for x in gaps)))
+        tell(sum(float(np.sum(late - early)) for _, early, late, _, _ in stack) / whole)
+    path, first, last, there, _ = (np.concatenate([each[i] for each in changes]) for i in range(5))
+    return _joined(spans, at_first, (path, _narrowed(status, which[path], first, last, there, resolution), there))
+
+
+def _divided(look: Look, which: Rows, gaps: Gaps) -> Gaps:
+    """Rest of gaps after evaluation at the middles of even parts of them: more of each where gaps are few."""
+    path, begin, end, before, after = gaps
+    count = int(np.clip(_AT_ONCE // len(path), 1, _MOST_PARTS))
+    half = 0.5 * (end - begin) / count
+    times = begin[:, None] + half[:, None] * np.arange(1, 2 * count, 2)
+    halves = np.repeat(half[:, None], count, axis=1)
+    told = look(np.repeat(which[path], count), times.ravel(), halves.ravel())
+    there, sure, taken = (x.reshape(times.shape) for x in told)
+    state = np.column_stack([before, there, after])
+    agreed = (2.0 * halves <= taken) & (there == state[:, :-2]) & (there == state[:, 2:])
+    sure = np.where(agreed, halves, np.minimum(_CERTAIN * sure, halves))
+    first, last = np.column_stack([begin, times + sure]), np.column_stack([times - sure, end])
+    left: Gaps = (np.repeat(path, count + 1), first.ravel(), last.ravel(), state[:, :-1].ravel(), state[:, 1:].ravel())
+    return _open(left)
+
+
+def _open(gaps: Gaps) -> Gaps:
+    """Return the gaps that have a length, and those at which something changes."""
+    kept = (gaps[2] > gaps[1]) | (gaps[3] != gaps[4])
+    return tuple(x[kept] for x in gaps)
+
+
+def _narrowed(status: Status, rows: Rows, begin: Floats, end: Floats, there: Bools, resolution: float) -> Floats:
+    """Return when (n,), between two times, paths are first seen no more to be as they were at the first, s."""
+    begin, end = np.array(begin), np.array(end)
+    share = np.arange(1, _PARTS) / _PARTS
+    while len(wide := np.flatnonzero(end - begin > resolution)):
+        times = begin[wide, None] + (end - begin)[wide, None] * share
+        seen = status(np.repeat(rows[wide], _PARTS - 1), times.ravel()).reshape(times.shape)
+        bounds = np.column_stack([begin[wide], times, end[wide]])
+        part = np.argmax(np.column_stack([seen != there[wide, None], np.ones(len(wide), dtype=bool)]), axis=1)
+        begin[wide], end[wide] = bounds[np.arange(len(wide)), part], bounds[np.arange(len(wide)), part + 1]
+    return end
+
+
+def _joined(
+    spans: tuple[Rows, Floats, Floats], at_first: Bools, changes: tuple[Rows, Floats, Bools]
+) -> tuple[Rows, Floats, Floats]:
+    """Return certified from what changes when, and was there before."""
+    which, begin, end = spans
+    number, time, was = changes
+    order = np.lexsort((time, number))
+    number, time, was = number[order], time[order], was[order]
+    count = np.bincount(number, minlength=len(which))
+    at_last = at_first ^ (count % 2 == 1)
+    starts = np.concatenate([np.flatnonzero(at_first), number[~was]])
+    stops = np.concatenate([number[was], np.flatnonzero(at_last)])
+    bounds = np.concatenate([begin[at_first], time[~was]]), np.concatenate([time[was], end[at_last]])
+    i, j = np.lexsort((bounds[0], starts)), np.lexsort((bounds[1], stops))
+    return which[starts[i]], bounds[0][i], bounds[1][j]
+
+
+def looks(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: float, step: float) -> Floats:
+    """Return times of reception (n,), from one to the next of which all that moves goes no farther than a step, s."""
+    from scipy.ndimage import maximum_filter1d
+
+    instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
+    speed = np.zeros(len(instants))
+    for body in bodies:
+        if not body.is_static:
+            speed += body.speed(instants)
+    for motion in ends:
+        if not motion.is_static:
+            speed += np.linalg.norm(motion.velocity(instants), axis=-1)
+    width = 2 * math.ceil(longest * _RATE) + 1
+    return np.minimum(even_ways(maximum_filter1d(speed, width, mode="nearest"), _RATE, step), last)
+
+
+def sampled(
+    status: Status, rows: NDArray[np.int64], times: Floats, resolution: float, nearby: Nearby
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return when paths are there: places among `rows` (n,) in order, begins and ends (n,), s.
+
+    Shapes: rows (P,); times (T,) s.
+
+    status: takes rows (P,) and times (P, T), s; returns whether each path is there at each of its times.
+
+    nearby: takes rows (P,) and some of the times; returns what takes places among these rows (n,) and times (n, T)
+    within these for about `status`. Where that finds a change, two looks say whether it is one; else it is found by
+    looks.
+    """
+    there = np.zeros((len(rows), len(times)), dtype=bool)
+    found: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64),) * 2 + (np.empty(0),)]
+    for first in range(0, max(len(times) - 1, 1), _TOGETHER):
+        here = slice(first, min(first + _TOGETHER, len(times) - 1) + 1)
+        for some in range(0, len(rows), _ROWS):
+            part = np.arange(some, min(some + _ROWS, len(rows)))
+            quick = nearby(rows[part], times[here])
+            seen = quick(np.arange(len(part)), np.tile(times[here], (len(part), 1)))
+            there[part, here] = seen
+            path, gap = np.nonzero(seen[:, 1:] != seen[:, :-1])
+            span = times[here][gap], times[here][gap + 1]
+            found.append((part[path], gap + first, _found(status, quick, (rows[part], path), span, resolution)))
+    path, gap, change = (np.concatenate([each[i] for each in found]) for i in range(3))
+    # In the order of time each path's changes are begins and ends in turn.
+    early, late = np.flatnonzero(there[:, 0]), np.flatnonzero(there[:, -1])
+    rising = ~there[path, gap]
+    paths = np.concatenate([path[rising], early]), np.concatenate([path[~rising], late])
+    bounds = (
+        np.concatenate([change[rising], np.full(len(early), times[0])]),
+        np.concatenate([change[~rising], np.full(len(late), times[-1])]),
+    )
+    begin, end = (np.lexsort((when, whose)) for when, whose in zip(bounds, paths, strict=True))
+    return paths[0][begin], bounds[0][begin], bounds[1][end]
+
+
+def _found(
+    status: Status, quick: Status, paths: tuple[NDArray[np.int64], NDArray[np.int64]], between: tuple[Floats, Floats],
+    resolution: float,
+) -> Floats:  # fmt: skip
+    """Return the times (n,) between two at which some of rows change, s, as `_changes`."""
+    rows, some = paths
+    if not len(some):
+        return np.empty(0)
+    begin, end = between
+    last = quick(some, end[:, None])[:, 0]
+    change = first_change(quick, some, between, ~last, resolution, _AT_A_TIME)
+    near = np.stack([np.maximum(change - resolution, begin), np.minimum(change, end)], axis=1)
+    seen = evaluated(status, rows[some], near, _AT_A_TIME)
+    wrong = np.flatnonzero((seen[:, 0] == last) | (seen[:, 1] != last))
+    if len(wrong):
+        these, spans = rows[some[wrong]], (begin[wrong], end[wrong])
+        before = ~evaluated(status, these, spans[1][:, None], _AT_A_TIME)[:, 0]
+        change[wrong] = first_change(status, these, spans, before, resolution, _AT_A_TIME)
+    return change
+
+
+def first_change(
+    codes: CodesAt, rows: Rows, between: tuple[Floats, Floats], code: Any, resolution: float, together: int
+) -> Floats:
+    """Find the first of the times (n,) between two, the second included, at which paths are not as coded, s."""
+    begin, end = (np.array(x) for x in between)
+    share = np.arange(1, _PARTS) / _PARTS
+    while len(rows) and np.max(end - begin) > resolution:
+        times = begin[:, None] + (end - begin)[:, None] * share
+        differs = evaluated(codes, rows, times, together) != code[:, None]
+        any_differs, first = differs.any(axis=1), np.argmax(differs, axis=1)
+        step = (end - begin) / _PARTS
+        part = np.where(any_differs, first, _PARTS - 1)
+        begin, end = begin + step * part, np.where(any_differs, begin + step * (part + 1), end)
+    return end
+
+
+def evaluated(codes: CodesAt, rows: Rows, times: Floats, together: int) -> Any:
+    """Codes of paths at times (n, T), computed for so many nodes together."""
+    if not times.size:
+        return np.empty(times.shape, dtype=np.int8)
+    parts = np.array_split(np.arange(len(rows)), max(1, -(-times.size // together)))
+    return np.concatenate([codes(rows[part], times[part]) for part in parts if len(part)])
+
+
+def coded(
+    codes: CodesAt, looks: Sequence[tuple[Rows, Floats]], resolution: float
+) -> tuple[Rows, Floats, Floats, Codes]:
+    """Return rows (n,), when each begins and ends to be as a code says (n,), s, and the codes (n,), 0 or more.
+
+    Shapes: looks (rows, times) s.
+
+    codes: takes rows (P,) and times (P, T), s; returns how each path is at each of its times, below 0 where it is not
+    there.
+
+    looks: rows (P,) with the times (T,) at which to look at them, s; each row once. What comes and goes between two of
+    the times is missed unless something else changes there, too.
+    """
+    found, gaps = (
+        [(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int8))],
+        [(*[np.empty(0)] * 3, *[np.empty(0, np.int8)] * 2)],
+    )
+    last = np.empty(sum(len(rows) for rows, _ in looks))
+    for rows, times in looks:
+        seen = evaluated(codes, rows, np.broadcast_to(times, (len(rows), len(times))), _CODES)
+        path, gap = np.nonzero(seen[:, 1:] != seen[:, :-1])
+        found.append((rows, np.full(len(rows), times[0]), seen[:, 0]))
+        gaps.append((rows[path], times[gap], times[gap + 1], seen[path, gap], seen[path, gap + 1]))
+        last[rows] = times[-1]
+    path, begin, stop, code, then = (np.concatenate([gap[i] for gap in gaps]) for i in range(5))
+    path = path.astype(np.int64)
+    while len(path):
+        change = first_change(codes, path, (begin, stop), code, resolution, _CODES)
+        after = np.where(change >= stop, then, evaluated(codes, path, change[:, None], _CODES)[:, 0])
+        found.append((path, change, after))
+        more = (after != then) & (change < stop)
+        path, begin, stop, code, then = (x[more] for x in (path, change, stop, after, then))
+    path, when, code = (np.concatenate([each[i] for each in found]) for i in range(3))
+    order = np.lexsort((when, path))
+    path, when, code = path[order], when[order], code[order]
+    until = last[path]
+    goes_on = np.flatnonzero(path[1:] == path[:-1])
+    until[goes_on] = when[goes_on + 1]
+    kept = code >= 0
+    return path[kept], when[kept], until[kept], code[kept]
