@@ -62,8 +62,8 @@ _PATHS = (
     "nodes/vertices/scattered_legs.h",
 )  # fmt: skip
 _FIELDS = (
-    "nodes/prediction.h", "nodes/vertices/transition.h", "nodes/solve.h", "nodes/vertices/edge_end.h",
-    "nodes/vertices/edge_field.h",
+    "nodes/prediction.h", "nodes/vertices/transition.h", "nodes/solve.h", "nodes/vertices/angles.h",
+    "nodes/vertices/edge_end.h", "nodes/vertices/edge_field.h",
     "nodes/vertices/capsule_field.h", "nodes/vertices/sphere.h", "nodes/vertices/scattered_field.h",
     "nodes/legs/mirrored_field.h", "nodes/node_gains.h",
 )  # fmt: skip

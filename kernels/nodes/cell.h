@@ -5,7 +5,7 @@ typedef struct {
     float error, strength, residual, shortest, longest;
 } segment_result;
 
-#define CELL_AT_ONCE (DELAY_TERMS == 4 && NODES_AT_ONCE == 4 && !SPARSE && VERTEX != EDGE)
+#define CELL_AT_ONCE (DELAY_TERMS == 4 && NODES_AT_ONCE == 4 && !SPARSE)
 
 #if CELL_AT_ONCE
 typedef reals __attribute__((aligned(8))) loose_reals;  // may start at any double
@@ -97,10 +97,13 @@ static int write_cell(const smooth_gains* s, const cell_blocks* b, int block, in
         const float now = i < CELL_BLOCKS ? (float)OF_NODE(d1, i) : (float)OF_NODE(d2, CELL_BLOCKS - 1);
         f->shortest = now < f->shortest ? now : f->shortest;
         f->longest = now > f->longest ? now : f->longest;
-        if (i < CELL_BLOCKS && OF_NODE_LONG(emitted, i)) f->error = OF_BLOCK(squared, i) > f->error ? OF_BLOCK(squared, i) : f->error;
+        if (i == CELL_BLOCKS) break;
+        const float residual = residual_where_active(s->largest_residual, (block + i) * b->block_samples,
+                                                     GROUP * b->block_samples, from, until);
+        f->residual = residual > f->residual ? residual : f->residual;
+        if (OF_NODE_LONG(emitted, i)) f->error = OF_BLOCK(squared, i) > f->error ? OF_BLOCK(squared, i) : f->error;
     }
     f->strength = s->loudest > f->strength ? s->loudest : f->strength;
-    f->residual = s->largest_residual > f->residual ? s->largest_residual : f->residual;
     return 1;
 }
 #endif

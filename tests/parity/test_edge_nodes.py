@@ -122,7 +122,7 @@ def inner_corner(angle: float) -> PathSet:
     scene = clsim.Scene(room, clsim.Air(), [clsim.Source("s", sweep, way)], [clsim.Receiver("r", ear)])
     paths = clsim.find_paths(scene, 3, diffraction=1)
     family = paths.families[1]
-    return PathSet(scene, (family.part(np.flatnonzero(family.n < 1.0)),))
+    return PathSet(scene, (family.part(np.flatnonzero(family.vertex.n < 1.0)),))
 
 
 MUTANTS = {

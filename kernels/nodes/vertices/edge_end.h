@@ -19,7 +19,7 @@ static double root_at_end(__global const edge_view* edge, double r_s, double z_s
 // A weight times `end_transition` for roots of detours by the end and by the edge of which neither is negative.
 static void transition_of_both(const vertex_tables* t, double end, const response* of_end, double root, float weight, response* r)
 {
-    const float phi = (float)(root > end ? atan2(end, root) : atan2(root, end));
+    const float phi = arc_tangent((float)(root > end ? end / root : root / end));
     const float x = phi * phi * (float)(32.0 / (HALF_TURN * HALF_TURN)) - 1.0f;
     float angle[END_TERMS] = {weight * phi, weight * phi * x};
 #pragma unroll

@@ -18,10 +18,9 @@ static triple into_room(__global const double* m, triple v)
 
 // Distance of an end from the edge, and its angle from the 0-face: see `off_line`.
 static double off_edge(triple at) { return fmax(sqrt(at.x * at.x + at.y * at.y), ON_LINE); }
-static double angle_about(triple at, double low, double n)
+static double angle_about(triple at, double angle, double low, double n)
 {
     if (at.x * at.x + at.y * at.y < ON_LINE * ON_LINE) return 0.5 * HALF_TURN * n;
-    const double angle = atan2(at.y, at.x);
     return angle < low ? angle + 2.0 * HALF_TURN : angle;
 }
 
@@ -61,22 +60,6 @@ static void by_faces(const environment* env, const vertex_tables* t, __global co
     }
 }
 
-// Sines and cosines of four angles side by side, Taylor's of degree 13 and 14 about quarter turns, within 2e-14.
-static double4 sines(double4 angle, double4* cosines)
-{
-    const double4 quarter = (angle * (2.0 / HALF_TURN) + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
-    const double4 f = angle - quarter * (0.5 * HALF_TURN), ff = f * f;
-    const double4 s = f * (1.0 + ff * (-1.0 / 6 + ff * (1.0 / 120 + ff * (-1.0 / 5040 + ff * (1.0 / 362880 + ff *
-                      (-1.0 / 39916800 + ff * (1.0 / 6227020800.0)))))));
-    const double4 c = 1.0 + ff * (-0.5 + ff * (1.0 / 24 + ff * (-1.0 / 720 + ff * (1.0 / 40320 + ff * (-1.0 / 3628800 +
-                      ff * (1.0 / 479001600 - ff * (1.0 / 87178291200.0)))))));
-    const double4 of_half = 0.5 * quarter, odd = of_half - ((of_half + ROUNDING_DOUBLE) - ROUNDING_DOUBLE);
-    const double4 of_turn = quarter - 4.0 * ((0.25 * quarter + ROUNDING_DOUBLE) - ROUNDING_DOUBLE);  // -2 to 2
-    const double4 sine = odd != 0.0 ? c : s, cosine = odd != 0.0 ? s : c;
-    *cosines = ((of_turn > 0.5) | (of_turn < -1.5)) ? -cosine : cosine;
-    return ((of_turn < -0.5) | (of_turn > 1.5)) ? -sine : sine;
-}
-
 // The field over that of free air of the length of the shortest path, which is returned, m, and where it meets the edge; ends
 // are along the edge's axes.
 static double edge_field(const environment* env, const vertex_tables* t, __global const edge_view* edge, int slot, triple s,
@@ -84,7 +67,9 @@ static double edge_field(const environment* env, const vertex_tables* t, __globa
 {
     const double r_s = off_edge(s), r_r = off_edge(r), across = r_s + r_r, along = s.z - r.z, n = edge->n;
     const double length = sqrt(across * across + along * along), breadth = sqrt(2.0 * r_s * r_r / length * raised);
-    const double t_s = angle_about(s, edge->low[0], n), t_r = angle_about(r, edge->low[1], n), between = t_r - t_s, together = t_r + t_s;
+    const double2 y = {s.y, r.y}, x = {s.x, r.x}, from_axis = angles_of(y, x);
+    const double t_s = angle_about(s, from_axis.x, edge->low[0], n), t_r = angle_about(r, from_axis.y, edge->low[1], n);
+    const double between = t_r - t_s, together = t_r + t_s;
     const double even = n * HALF_TURN * edge->bounces[0], odd = n * HALF_TURN * (edge->bounces[1] - 1);
     const double angles[4] = {HALF_TURN + between - even, HALF_TURN - between - even, HALF_TURN - together - odd,
                               together - (2.0 * n - 1.0) * HALF_TURN - odd};
