@@ -13,6 +13,7 @@ COMMANDS = {
     "materials": "list or draw the built-in materials, with sources and uncertainty",
     "score": "tell how well ranges are found in the results of a run",
     "validate": "simulate rooms that were measured, and write a page of how far that is from the measurement",
+    "compare": "compare a measured impulse response with that of a scene file",
     "verify": "compare the results of a run or a study with the digests and checksums of what was written",
     "study": "render a scene many times with other values of some of its fields",
     "devices": "list the OpenCL devices of this machine",
