@@ -12,7 +12,8 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.family import PathFamily, ends_at
-from clsim.paths.propagation import UniformAir, delay_bounds
+from clsim.paths.propagation import delay_bounds
+from clsim.paths.support import program_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,8 +36,6 @@ _IDENTITIES = {
     "moving exact edge": "moving.edge_family.MovingEdgePaths",
     "moving scatterer": "moving.scattered.BodyScatteredPaths",
 }
-# Programs that make nodes on a device; others are made on the host.
-_PROGRAMS = {"static": "images", "static edge": "edges", "static scatterer": "scatterers", "moving": "bodies"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +104,9 @@ class Chain(PathFamily):
     @property
     def device(self) -> str | None:
         """Program that makes nodes of these paths on a device; None for the host."""
-        media = [self.medium(source) for source in range(len(self.scene.sources))]
-        known = all(isinstance(m, UniformAir) and m.fluctuation is None for m in media)
-        if not known or self.level is not None or (self.vertex is not None and not self.vertex.on_device):
+        if self.level is not None or (self.vertex is not None and not self.vertex.on_device):
             return None
-        return _PROGRAMS.get(self.kind)
+        return program_of(self.kind, self.scene.air)
 
     @property
     def object_names(self) -> tuple[str, ...]:

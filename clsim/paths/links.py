@@ -28,7 +28,7 @@ from clsim.paths.arrivals import Arrivals
 from clsim.paths.family import BODY, DIFFRACTION, NONE, SPECULAR
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -101,8 +101,9 @@ class Vertex(Protocol):
         """List vertices that can be solved together."""
         ...
 
-    def on_device(self, media: Sequence[Medium]) -> bool:
-        """Test if a device can make nodes with these vertices, in the media of all sources."""
+    @property
+    def on_device(self) -> bool:
+        """Whether a program of nodes knows these vertices, if it knows their kind in the medium."""
         ...
 
     def speeds(self, moving: bool) -> Floats:

@@ -13,6 +13,7 @@ from clsim.errors import InputError
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.scatterers import direct_ways
+from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.paths.visibility.obstacles import Legs, Obstacles
 from clsim.scene.scatterer import PointShape, Scatterer
@@ -228,8 +229,7 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     kinematics = Kinematics(motion)
     if not scene.bodies:
         raise InputError("scene", "must hold bodies, but has none")
-    if scene.air.layers or scene.air.fluctuation is not None:
-        raise InputError("bodies", "must be left out where the air depends on the height or fluctuates")
+    check_support("moving", scene.air)
     shape = len(scene.bodies), len(scene.sources), len(scene.receivers), len(times)
     delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
     visible, obstacles, direct = np.zeros(shape, dtype=bool), Obstacles.of(scene), np.empty((1, 0), dtype=np.int64)

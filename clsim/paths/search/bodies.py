@@ -16,6 +16,7 @@ from clsim.paths.legs.moving import moving_paths
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
+from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
 from clsim.paths.visibility.mirrors import MirrorLook
 from clsim.paths.visibility.obstacles import Obstacles
@@ -95,8 +96,7 @@ class BodySearch:
     """How paths by bodies, and what bodies hide, are looked for in a scene; see `find_paths`."""
 
     def __init__(self, scene: Scene, search: PathSearch) -> None:
-        if scene.air.layers or scene.air.fluctuation is not None:
-            raise InputError("bodies", "must be left out where the air depends on the height or fluctuates")
+        check_support("moving", scene.air)
         self.scene, self.search = scene, search
         self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)
         self.room, self.obstacles = scene.room.as_mesh(), Obstacles.of(scene)

@@ -19,6 +19,7 @@ from clsim.paths.search.mesh import (
     float64_device,
     visibility_query,
 )
+from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.device import DeviceSearch
@@ -65,8 +66,7 @@ def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily
     others: paths without edges and over one: where a path over two edges takes over from one of them, that one's time
     is taken.
     """
-    if scene.air.layers or scene.air.fluctuation is not None:
-        raise InputError("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
+    check_support("static edge pair", scene.air)
     rows, order, within = _rows_of(scene, search, others, _double_candidates)
     return with_swaps(edge_pair_chain(scene, order, rows), within)
 

@@ -15,6 +15,7 @@ from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
 from clsim.paths.legs.static import StaticLeg, direct_paths
 from clsim.paths.propagation import medium_of, straight
+from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scene import Scene
@@ -87,8 +88,7 @@ def direct_ways(scene: Scene) -> Chain:
 
 def sides(scene: Scene, bodies: Sequence[Body] = ()) -> tuple[Scene, Scene]:
     """Return the scene with scatterers for receivers, and with scatterers for sources: all else was checked before."""
-    if scene.air.layers or scene.air.fluctuation is not None:
-        raise InputError("scatterers", "must be left out where the air depends on the height or fluctuates")
+    check_support("static scatterer", scene.air)
     signal = max((source.signal for source in scene.sources), key=lambda signal: signal.sampling_rate)
     listening = [Receiver(s.name, s.trajectory) for s in scene.scatterers]
     sounding = [Source(s.name, signal, s.trajectory) for s in scene.scatterers]

@@ -24,7 +24,7 @@ from clsim.paths.vertices.edge_field import (
 from clsim.paths.vertices.edge_lengths import EdgeView, LayeredLengths, RolledOut, edge_lengths
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, Rows
     from clsim.paths.legs.mirrors import EdgeLines
     from clsim.paths.links import Columns, Links, Pair
-    from clsim.paths.propagation import Medium
     from clsim.paths.response import SceneResponse
     from clsim.paths.vertices.edge_events import EdgeEvents
 
@@ -132,9 +131,10 @@ class EdgeVertex:
         """Number of each edge or end among the names, (P,)."""
         return np.where(self.over_end < 0, self.edge, len(self.lines) + 2 * self.edge + self.over_end)
 
-    def on_device(self, media: Sequence[Medium]) -> bool:
-        """Test if the device knows these vertices in some media: uniform air at rest."""
-        return all(isinstance(m, UniformAir) and m.wind is None for m in media)
+    @property
+    def on_device(self) -> bool:
+        """Whether a program of nodes knows these edges: all."""
+        return True
 
     def speeds(self, moving: bool) -> Floats:
         """Bounds (P,) of the speeds of the edges, m/s."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, Rows
     from clsim.paths.links import Columns, Links, Pair
-    from clsim.paths.propagation import Medium, UniformAir
+    from clsim.paths.propagation import UniformAir
     from clsim.paths.response import SceneResponse
     from clsim.paths.vertices.scatterer_paths import ScatteredEvents, Way
     from clsim.scene.scatterer import Scatterer
@@ -99,8 +99,9 @@ class ScattererVertex:
         """Radii (P,) of spheres about the centres that hold the scatterers, m."""
         return np.array([scatterer.shape.radius for scatterer in self.scatterers])[self.scatterer]
 
-    def on_device(self, media: Sequence[Medium]) -> bool:
-        """Test if the device knows these vertices: none that fluctuate."""
+    @property
+    def on_device(self) -> bool:
+        """Whether a program of nodes knows these scatterers: none that fluctuate."""
         fluctuates = [scatterer.fluctuation is not None for scatterer in self.scatterers]
         return not np.array(fluctuates)[self.scatterer].any()
 
