@@ -55,14 +55,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_response_of_the_scene_itself(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Delay within half a sample, gain within 0.2 dB, and its polarity; strong reflections within 1.5 dB; parameters alike."""
+    """Delay within half a sample, gain within 1.2 dB, and its polarity; strong reflections within 1.5 dB; parameters alike."""
     arguments = ["compare", str(folder / "far.wav"), str(folder / "scene.toml"), "--receiver", "far"]
     assert main([*arguments, "-o", str(folder / "far.png"), "--force"]) == 0
     out = capsys.readouterr().out
     told = re.search(r"is ([\d.]+) ms late and at ([+-][\d.]+) dB, polarity reversed \(by their correlation", out)
     assert told is not None, out
     assert float(told[1]) == pytest.approx(1e3 * LATE, abs=0.5e3 / RATE)
-    assert float(told[2]) == pytest.approx(20.0 * np.log10(abs(GAIN)), abs=0.2)
+    # The other tail, of some twice the images' energy in 30 ms, correlates with them by sqrt(2 / (2 B T)) = 7 %, 0.6 dB.
+    assert float(told[2]) == pytest.approx(20.0 * np.log10(abs(GAIN)), abs=1.2)
     assert (folder / "far.png").stat().st_size > 20_000
     with (folder / "far.csv").open() as file:
         rows = list(csv.DictReader(file))
