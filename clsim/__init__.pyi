@@ -24,8 +24,10 @@ from clsim.room_measures import RoomMeasures, room_measures, speech_transmission
 from clsim.scene.air import Air
 from clsim.scene.body import Body
 from clsim.scene.captured import captured_person
+from clsim.scene.directivity.ambisonic import Ambisonic
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
+from clsim.scene.directivity.head_related import HeadRelated, SphericalHead
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
@@ -49,6 +51,7 @@ from clsim.workflow.load_recording import load_recording
 
 __all__ = [
     "Air",
+    "Ambisonic",
     "AxialDirectivity",
     "AxisymmetricDirectivity",
     "Bandlimited",
@@ -63,6 +66,7 @@ __all__ = [
     "Electronics",
     "FirstOrder",
     "Fluctuation",
+    "HeadRelated",
     "ImpulseResponses",
     "InputError",
     "Lagrange",
@@ -86,6 +90,7 @@ __all__ = [
     "Signal",
     "Source",
     "SphericalDirectivity",
+    "SphericalHead",
     "TargetFluctuation",
     "Tracks",
     "Trajectory",

@@ -197,3 +197,8 @@ def _shown(value: Any) -> str:
         head = repr(name) if isinstance(name, str) and name else "…"
         return whole if len(whole) <= _SHORT else f"{type(value).__name__}({head})"
     return f"{value!r:.80}"
+
+
+def row_name(channel: tuple[str, str]) -> str:
+    """Name a row of samples by its receiver and the receiver's channel, which may be ""."""
+    return " ".join(filter(None, channel))

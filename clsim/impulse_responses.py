@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
+from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, row_name, short_repr
 from clsim.errors import InputError, warn
 from clsim.paths.arrivals import QUASI_STATIC
-from clsim.paths.impulse_response import ResponseBand, frozen_response, summed
+from clsim.paths.impulse_response import ResponseBand, frozen_responses, summed
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import check_band_coverage
 from clsim.tail.design import ULTRASOUND, searched_order
@@ -44,7 +44,8 @@ class ImpulseResponses:
     Attributes
     ----------
     samples : ndarray (sources, receivers, n)
-        Taps: what is received, Pa, is their convolution with what is emitted, Pa at 1 m on the axis.
+        Taps, a row for each channel of receivers: what is received, Pa, is their convolution with what is emitted, Pa
+        at 1 m on the axis.
     sampling_rate : float
         Hz.
     lead : int
@@ -87,8 +88,12 @@ class ImpulseResponses:
 
     @property
     def receiver_names(self) -> tuple[str, ...]:
-        """Names along the second axis."""
-        return tuple(receiver.name for receiver in self.scene.receivers)
+        """Names along the second axis, of channels with the channel's name behind the receiver's."""
+        return tuple(
+            row_name((receiver.name, channel))
+            for receiver in self.scene.receivers
+            for channel in receiver.directivity.channels
+        )
 
     def describe(self) -> list[str]:
         """Return lines that describe the time axis."""
@@ -190,14 +195,19 @@ def impulse_responses(
     heard = _active_pairs(paths, time)
     if not heard:
         raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
-    found, shape = {}, (len(scene.sources), len(scene.receivers))
+    channels = [receiver.directivity.channels for receiver in scene.receivers]
+    first_row = np.cumsum([0, *map(len, channels)])
+    found, shape = {}, (len(scene.sources), int(first_row[-1]))
     first_arrivals, cut_db = np.full(shape, math.nan), np.full(shape, -math.inf)
-    for i, (pair, kinds) in enumerate(heard.items()):
-        found[pair] = summed([frozen_response(kind, time, rate, kept) for kind in kinds])
+    for i, ((source, receiver), kinds) in enumerate(heard.items()):
         now = np.array([time])
-        first_arrivals[pair] = min(_earliest(kind, now) for kind in kinds)
-        if lead == "cut":
-            found[pair], cut_db[pair] = found[pair].causal()
+        by_kind = [frozen_responses(kind, time, rate, kept) for kind in kinds]
+        for row, parts in enumerate(zip(*by_kind, strict=True), first_row[receiver]):
+            pair = source, int(row)
+            found[pair] = summed(list(parts))
+            first_arrivals[pair] = min(_earliest(kind, now) for kind in kinds)
+            if lead == "cut":
+                found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
             progress((i + 1) / len(heard))
     notes = _add_tails(paths, time, rate, kept, seed, found) if with_tail else _left(paths, kept)

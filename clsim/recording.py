@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
+    from clsim.scene.ends import Receiver
 
 _MOST_DRAWN = 8  # receivers in one picture
 _MOST_LISTED = 64  # in a table
@@ -34,13 +35,14 @@ class Recording:
 
     Attributes
     ----------
-    samples : ndarray (receivers, samples) float32, or complex64 in baseband
+    samples : ndarray (rows, samples) float32, or complex64 in baseband
+        A row per receiver, or for each channel of one that has several.
         Sound pressure in Pa, or the voltage of a receiver with a transducer: see `units`. In baseband the complex
         envelope about `carrier`: 1 + 0j for a cosine of 1 Pa.
     sampling_rate : float
         Hz.
     receiver_names : tuple of str
-        One per row.
+        One per row; of channels with the channel's name behind the receiver's.
     paths : PathSet or None
         The paths that were rendered, with their scene; None for tracks computed elsewhere.
     notes : tuple of str
@@ -51,6 +53,9 @@ class Recording:
         How many samples of each row a converter clipped; none when left out.
     carrier : float or None
         That of complex envelopes, Hz; None for sound as it is.
+    channels : tuple of (str, str)
+        Names of the receiver and of its channel, one per row: ``"ACN0"`` and so on for ambisonics, ``"left"`` and
+        ``"right"`` for heads, and "" for receivers of one channel.
     """
 
     samples: NDArray[Any]
@@ -61,6 +66,7 @@ class Recording:
     units: tuple[str, ...] = ()
     clipped: tuple[int, ...] = ()
     carrier: float | None = None
+    channels: tuple[tuple[str, str], ...] = ()
 
     __repr__ = short_repr
 
@@ -68,6 +74,29 @@ class Recording:
         count = len(self.receiver_names)
         object.__setattr__(self, "units", tuple(self.units) or ("Pa",) * count)
         object.__setattr__(self, "clipped", tuple(self.clipped) or (0,) * count)
+        object.__setattr__(self, "channels", tuple(self.channels) or tuple((n, "") for n in self.receiver_names))
+
+    def rows_of(self, receiver: str) -> list[int]:
+        """Return the rows of a receiver's channels.
+
+        Parameters
+        ----------
+        receiver : str
+            Name of the receiver, without a channel.
+
+        Returns
+        -------
+        list of int
+            In the order of its channels.
+
+        Raises
+        ------
+        InputError
+            If there is no such receiver.
+        """
+        names = [name for name, _ in self.channels]
+        as_index("receiver", receiver, tuple(dict.fromkeys(names)))
+        return [row for row, name in enumerate(names) if name == receiver]
 
     @property
     def pressure(self) -> NDArray[Any]:
@@ -102,7 +131,7 @@ class Recording:
         Parameters
         ----------
         receiver : int
-            Index.
+            Index of the row.
 
         Returns
         -------
@@ -110,7 +139,14 @@ class Recording:
             Times, s.
         """
         times = self.times
-        return times if self.paths is None else times + self.paths.scene.receivers[receiver].clock_error(times)
+        return times if self.paths is None else times + self._ends[receiver].clock_error(times)
+
+    @property
+    def _ends(self) -> list[Receiver]:
+        """The receiver of each row."""
+        assert self.paths is not None
+        by_name = {end.name: end for end in self.paths.scene.receivers}
+        return [by_name[name] for name, _ in self.channels]
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a WAV file of 32-bit floats in Pa or V, one channel per receiver, whole or not at all.
@@ -143,8 +179,9 @@ class Recording:
         Returns
         -------
         xarray.Dataset
-            ``sound`` (receiver, time), in Pa or V; coordinates ``receiver``, ``unit`` (receiver), ``time``, s, by the
-            receivers' clocks, and, where the scene is known, ``position`` (receiver, axis) at 0 s, m; attributes
+            ``sound`` (receiver, time), in Pa or V; coordinates ``receiver``, ``unit`` (receiver), ``channel``
+            (receiver) where there are any, ``time``, s, by the receivers' clocks, and, where the scene is known,
+            ``position`` (receiver, axis) at 0 s, m; attributes
             ``sampling_rate`` and, in baseband, ``carrier``, Hz.
 
         Raises
@@ -155,9 +192,8 @@ class Recording:
         check_packages("to_xarray", "a Dataset", "tables", "xarray")
         positions = None
         if self.paths is not None:
-            ends = self.paths.scene.receivers
-            positions = np.concatenate([end.trajectory.position(np.zeros(1)) for end in ends])
-        found = sound_coordinates(self.receiver_names, self.units, positions)
+            positions = np.concatenate([end.trajectory.position(np.zeros(1)) for end in self._ends])
+        found = sound_coordinates(self.receiver_names, self.units, positions, self.channels)
         found["sound"] = (("receiver", "time"), self.samples, sound_attributes(self.units, self.carrier))
         found.attrs = {"clsim_version": __version__, "sampling_rate": self.sampling_rate}
         if self.carrier is not None:
@@ -301,14 +337,21 @@ class Recording:
         return self.samples
 
 
-def sound_coordinates(names: Sequence[str], units: Sequence[str], positions: Floats | None) -> Any:
-    """Return an xarray Dataset of receivers without sound: names, units and, if known, positions (receivers, 3), m."""
+def sound_coordinates(
+    names: Sequence[str], units: Sequence[str], positions: Floats | None, channels: Sequence[tuple[str, str]]
+) -> Any:
+    """Return an xarray Dataset of receivers without sound: names, units and, if known, positions (receivers, 3), m.
+
+    Where a receiver has several channels, their names come as well.
+    """
     import xarray
 
     coordinates: dict[str, Any] = {"receiver": texts(names), "unit": ("receiver", texts(units))}
     if positions is not None:
         attributes = {"units": "m", "long_name": "position at 0 s"}
         coordinates |= {"axis": texts("xyz"), "position": (("receiver", "axis"), positions, attributes)}
+    if any(channel for _, channel in channels):
+        coordinates["channel"] = "receiver", texts([channel for _, channel in channels])
     return xarray.Dataset(coords=coordinates)
 
 

@@ -19,6 +19,7 @@ from clsim.files.input_files import check_file
 from clsim.files.mp3 import cut_of_mp3
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from types import TracebackType
 
     from numpy.typing import NDArray
@@ -210,24 +211,42 @@ class WavWriter:
             self._temporary.unlink(missing_ok=True)
 
 
-def wav_header(sampling_rate: float, channels: int, samples: int) -> bytes:
-    """Return the header of a WAV file of 32-bit floats of given length.
+def wav_header(sampling_rate: float, channels: int, samples: int, names: Sequence[str] = ()) -> bytes:
+    """Return the header of a WAV file of 32-bit floats of given length; names of its channels go into a chunk ``iXML``.
 
     Above 4 GiB it is an RF64 file (EBU Tech 3306), which has the lengths in a chunk ``ds64``.
     """
     rate, frame = _whole_rate(sampling_rate), 4 * channels
     data = frame * samples
+    more = _names_of_tracks(names)
     form = struct.pack("<4sIHHIIHHH", b"fmt ", 18, _IEEE_FLOAT, channels, rate, rate * frame, frame, 32, 0)
-    if 4 + len(form) + 20 + data <= _LARGEST_WAV:
+    if 4 + len(form) + len(more) + 20 + data <= _LARGEST_WAV:
         fact = struct.pack("<4sII", b"fact", 4, samples)
-        riff = struct.pack("<4sI4s", b"RIFF", 4 + len(form) + len(fact) + 8 + data, b"WAVE")
-        return riff + form + fact + struct.pack("<4sI", b"data", data)
+        riff = struct.pack("<4sI4s", b"RIFF", 4 + len(form) + len(more) + len(fact) + 8 + data, b"WAVE")
+        return riff + form + more + fact + struct.pack("<4sI", b"data", data)
     elsewhere = 2**32 - 1  # the lengths are in ds64
     fact = struct.pack("<4sII", b"fact", 4, elsewhere)
-    whole = 4 + 36 + len(form) + len(fact) + 8 + data
+    whole = 4 + 36 + len(form) + len(more) + len(fact) + 8 + data
     lengths = struct.pack("<4sIQQQI", b"ds64", 28, whole, data, samples, 0)
     riff = struct.pack("<4sI4s", b"RF64", elsewhere, b"WAVE")
-    return riff + lengths + form + fact + struct.pack("<4sI", b"data", elsewhere)
+    return riff + lengths + form + more + fact + struct.pack("<4sI", b"data", elsewhere)
+
+
+def _names_of_tracks(names: Sequence[str]) -> bytes:
+    """Return a chunk with names of channels (iXML 2.0, TRACK_LIST), which recorders and workstations read."""
+    if not any(names):
+        return b""
+    from xml.sax.saxutils import escape
+
+    tracks = "".join(
+        f"<TRACK><CHANNEL_INDEX>{i}</CHANNEL_INDEX><INTERLEAVE_INDEX>{i}</INTERLEAVE_INDEX><NAME>{escape(name)}</NAME>"
+        "</TRACK>"
+        for i, name in enumerate(names, 1)
+    )
+    listed = f"<TRACK_LIST><TRACK_COUNT>{len(names)}</TRACK_COUNT>{tracks}</TRACK_LIST>"
+    text = f'<?xml version="1.0" encoding="UTF-8"?><BWFXML><IXML_VERSION>2.0</IXML_VERSION>{listed}</BWFXML>'
+    content = text.encode()
+    return struct.pack("<4sI", b"iXML", len(content)) + content + bytes(len(content) % 2)
 
 
 def _whole_rate(sampling_rate: float) -> int:
@@ -245,10 +264,12 @@ def as_frames(samples: NDArray[Any]) -> NDArray[np.float32]:
 
 
 class SoundFile:
-    """Samples of a mono sound file, read on slicing."""
+    """Samples of one channel of a sound file, read on slicing."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, channel: int = 0) -> None:
         import soundfile
+
+        self._channel = channel
 
         self._path = os.fsencode(path)  # names need not be UTF-8
         info = soundfile.info(self._path)
@@ -262,14 +283,15 @@ class SoundFile:
     def __getitem__(self, part: slice) -> Any:
         import soundfile
 
-        return soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32")[0]
+        frames = soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32", always_2d=True)[0]
+        return frames[:, self._channel]
 
 
 class EnvelopeFile(SoundFile):
-    """Samples of a file of real and imaginary parts, complex64, read on slicing."""
+    """Samples of one channel of a file of real and imaginary parts, complex64, read on slicing."""
 
     def __getitem__(self, part: slice) -> Any:
         import soundfile
 
         frames = soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32", always_2d=True)[0]
-        return frames[:, 0] + np.complex64(1j) * frames[:, 1]
+        return frames[:, 2 * self._channel] + np.complex64(1j) * frames[:, 2 * self._channel + 1]

@@ -206,8 +206,7 @@ PROGRAMS = {
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
         {
             **BRANCHES,
-            "functions": INT,
-            "first_row": taken("int", "functions + 1"),
+            "functions": INT, "first_row": taken("int", "functions + 1"), "channels": INT,
             **BLOCKS,
             **FADES,
             **PRESSURE,
@@ -234,7 +233,7 @@ PROGRAMS = {
         {
             **BRANCHES,
             "first_row": taken("int", "functions + 1"),
-            "functions": INT, "first_function": INT, "functions_here": INT,
+            "functions": INT, "first_gain": INT, "first_function": INT, "functions_here": INT,
             **BLOCKS,
             "first_slot": taken("int", "receivers + 1"), "block_subblocks": INT, "subblocks": INT,
             "pressure_row": taken("int", "receivers"),
@@ -243,7 +242,7 @@ PROGRAMS = {
         frozenset(
             {
                 "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
-                "DELAY_TERMS", "FUNCTIONS",
+                "DELAY_TERMS", "FUNCTIONS", "CHANNELS",
             }
         ),
     ),
@@ -276,7 +275,7 @@ PROGRAMS = {
             "envelope_row": taken("int", "receivers"),
             **ENVELOPE,
         },
-        frozenset({"LANES", "VECTORS", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "SUBBLOCK"}),
+        frozenset({"LANES", "VECTORS", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"}),
     ),
     "baseband_fades": Program(
         (
@@ -290,7 +289,7 @@ PROGRAMS = {
             **FADES,
             **ENVELOPE,
         },
-        frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS"}),
+        frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS"}),
     ),
 }  # fmt: skip
 

@@ -36,10 +36,11 @@ class RawRows:
             self.close()
             raise
 
-    def reserve(self, samples: int) -> None:
-        """Take the disk space of rows of a length beforehand, so that a full disk shows before hours of work."""
+    def reserve(self, samples: Sequence[int]) -> None:
+        """Take the disk space of rows of given lengths beforehand, so that a full disk shows before hours of work."""
         for path, number in self._files.items():
-            size = max(begin + self._type.itemsize * samples for other, begin in self._places if other == path)
+            rows = zip(self._places, samples, strict=True)
+            size = max(begin + self._type.itemsize * count for (other, begin), count in rows if other == path)
             try:
                 if hasattr(os, "posix_fallocate"):
                     os.posix_fallocate(number, 0, size)

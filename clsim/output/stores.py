@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from clsim.arrays import row_name
 from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
@@ -41,11 +42,11 @@ STORE_FORMAT = 1
 class StoredSound:
     """What a store says of the sound in it."""
 
-    receiver_names: tuple[str, ...]  # one per receiver; units are Pa or V
-    units: tuple[str, ...]  # likewise
-    positions: Floats  # (receivers, 3) of the receivers at 0 s, m
+    channels: tuple[tuple[str, str], ...]  # one per row: receiver and its channel, "" for the only one
+    units: tuple[str, ...]  # likewise, Pa or V
+    positions: Floats  # (rows, 3) of the receivers at 0 s, m
     sampling_rate: float  # hz
-    samples: int  # of each receiver
+    samples: int  # of each row
     chunk: int  # samples that are written at a time
     scene: str  # the completed scene file
     version: str  # of clsim
@@ -55,6 +56,11 @@ class StoredSound:
     def sample_type(self) -> str:
         """NumPy's code of the samples."""
         return "<f4" if self.carrier is None else "<c8"
+
+    @property
+    def receiver_names(self) -> tuple[str, ...]:
+        """Name of each row."""
+        return tuple(map(row_name, self.channels))
 
     def attributes(self) -> dict[str, Any]:
         """Attributes at the root of a store."""
@@ -68,7 +74,7 @@ class StoredSound:
 
     def coordinates(self) -> Any:
         """Return all but the sound as an xarray Dataset."""
-        found = sound_coordinates(self.receiver_names, self.units, self.positions)
+        found = sound_coordinates(self.receiver_names, self.units, self.positions, self.channels)
         found.attrs = self.attributes()
         return found
 
@@ -120,7 +126,10 @@ class SoundStore(ABC):
 
     @abstractmethod
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
-        """Write samples (receivers, n) from sample `start` and receiver `first` on; again they change nothing."""
+        """Write samples (rows, n) from sample `start` and row `first` on; again they change nothing.
+
+        They are of all channels of the receivers they begin with.
+        """
 
     @abstractmethod
     def to_disk(self) -> None:
@@ -131,8 +140,8 @@ class SoundStore(ABC):
         """Write no more."""
 
     @abstractmethod
-    def row(self, folder: Path, receiver: int) -> Readable:
-        """Return the samples of a receiver in the store, which is in `folder` by now."""
+    def row(self, folder: Path, row: int) -> Readable:
+        """Return the samples of a row in the store, which is in `folder` by now."""
 
 
 class _RowStore(SoundStore):
@@ -151,6 +160,10 @@ class _RowStore(SoundStore):
         return self._sound.sample_type
 
     @property
+    def _row_lengths(self) -> list[int]:
+        return [self._row_length] * len(self.places())
+
+    @property
     def _row_length(self) -> int:
         return self._sound.samples
 
@@ -162,7 +175,7 @@ class _RowStore(SoundStore):
         """Take the disk space of all samples."""
         self.open()
         try:
-            self._rows.reserve(self._row_length)
+            self._rows.reserve(self._row_lengths)
             self._rows.to_disk()
         finally:
             self.close()
@@ -182,14 +195,22 @@ class _RowStore(SoundStore):
 
 
 class _WavStore(_RowStore):
-    """One file per receiver; its header comes first and says how long it will be.
+    """One file per receiver, of all its channels; its header comes first and says how long it will be.
 
     Envelopes have two channels, real part (I) and imaginary part (Q): the bytes of complex numbers.
     """
 
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
         super().__init__(folder, sound, receivers)
-        self._header = wav_header(sound.sampling_rate, 1 if sound.carrier is None else 2, sound.samples)
+        names: dict[str, list[str]] = {}  # of the channels of each receiver
+        for receiver, channel in sound.channels:
+            names.setdefault(receiver, []).append(channel)
+        self._first = np.cumsum([0, *map(len, names.values())]).tolist()  # row of each receiver's first channel
+        parts = 1 if sound.carrier is None else 2
+        self._headers = [
+            wav_header(sound.sampling_rate, parts * len(of_it), sound.samples, of_it if parts == 1 else ())
+            for of_it in names.values()
+        ]
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
@@ -198,18 +219,31 @@ class _WavStore(_RowStore):
 
     def create(self) -> None:
         """Write the headers and take the room of all samples, which are zeros."""
-        for path in self.paths:
-            path.write_bytes(self._header)
+        for path, header in zip(self.paths, self._headers, strict=True):
+            path.write_bytes(header)
         self.reserve()
+
+    @property
+    def _row_lengths(self) -> list[int]:
+        return [self._sound.samples * count for count in np.diff(self._first).tolist()]
 
     def places(self) -> list[tuple[Path, int]]:
         """Return the file of each receiver and the byte at which its samples begin."""
-        return [(path, len(self._header)) for path in self.paths]
+        return [(path, len(header)) for path, header in zip(self.paths, self._headers, strict=True)]
 
-    def row(self, folder: Path, receiver: int) -> Readable:
-        """Return the samples of one receiver, read as asked for; with a carrier, complex ones of I and Q."""
-        path = folder / self.paths[receiver].name
-        return SoundFile(path) if self._sound.carrier is None else EnvelopeFile(path)
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write samples (rows, n) of receivers from sample `start` on, channels of one interleaved."""
+        receivers = range(self._first.index(first), self._first.index(first + len(samples)))
+        for receiver in receivers:
+            begin, end = self._first[receiver : receiver + 2]
+            frames = samples[begin - first : end - first].T.reshape(1, -1)
+            self._rows.write(start * (end - begin), frames, receiver)
+
+    def row(self, folder: Path, row: int) -> Readable:
+        """Return the samples of one row, read as asked for; with a carrier, complex ones of I and Q."""
+        receiver = int(np.searchsorted(self._first, row, side="right")) - 1
+        path, channel = folder / self.paths[receiver].name, row - self._first[receiver]
+        return SoundFile(path, channel) if self._sound.carrier is None else EnvelopeFile(path, channel)
 
 
 class _Hdf5Store(_RowStore):
@@ -267,11 +301,11 @@ class _Hdf5Store(_RowStore):
             content = chunk.view(np.uint8)
             self._rows.write(0, np.concatenate([content, fletcher32(content)])[None], r * of_row + number)
 
-    def row(self, folder: Path, receiver: int) -> Readable:
-        """Return the samples of one receiver, read as they are asked for."""
+    def row(self, folder: Path, row: int) -> Readable:
+        """Return the samples of one row, read as they are asked for."""
         import h5py
 
-        return _ArrayRow(h5py.File(folder / self.paths[0].name, "r")["sound"], receiver)
+        return _ArrayRow(h5py.File(folder / self.paths[0].name, "r")["sound"], row)
 
 
 class _ZarrStore(SoundStore):
@@ -339,11 +373,11 @@ class _ZarrStore(SoundStore):
         """Let go of the array, whose chunks are written."""
         self._array = None
 
-    def row(self, folder: Path, receiver: int) -> Readable:
-        """Return the samples of one receiver, read as they are asked for."""
+    def row(self, folder: Path, row: int) -> Readable:
+        """Return the samples of one row, read as they are asked for."""
         import zarr
 
-        return _ArrayRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], receiver)
+        return _ArrayRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], row)
 
 
 class _ArrayRow:

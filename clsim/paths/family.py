@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from clsim.errors import InputError
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.propagation import SpeedRange, delay_bounds, max_delay_rate, medium_of
-from clsim.paths.response import SceneResponse, is_complex
+from clsim.paths.response import SceneResponse, is_complex, to_transducer_frame
+from clsim.scene.directivity.directivity import ChannelDirectivity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -223,6 +224,7 @@ class PairPaths:
     rows: Rows  # (P,) which of them
     source: int  # indices in the scene
     receiver: int  # likewise
+    channels: range | None = None  # of the receiver, those that share a delay; None for all, delays being the centre's
 
     def __len__(self) -> int:
         return len(self.family.source[self.rows])
@@ -236,15 +238,44 @@ class PairPaths:
 
     def part(self, rows: NDArray[np.int64]) -> PairPaths:
         """Return some of the paths, by their places among these."""
-        return PairPaths(self.family, self.index[rows], self.source, self.receiver)
+        return replace(self, rows=self.index[rows])
 
     def arrivals(self, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
         """Return delays, directions and lengths; see `PathFamily.arrivals`."""
         return self.family.arrivals(self.rows, times, kinematics)
 
     def response(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
-        """Return responses (P, T, F); see `PathFamily.response`."""
+        """Return responses (P, T, F); see `PathFamily.response`. Those of several channels are at their centre."""
         return self.family.response(self.rows, found, times, at)
+
+    def responses(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return responses by channel of the receiver, (C, P, T, F)."""
+        receiver = self.family.scene.receivers[self.receiver]
+        return at.of_channels(self.response(found, times, at), receiver, self.channels, found, times)
+
+    def lateness(self, found: Arrivals, times: Floats) -> Floats:
+        """Return the delay of the only channel behind the receiver's centre, (P, T), s."""
+        receiver = self.family.scene.receivers[self.receiver]
+        assert isinstance(receiver.directivity, ChannelDirectivity)
+        assert self.channels is not None
+        towards = to_transducer_frame(receiver.orientation, times, found.arrival)
+        late = receiver.directivity.lateness(towards, self.family.scene.air.speed_of_sound)
+        return np.asarray(late[..., self.channels.start])
+
+    @property
+    def reach(self) -> float:
+        """Bound of the magnitude of `lateness`, s; 0 where the delay is that of the centre."""
+        directivity = self.family.scene.receivers[self.receiver].directivity
+        known = self.channels is not None and isinstance(directivity, ChannelDirectivity)
+        return directivity.reach if known and isinstance(directivity, ChannelDirectivity) else 0.0
+
+    def by_delay(self) -> list[PairPaths]:
+        """Return the same paths for each group of channels that share a delay: all of them, or each of its own."""
+        directivity = self.family.scene.receivers[self.receiver].directivity
+        count = len(directivity.channels)
+        apart = isinstance(directivity, ChannelDirectivity) and directivity.reach > 0.0
+        groups = [range(i, i + 1) for i in range(count)] if apart else [range(count)]
+        return [replace(self, channels=group) for group in groups]
 
     def gain(self, found: Arrivals, times: Floats) -> Floats | Complexes:
         """Return responses (P, T) at the centre frequency of what the source emits."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -197,7 +198,7 @@ def _trimmed(taps: Floats, first: int) -> ImpulseResponse:
     return ImpulseResponse(first + before, np.ascontiguousarray(taps[before : len(taps) - after]))
 
 
-def frozen_response(
+def frozen_responses(
     pair: PairPaths,
     time: float,
     sampling_rate: float,
@@ -205,18 +206,24 @@ def frozen_response(
     *,
     later: float = 0.0,
     centre: float | None = None,
-) -> ImpulseResponse:
-    """Return the impulse response of the paths of a pair as they are at a time, as if nothing moved.
+) -> list[ImpulseResponse]:
+    """Return the impulse response of each channel of a pair's receiver at a time, as if nothing moved.
 
     centre: frequency at which air, walls and directivities are taken, Hz; each at its own when left out.
     """
     now = np.array([time])
     found = pair.arrivals(now, QUASI_STATIC)
+    delay, several = found.delay[:, 0], len(pair.family.scene.receivers[pair.receiver].directivity.channels)
+    if pair.reach > 0.0:
+        delay = delay + pair.lateness(found, now)[:, 0]
 
-    def responses(frequencies: Floats, rows: NDArray[np.int64]) -> Floats | Complexes:
+    def responses(channel: int, frequencies: Floats, rows: NDArray[np.int64]) -> Floats | Complexes:
         """Return the responses `(paths, frequencies)` of paths: at the centre, if there is one, for all."""
         at = SceneResponse(pair.family.scene, pair.source, frequencies if centre is None else np.array([centre]))
-        along: Any = pair.part(rows).response(found.part(rows), now, at)[:, 0]
+        along: Any = pair.part(rows).responses(found.part(rows), now, at)[channel, :, 0]
         return np.asarray(np.broadcast_to(along, (len(rows), len(frequencies))))
 
-    return impulse_response(found.delay[:, 0] + later, responses, sampling_rate, band)
+    return [
+        impulse_response(delay + later, partial(responses, channel), sampling_rate, band)
+        for channel in range(several if pair.channels is None else len(pair.channels))
+    ]

@@ -12,6 +12,7 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.scene.air import coefficients
+from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
@@ -160,14 +161,39 @@ class SceneResponse:
     def apply_directivities(
         self, response: Floats | Complexes, ends: tuple[Source, Receiver], found: Arrivals, times: Floats
     ) -> None:
-        """Multiply responses (P, T, F) by the directivities of both ends, in place."""
+        """Multiply responses (P, T, F) by the directivities of both ends, in place.
+
+        A receiver of several channels is left out: `of_channels` multiplies by theirs.
+        """
         (source, receiver), frequencies, c = ends, self.frequencies, self._scene.air.speed_of_sound
         if not isinstance(source.directivity, Omni):
             towards = to_transducer_frame(source.orientation, found.emission_time, found.departure)
             response *= directivity_gain(source.directivity, towards, frequencies, c)
-        if not isinstance(receiver.directivity, Omni):
+        if not isinstance(receiver.directivity, Omni | ChannelDirectivity):
             towards = to_transducer_frame(receiver.orientation, times, found.arrival)
             response *= directivity_gain(receiver.directivity, towards, frequencies, c)
+
+    def of_channels(
+        self, response: Floats | Complexes, receiver: Receiver, channels: range | None, found: Arrivals, times: Floats
+    ) -> Floats | Complexes:
+        """Multiply responses (P, T, F) by the gains of channels of a receiver, (C, P, T, F).
+
+        Gains of some channels are without the phase of their lateness; those of all, where none are named, have it.
+        """
+        directivity, c = receiver.directivity, self._scene.air.speed_of_sound
+        if not isinstance(directivity, ChannelDirectivity):
+            return response[None]
+        towards = to_transducer_frame(receiver.orientation, times, found.arrival)
+        gain = np.moveaxis(directivity_gain(directivity, towards, self.frequencies, c), -1, 0)
+        if channels is None:
+            return np.asarray(gain * response, dtype=self.dtype)
+        here = slice(channels.start, channels.stop)
+        if directivity.reach > 0.0:
+            late = np.moveaxis(directivity.lateness(towards, c), -1, 0)[here]
+            return np.asarray(
+                gain[here] * np.exp(2j * np.pi * late[..., None] * self.frequencies) * response, dtype=self.dtype
+            )
+        return np.asarray(gain[here] * response, dtype=self.dtype)
 
 
 def is_complex(scene: Scene) -> bool:
@@ -204,7 +230,7 @@ def to_transducer_frame(orientation: Callable[[Floats], Floats], times: Floats, 
 def directivity_gain(
     directivity: Directivity, towards: Floats, frequencies: Floats, speed_of_sound: float
 ) -> Floats | Complexes:
-    """Return the gain (..., F) of a directivity in directions (..., 3) of its own frame."""
+    """Return the gain (..., F), of channels (..., F, C), of a directivity in directions (..., 3) of its own frame."""
     return directivity.gain_towards(towards[..., None, :], covered(frequencies, directivity), speed_of_sound)
 
 

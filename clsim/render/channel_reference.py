@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def reference_channels(part: ChannelPart, start: int, stop: int) -> Floats:
-    """Return the pressure (receivers, stop - start) of the pairs of a part, Pa, with delays and gains at every node."""
+    """Return the pressure (rows, stop - start) of the pairs of a part, Pa, with delays and gains at every node."""
     plan, rate = part.plan, part.plan.sampling_rate
     filters = plan.source_filters[part.source]
-    channel, pressure = ChannelFilters.of(filters), np.zeros((plan.receiver_count, stop - start))
+    channel, pressure = ChannelFilters.of(filters), np.zeros((plan.row_count, stop - start))
     ranges = [plan.tracks.delay_range(pair, start / rate - 1.0, stop / rate + 1.0) for pair in part.pairs]
     low, high = min(float(low.min()) for low, _ in ranges), max(float(high.max()) for _, high in ranges)
     frames = ChannelFrames(channel, channel.grid(low, high, part.spacing), pressure, start)
@@ -27,6 +27,6 @@ def reference_channels(part: ChannelPart, start: int, stop: int) -> Floats:
         delay, _, gain = plan.tracks.evaluate(pair, np.array(nodes) * (part.spacing / rate), filters.basis)
         places = frames.grid.places((delay + filters.start) * rate)
         for i, node in enumerate(nodes):
-            grid = spread(places[:, i], gain[:, :, i], frames.grid.points)[None, None]
-            frames.add(node, np.array([plan.tracks.pairs[pair].receiver]), frames.heard([node], grid)[0])
+            grid = spread(places[:, i], gain[0, :, :, i], frames.grid.points)[None, None]
+            frames.add(node, np.array([plan.rows_of_pair(pair).start]), frames.heard([node], grid)[0])
     return pressure

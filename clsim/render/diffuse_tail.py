@@ -10,11 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.errors import InputError
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.plane_waves import DeviceWaves
+from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.interpolation import NODE, Between, HostWaves, Motion
-from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves, receiver_gains
+from clsim.tail.noise import (
+    at_one_place,
+    channel_gains,
+    combined,
+    gains_of,
+    plane_waves,
+    receiver_gains,
+    static_gains,
+)
 from clsim.tail.streams import Streams
 from clsim.tail.zones import is_static
 
@@ -75,7 +85,7 @@ class _Tail(Stateless):
         self._heard: list[_ZoneHeard] | None = None
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add the tail from sample `start` on to the pressure (receivers, n), Pa."""
+        """Add the tail from sample `start` on to the pressure (rows, n), Pa."""
         if self._heard is None:
             self._heard = [
                 _ZoneHeard(self._plan, signals, zone)
@@ -101,10 +111,13 @@ class _ZoneHeard:
         self._frequency = np.array([centre])
         there = [r for r in range(len(self._scene.receivers)) if not self._is_still(r) or self._is_here(r)]
         still = [r for r in there if self._is_still(r)]
-        self._alone = still if len(there) == 1 else []
-        self._combined = still if len(there) > 1 and not self._signals.moves else []
+        several = [r for r in there if isinstance(self._scene.receivers[r].directivity, ChannelDirectivity)]
+        self._alone = still if len(there) == 1 and not several else []
+        self._combined = still if not self._alone and not self._signals.moves else []
         self._moving = [r for r in there if r not in (*self._alone, *self._combined)]
+        self._rows = {r: range(plan.row_count)[plan.rows_of(r)] for r in there}
         self._streams: dict[bool, Streams] = {}
+        self._check_moving()
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add it from sample `start` on to the pressure (receivers, n)."""
@@ -112,7 +125,7 @@ class _ZoneHeard:
         if still:
             heard = self._of(waves=False).read(start, start + pressure.shape[1])
             if heard is not None:
-                pressure[still] += heard
+                pressure[[row for r in still for row in self._rows[r]]] += heard
         for first in range(0, pressure.shape[1] if self._moving else 0, _TOGETHER):
             for group in range(0, len(self._moving), _RECEIVERS):
                 self._add_moving(
@@ -123,7 +136,9 @@ class _ZoneHeard:
         """Add all streams at moving receivers from sample `start` on to the pressure (receivers, n)."""
         stop = start + pressure.shape[1]
         grid = np.arange(start // NODE, -(-stop // NODE) + 1) * NODE
-        found = {r: motion_of for r in receivers if (motion_of := self._motion(r, grid)) is not None}
+        found = {
+            row: motion for r in receivers for row, motion in zip(self._rows[r], self._motions(r, grid), strict=False)
+        }
         if not found:
             return
         ahead, gains = zip(*found.values(), strict=True)
@@ -134,28 +149,32 @@ class _ZoneHeard:
         if streams is not None:
             pressure[list(found)] += self._signals.waves.heard(streams, first, motion, start, stop)
 
-    def _motion(self, receiver: int, grid: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
-        """Return the advance of streams at a receiver, samples, and their gains (N, M); None out of the zone."""
+    def _motions(self, receiver: int, grid: NDArray[np.int64]) -> list[tuple[Floats, Floats]]:
+        """Return the advance of streams at a receiver, samples, and gains (N, M) by channel; none out of the zone."""
         end, clock = self._scene.receivers[receiver], grid / self._rate
         times = clock + end.clock_error(clock)
         zones, c = self._tail.receiver_zones, self._scene.air.speed_of_sound
         weight = zones.weights(end, times)[self._zone]
         if not np.any(weight):
-            return None
+            return []
         ahead = (end.trajectory.position(times) - zones.centres[self._zone]) @ self._tail.arrivals.T / c
         # Where the zone is not heard it does not matter where in it the receiver were.
         ahead = np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None]
-        return ahead * self._rate, self._gains(receiver, times) * weight[:, None]
+        return [(ahead * self._rate, gains * weight[:, None]) for gains in self._gains(receiver, times)]
 
-    def _gains(self, receiver: int, times: Floats) -> Floats:
-        """Return the receiver's gains (T, M) by direction of arrival at times (T,), at the signal's centre."""
+    def _gains(self, receiver: int, times: Floats) -> list[Floats]:
+        """Return gains (T, M) of each channel by direction of arrival at times (T,), at the signal's centre."""
+        if isinstance(self._scene.receivers[receiver].directivity, ChannelDirectivity):
+            return list(channel_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)[..., 0])
         gains = receiver_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)[:, :, 0]
-        return np.broadcast_to(gains, (len(times), gains.shape[1]))
+        return [np.broadcast_to(gains, (len(times), gains.shape[1]))]
 
     def _of(self, *, waves: bool) -> Streams:
         """Return the streams of plane waves, or of what stands still."""
         if waves not in self._streams:
-            count = len(self._tail.arrivals) if waves else len(self._alone or self._combined)
+            count = (
+                len(self._tail.arrivals) if waves else sum(len(self._rows[r]) for r in self._alone or self._combined)
+            )
             longest, lead, make = self._longest(), 0, self._waves
             if not waves and self._alone:
                 make = self._at_one_place
@@ -176,16 +195,27 @@ class _ZoneHeard:
         return at_one_place(self._tail, key, self._source, self._rate, weights, moves=self._signals.moves)
 
     def _combined_responses(self) -> Responses:
-        places = [self._scene.receivers[r].trajectory.position(0.0) for r in self._combined]
+        places = [self._scene.receivers[r].trajectory.position(0.0) for r in self._combined for _ in self._rows[r]]
         middle = self._tail.receiver_zones.centres[self._zone]
         late = -(np.array(places) - middle) @ self._tail.arrivals.T / self._scene.air.speed_of_sound
-        gains = gains_of(self._scene, self._combined, self._tail, 0.0)
+        gains = static_gains(self._scene, self._combined, self._tail, 0.0, self._rate)
         zone = int(np.argmax(self._tail.zones.weights(self._scene.sources[self._source], np.zeros(1))[:, 0]))
         return combined(self._waves(zone), late, gains, self._tail.centres, self._rate)
 
     def _longest(self) -> int:
         steps = max(len(pair.energy) for key, pair in self._tail.pairs.items() if key[1] == self._zone)
         return int(np.ceil(steps * self._tail.time_step * self._rate))
+
+    def _check_moving(self) -> None:
+        """Refuse ears that hear plane waves while they or the source move: their phases are not followed."""
+        for r in self._moving:
+            directivity = self._scene.receivers[r].directivity
+            if isinstance(directivity, ChannelDirectivity) and directivity.is_complex:
+                raise InputError(
+                    f"receivers[{r}].directivity",
+                    "must be without phases where the receiver or a source moves or turns and a tail is rendered; take "
+                    'Receiver.ambisonic and decode_binaural, or tail="off"',
+                )
 
     def _is_still(self, receiver: int) -> bool:
         end = self._scene.receivers[receiver]

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import short_repr
+from clsim.arrays import row_name, short_repr
 from clsim.errors import counted
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import SMALL_SUBBLOCK
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.numerics.resampling import Upsampler
@@ -160,7 +162,7 @@ class Plan:
     @property
     def path_count(self) -> int:
         """Number of paths over all pairs of source and receiver."""
-        return sum(len(pair) for pair in self.tracks.pairs)
+        return sum(len(pair) for pair in self.tracks.pairs if pair.channels.start == 0)
 
     @property
     def max_rate(self) -> float:
@@ -189,26 +191,28 @@ class Plan:
         functions = max(e.oversampling * len(e.basis) for e in self.source_filters)
         # Branch signals, rounded up by 1/32 on average; what is emitted, on the device, of this chunk and of the next.
         a_sample = 4.0 * parts * (1.03 * (rows + functions) + 2.0 * functions) + _TRANSFORMED
-        held = 4.0 * parts * 2.0 * self.receiver_count * length  # on the device, and read from it
+        held = 4.0 * parts * 2.0 * self.row_count * length  # on the device, and read from it
         return {
             "render.chunk": a_sample * length + held,
             "paths.max_order": a_sample * span + self._node_bytes(-(-length // self.segment)) + self.path_count * 150,
         }
 
-    def bytes_per_node(self, source: int) -> int:
+    def bytes_per_node(self, source: int, channels: int = 1) -> int:
         """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain.
 
         Parameters
         ----------
         source : int
             Index of the source.
+        channels : int
+            Of the receiver.
 
         Returns
         -------
         int
             Bytes.
         """
-        return 4 + 4 * self.delay_terms + 16 * len(self.source_filters[source].basis)
+        return 4 + 4 * self.delay_terms + 16 * len(self.source_filters[source].basis) * channels
 
     def _node_bytes(self, segments: int) -> float:
         """Return the memory of the polynomials of a chunk of segments, in blocks of the two longest lengths, bytes.
@@ -223,9 +227,11 @@ class Plan:
                 if pair.source == source and i not in self.allocation.claimed and len(pair)
             ]
             slots = [-(-len(pair) // BATCH) * BATCH for pair in mine]
-            a_segment = self.bytes_per_node(source) * (self.segment // self.shortest_block)
+            most_channels = max((len(pair.channels) for pair in mine), default=1)
+            node = self.bytes_per_node(source, most_channels)
+            a_segment = node * (self.segment // self.shortest_block)
             together = min(sum(slots), max(NODE_BUDGET // a_segment, *slots, 0)) if slots else 0
-            each = [float(self.bytes_per_node(source) * together * (self.segment // b)) for b in self.blocks[:2]]
+            each = [float(node * together * (self.segment // b)) for b in self.blocks[:2]]
             at_once = [min(segments, max(1, NODE_BUDGET // max(size, 1.0))) for size in each]
             most = max(most, sum(size * count for size, count in zip(each, at_once, strict=True)))
         return most
@@ -241,6 +247,60 @@ class Plan:
         return len(self.tracks.receiver_names)
 
     @property
+    def first_rows(self) -> NDArray[np.int32]:
+        """First row of each receiver's channels, and the number of all rows at the end, (receivers + 1,)."""
+        return np.cumsum([0, *map(len, self.tracks.channels)], dtype=np.int32)
+
+    def rows_of_pair(self, pair: int) -> slice:
+        """Return the rows of the pressure that have a pair's paths.
+
+        Parameters
+        ----------
+        pair : int
+            Index of the pair, in `Tracks.pairs`.
+
+        Returns
+        -------
+        slice
+            Of as many rows as channels of the receiver share the pair's delays.
+        """
+        member = self.tracks.pairs[pair]
+        first = int(self.first_rows[member.receiver])
+        return slice(first + member.channels.start, first + member.channels.stop)
+
+    def rows_of(self, receiver: int) -> slice:
+        """Return the rows of the pressure that are channels of a receiver.
+
+        Parameters
+        ----------
+        receiver : int
+            Index of the receiver.
+
+        Returns
+        -------
+        slice
+            Of as many rows as it has channels.
+        """
+        first, last = self.first_rows[receiver : receiver + 2].tolist()
+        return slice(first, last)
+
+    @property
+    def row_count(self) -> int:
+        """Number of rows of the pressure: channels of all receivers."""
+        return sum(map(len, self.tracks.channels))
+
+    @property
+    def channels(self) -> tuple[tuple[str, str], ...]:
+        """Names of the receiver and of its channel for each row; of a plain receiver the channel is ""."""
+        named = zip(self.tracks.receiver_names, self.tracks.channels, strict=True)
+        return tuple((receiver, channel) for receiver, all_of_it in named for channel in all_of_it)
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Name of each row: that of the receiver, and of its channel where it has several."""
+        return tuple(map(row_name, self.channels))
+
+    @property
     def receivers(self) -> tuple[Receiver, ...]:
         """The scene's receivers; none for tracks computed elsewhere."""
         of_scene = self.tracks.of_scene
@@ -248,8 +308,8 @@ class Plan:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each receiver's samples: Pa, or V."""
-        return tuple(r.unit for r in self.receivers) or ("Pa",) * self.receiver_count
+        """Unit of each row's samples: Pa, or V."""
+        return tuple(r.unit for r in self.receivers for _ in r.directivity.channels) or ("Pa",) * self.row_count
 
     def describe(self) -> list[str]:
         """Describe the plan, one line for each fact: the whole, each contribution, the receivers.
@@ -261,7 +321,8 @@ class Plan:
         """
         lines = [
             f"{counted(self.path_count, 'path')} from {counted(len(self.source_filters), 'source')} to "
-            f"{counted(self.receiver_count, 'receiver')}",
+            f"{counted(self.receiver_count, 'receiver')}"
+            + (f" with {self.row_count} channels" if self.row_count > self.receiver_count else ""),
             f"{self.samples} samples at {self.sampling_rate:g} Hz, {self.duration:g} s, in chunks of {self.chunk}",
             f"{self.path_count * self.samples:.3g} path-samples, about {self.memory_bytes / 2**20:.0f} MiB at a time",
             f"delays change by at most {self.max_rate:.3g} s/s",
@@ -350,6 +411,6 @@ def chunk_of(tracks: Tracks, options: RenderOptions, samples: int, rate: float, 
         return segment * min(whole, math.ceil(options.chunk / segment))
     span = tracks.longest_delay(0.0, samples / rate) * rate
     wanted = min(math.ceil(4.0 * span / segment), _LONG_CHUNK)
-    affordable = _PRESSURE_BUDGET // (4 * segment * len(tracks.receiver_names))
+    affordable = _PRESSURE_BUDGET // (4 * segment * sum(map(len, tracks.channels)))
     least = 8 if options.baseband is None else _LONG_CHUNK
     return segment * max(1, min(whole, max(least, wanted), affordable))

@@ -25,25 +25,28 @@ _Kind = Literal["highpass", "lowpass"]
 class ReceiverChain:
     """Transducers and electronics of a plan's receivers; chunks must come in order."""
 
-    def __init__(self, plan: Plan, receivers: range | None = None) -> None:
-        self._plan, self._here = plan, receivers or range(plan.receiver_count)
+    def __init__(self, plan: Plan, rows: range | None = None) -> None:
+        self._plan, self._here = plan, rows or range(plan.row_count)
         self._ends = {
-            i: ReceiverEnd(plan.receivers[i], plan.sampling_rate) for i in receivers_with_ends(plan) if i in self._here
+            row: ReceiverEnd(plan.receivers[receiver], plan.row_names[row], plan.sampling_rate)
+            for receiver in receivers_with_ends(plan)
+            for row in range(plan.row_count)[plan.rows_of(receiver)]
+            if row in self._here
         }
 
     @property
     def clipped(self) -> tuple[int, ...]:
-        """Samples at each receiver that its converter clipped so far."""
+        """Samples of each row that the receiver's converter clipped so far."""
         return tuple(self._ends[i].clipped if i in self._ends else 0 for i in self._here)
 
     def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[Any]:
-        """Return the recorded samples of the pressure (receivers, n) in Pa from sample `start` on."""
+        """Return the recorded samples of the pressure (rows, n) in Pa from sample `start` on."""
         with np.errstate(over="ignore"):  # what float32 does not hold is refused
             out = np.array(pressure, dtype=self._plan.sample_type)
             for i, end in self._ends.items():
                 row = i - self._here.start
                 out[row] = end(start, np.asarray(pressure[row], dtype=np.float64))
-        _check_finite(start, out, self._here.start)
+        _check_finite(start, out, self._plan.row_names[self._here.start : self._here.stop])
         return out
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -68,9 +71,10 @@ class ReceiverChain:
         """Warn of samples that were clipped."""
         for i, end in self._ends.items():
             if end.clipped:
+                receiver = int(np.searchsorted(self._plan.first_rows, i, side="right")) - 1
                 warn(
-                    f"receivers[{i}].electronics: {end.clipped} of {self._plan.samples} samples of {end.name!r} were "
-                    f"clipped at adc_full_scale, {end.electronics.adc_full_scale:g} {end.unit}; "
+                    f"receivers[{receiver}].electronics: {end.clipped} of {self._plan.samples} samples of {end.name!r} "
+                    f"were clipped at adc_full_scale, {end.electronics.adc_full_scale:g} {end.unit}; "
                     "lower gain_db or raise it"
                 )
 
@@ -82,24 +86,24 @@ def receivers_with_ends(plan: Plan) -> list[int]:
     return [i for i, r in enumerate(plan.receivers) if r.transducer is not None or r.electronics is not None]
 
 
-def _check_finite(start: int, samples: NDArray[Any], first: int) -> None:
-    """Refuse samples (receivers, n) of receivers from `first` and of time from `start` on that are not finite."""
+def _check_finite(start: int, samples: NDArray[Any], names: tuple[str, ...]) -> None:
+    """Refuse samples (rows, n) of named rows, of time from `start` on, that are not finite."""
     parts = samples.view(np.float32)  # of envelopes, too
     if parts.size and np.isfinite(parts.max()) and np.isfinite(parts.min()):  # NaN is both
         return
     for i, k in np.argwhere(~np.isfinite(samples))[:1]:
         raise InputError(
-            f"receivers[{first + i}]",
-            f"must hear what float32 holds, but sample {start + k} is {samples[i, k]}: lower amplitudes, sensitivities "
-            "or gain_db; if all are moderate, please report this scene as a defect",
+            "receivers",
+            f"must hear what float32 holds, but of {names[i]!r} sample {start + k} is {samples[i, k]}: lower "
+            "amplitudes, sensitivities or gain_db; if all are moderate, please report this scene as a defect",
         )
 
 
 class ReceiverEnd:
-    """One receiver's transducer and electronics, with all that they remember."""
+    """Transducer and electronics of one row, with all that they remember."""
 
-    def __init__(self, receiver: Receiver, sampling_rate: float) -> None:
-        self.name, self.unit = receiver.name, receiver.unit
+    def __init__(self, receiver: Receiver, name: str, sampling_rate: float) -> None:
+        self.name, self.unit = name, receiver.unit
         self.electronics = end = receiver.electronics or Electronics()
         self.clipped = 0
         end.check_rate(sampling_rate)
@@ -107,8 +111,8 @@ class ReceiverEnd:
         if receiver.transducer is not None:
             sensitivity = receiver.transducer.sensitivity
             self._transducer = StreamFilter(receiver.transducer.impulse_response(sampling_rate), SEGMENT)
-        self._ambient = _Noise(end.ambient_rms(sampling_rate), end.seed, f"ambient {receiver.name}")
-        self._own = _Noise(end.self_rms(sampling_rate) * sensitivity, end.seed, f"self {receiver.name}")
+        self._ambient = _Noise(end.ambient_rms(sampling_rate), end.seed, f"ambient {name}")
+        self._own = _Noise(end.self_rms(sampling_rate) * sensitivity, end.seed, f"self {name}")
         self._cuts = [_Cut(frequency, kind, end.order, sampling_rate) for frequency, kind in _cuts(end)]
 
     def __call__(self, start: int, samples: Floats) -> Floats:

@@ -32,31 +32,31 @@ class ReferenceEngine:
         """Prepare nothing anyway."""
 
     def render(self, start: int, stop: int) -> Floats | Complexes:
-        """Return the pressure (receivers, stop - start) in Pa; in baseband its complex envelope."""
+        """Return the pressure (rows, stop - start) in Pa; in baseband its complex envelope."""
         plan = self._plan
-        pressure = np.zeros((plan.receiver_count, stop - start), dtype=float if plan.baseband is None else complex)
+        pressure = np.zeros((plan.row_count, stop - start), dtype=float if plan.baseband is None else complex)
         for i, pair in enumerate(plan.tracks.pairs):
-            functions = len(plan.source_filters[pair.source].basis)
-            step = min(max(_NUMBERS // (len(pair) * functions), 256), 4096)
+            functions, rows = len(plan.source_filters[pair.source].basis), plan.rows_of_pair(i)
+            step = min(max(_NUMBERS // (len(pair) * functions * (rows.stop - rows.start)), 256), 4096)
             for first in range(start, stop, step):
                 last = min(first + step, stop)
-                pressure[pair.receiver, first - start : last - start] += _render_paths(plan, i, first, last)
+                pressure[rows, first - start : last - start] += _render_paths(plan, i, first, last)
         return pressure
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add all paths from sample `start` on to the pressure (receivers, n), Pa."""
+        """Add all paths from sample `start` on to the pressure (rows, n), Pa."""
         pressure += self.render(start, start + pressure.shape[1])
 
 
 def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Complexes:
-    """Return the sum of a pair's paths over samples `first` to `last`, shape (n,)."""
+    """Return the sum of a pair's paths over samples `first` to `last` by channel, shape (C, n)."""
     tracks, member = plan.tracks, plan.tracks.pairs[pair]
     filters = plan.source_filters[member.source]
     times = np.arange(first, last) / plan.sampling_rate
     ramp = 0.5 * tracks.transition
     rows = np.flatnonzero((member.start - ramp <= times[-1]) & (member.end + ramp >= times[0]))
     if not len(rows):
-        return np.zeros(last - first)
+        return np.zeros((1, last - first))
     delay, _, gain = tracks.evaluate(pair, times, filters.basis, rows)
     weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
     gain = np.where(weight > 0.0, gain, 0.0) * weight
@@ -70,9 +70,9 @@ def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Comp
 def _sum_paths(
     plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, gain: Floats | Complexes
 ) -> Floats | Complexes:
-    """Apply taps and gains (K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
+    """Apply taps and gains (C, K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
     length, centre = filters.bank.taps.shape[1], filters.bank.centre
-    total: Any = np.zeros(emitted.shape[1], dtype=gain.dtype)
+    total: Any = np.zeros((len(gain), emitted.shape[1]), dtype=gain.dtype)
     first = int(emitted.min()) + centre - length + 1
     streams = filters.streams(first, int(emitted.max()) + centre + 1)
     if not np.any(streams):
@@ -80,9 +80,8 @@ def _sum_paths(
     # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
     windows = sliding_window_view(streams, length, axis=1)
     for p in range(len(emitted)):
-        if np.any(gain[:, p]):
+        if np.any(gain[:, :, p]):
             seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
-            total += np.einsum(
-                "nk,fnk,fn->n", plan.options.interpolator.taps(filters.bank, mu[p]), seen, gain[:, p], optimize=True
-            )
+            delayed = np.einsum("nk,fnk->fn", plan.options.interpolator.taps(filters.bank, mu[p]), seen)
+            total += np.einsum("fn,cfn->cn", delayed, gain[:, :, p])
     return np.asarray(total)

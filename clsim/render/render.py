@@ -170,14 +170,16 @@ def render_chunks(
 
 def record(plan: Plan) -> Recording:
     """Return the recording of a plan, in memory as a whole."""
-    size = plan.receiver_count * plan.samples * np.dtype(plan.sample_type).itemsize
+    size = plan.row_count * plan.samples * np.dtype(plan.sample_type).itemsize
     with within_memory("duration", "a whole recording (see `render_chunks`)", size):
-        samples = np.empty((plan.receiver_count, plan.samples), dtype=plan.sample_type)
+        samples = np.empty((plan.row_count, plan.samples), dtype=plan.sample_type)
     rendering = Rendering(plan)
     for start, piece in rendering.pieces():
         samples[:, start : start + piece.shape[1]] = piece
     samples.flags.writeable = False
     paths = None if plan.tracks.of_scene is None else plan.tracks.of_scene.paths
     notes = (*plan.describe(), *rendering.describe())
-    names = plan.tracks.receiver_names
-    return Recording(samples, plan.sampling_rate, names, paths, notes, plan.units, rendering.clipped, plan.carrier)
+    return Recording(
+        samples, plan.sampling_rate, plan.row_names, paths, notes, plan.units, rendering.clipped, plan.carrier,
+        plan.channels,
+    )  # fmt: skip

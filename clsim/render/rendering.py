@@ -29,10 +29,10 @@ class PressureSum:
         self._adding = tuple(contribution.begin() for contribution in plan.contributions)
 
     def __call__(self, start: int) -> NDArray[Any]:
-        """Return the pressure (receivers, n) of the chunk that begins with sample `start`, Pa."""
+        """Return the pressure (rows, n) of the chunk that begins with sample `start`, Pa."""
         plan = self._plan
         stop = min(start + plan.chunk, plan.samples)
-        pressure = np.zeros((plan.receiver_count, stop - start), plan.pressure_type)
+        pressure = np.zeros((plan.row_count, stop - start), plan.pressure_type)
         for adding in self._adding:
             adding.add(pressure, start)
         return pressure

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_choice, as_floats, as_number, short_repr
+from clsim.arrays import Floats, as_choice, as_count, as_flag, as_floats, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import normalised, quaternion_from_direction, rotate
-from clsim.scene.directivity.directivity import Directivity
+from clsim.scene.directivity.ambisonic import HIGHEST, Ambisonic
+from clsim.scene.directivity.directivity import ChannelDirectivity, Directivity
+from clsim.scene.directivity.head_related import EARS, HeadRelated, SphericalHead
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.checks import LONGEST, as_direction, as_places
 from clsim.scene.motion.curves import CONTINUATION
@@ -189,6 +192,8 @@ class Source:
     def __post_init__(self) -> None:
         _check_end(self)
         _settle_aim(self)
+        if isinstance(self.directivity, ChannelDirectivity):
+            raise InputError("directivity", "must have one channel, for several are of receivers")
         object.__setattr__(self, "flush", _checked_flush(self.flush))
         object.__setattr__(self, "start", as_number("start", self.start, at_least=0.0, at_most=LONGEST, unit="s"))
         emitted = self.signal if self.transducer is None else self.transducer.drive(self.signal)
@@ -270,6 +275,90 @@ class Receiver:
         object.__setattr__(self, "flush", _checked_flush(self.flush))
         if self.electronics is not None and not isinstance(self.electronics, Electronics):
             raise InputError("electronics", f"must be Electronics, but is {self.electronics!r:.80}")
+
+    @staticmethod
+    def ambisonic(
+        name: str,
+        trajectory: Trajectory,
+        order: int = 1,
+        normalization: str = "SN3D",
+        *,
+        fixed: bool = False,
+        **options: Any,
+    ) -> Receiver:
+        """Return an ideal ambisonic microphone.
+
+        Parameters
+        ----------
+        name : str
+            Unique among the scene's receivers.
+        trajectory : Trajectory
+            Where it is, and how it is turned.
+        order : int
+            1 to 7: of ``(order + 1)²`` channels in ACN order.
+        normalization : {"SN3D", "N3D"}
+            Of the components; AmbiX files have SN3D.
+        fixed : bool
+            Whether the components keep the room's axes although the microphone turns.
+        **options : Any
+            Others of `Receiver`, without `directivity`.
+
+        Returns
+        -------
+        Receiver
+            With an `Ambisonic` directivity.
+
+        Raises
+        ------
+        InputError
+            If a value is of another kind or out of bounds.
+        """
+        as_count("order", order, at_least=1, at_most=HIGHEST)
+        if as_flag("fixed", fixed):
+            for field_name in ("aim", "aim_at", "mounted_on"):
+                if options.get(field_name) is not None:
+                    raise InputError(field_name, "must be left out of what is fixed to the room's axes")
+            if isinstance(trajectory, Trajectory):
+                trajectory = replace(trajectory, turning=None)
+        return Receiver(name, trajectory, Ambisonic(order, normalization), **options)
+
+    @staticmethod
+    def binaural(
+        name: str, trajectory: Trajectory, hrtf: str | PathLike[str] | ChannelDirectivity | None = None, **options: Any
+    ) -> Receiver:
+        """Return a head with two ears, which turns as its trajectory says: front +x, left +y, up +z.
+
+        Parameters
+        ----------
+        name : str
+            Unique among the scene's receivers.
+        trajectory : Trajectory
+            Where the middle of the head is, and how it is turned.
+        hrtf : path-like or HeadRelated or SphericalHead, optional
+            A SOFA file of head-related responses, as of `HeadRelated.from_sofa`, or a directivity with two channels; a
+            rigid sphere when left out.
+        **options : Any
+            Others of `Receiver`, without `directivity`.
+
+        Returns
+        -------
+        Receiver
+            Of the channels ``"left"`` and ``"right"``.
+
+        Raises
+        ------
+        InputError
+            If a value is of another kind, or the file cannot be read.
+        """
+        ears = SphericalHead() if hrtf is None else hrtf
+        if isinstance(ears, str | PathLike):
+            try:
+                ears = HeadRelated.from_sofa(ears)
+            except InputError as error:
+                raise InputError("hrtf", error.problem) from error
+        if not isinstance(ears, ChannelDirectivity) or ears.channels != EARS:
+            raise InputError("hrtf", f"must be a SOFA file or a directivity of two ears, but is {ears!r:.80}")
+        return Receiver(name, trajectory, ears, **options)
 
     @property
     def unit(self) -> str:

@@ -72,7 +72,7 @@ def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | No
         sinks.append(store)
     file = None
     if folder is not None:
-        shape = plan.receiver_count, plan.samples
+        shape = plan.row_count, plan.samples
         file = SampleFile(folder / "samples", shape, np.dtype(plan.sample_type).str)
         sinks.append(file)
     if sinks:
@@ -81,8 +81,8 @@ def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | No
         return None
     notes = (*plan.describe(), *rendering.describe())
     return Recording(
-        file.samples(), plan.sampling_rate, plan.tracks.receiver_names, planned.paths, notes, plan.units,
-        rendering.clipped, plan.carrier,
+        file.samples(), plan.sampling_rate, plan.row_names, planned.paths, notes, plan.units,
+        rendering.clipped, plan.carrier, plan.channels,
     )  # fmt: skip
 
 

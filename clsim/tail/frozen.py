@@ -8,8 +8,9 @@ import numpy as np
 
 from clsim.numerics.nufft import band_taper
 from clsim.paths.impulse_response import ImpulseResponse
+from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.design import TailOptions, find_tail, searched_order
-from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves
+from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves, static_gains
 from clsim.tail.zones import Zones
 
 if TYPE_CHECKING:
@@ -22,26 +23,32 @@ if TYPE_CHECKING:
 def frozen_tails(
     paths: PathSet, source: int, at: float, sampling_rate: float, band: ResponseBand, seed: int
 ) -> tuple[list[ImpulseResponse], SourceTail]:
-    """Return the tail of a source at every receiver at a time, s, within a band, and what it is made of."""
+    """Return the tail of a source at every row of the receivers at a time, s, within a band, and what it is made of."""
     scene = paths.scene
     receivers = Zones.frozen(scene.receivers, scene.room, at, beams=False)
     zones = Zones.frozen([scene.sources[source]], scene.room, at, beams=True), receivers
     tail = find_tail(scene, source, (band.low, band.high), zones, TailOptions(searched_order(paths), seed=seed))
+    several = [isinstance(r.directivity, ChannelDirectivity) for r in scene.receivers]
+    counts = [len(r.directivity.channels) for r in scene.receivers]
+    first_row = np.cumsum([0, *counts])
     places = np.concatenate([r.trajectory.position(np.array([at])) for r in scene.receivers])
     nearest = np.linalg.norm(places[:, None] - receivers.centres, axis=2).argmin(axis=1)
     found: dict[int, ImpulseResponse] = {}
     for zone in np.unique(nearest):
         here = np.flatnonzero(nearest == zone)
-        gains = gains_of(scene, here.tolist(), tail, at)
         key = 0, int(zone)
-        if len(here) == 1:
-            made = at_one_place(tail, key, source, sampling_rate, np.square(gains[0]), moves=False)
+        rows = [int(first_row[r]) + channel for r in here.tolist() for channel in range(counts[r])]
+        if len(here) == 1 and not several[int(here[0])]:
+            weights = np.square(gains_of(scene, here.tolist(), tail, at)[0])
+            made = at_one_place(tail, key, source, sampling_rate, weights, moves=False)
         else:
             late = -(places[here] - receivers.centres[zone]) @ tail.arrivals.T / scene.air.speed_of_sound
+            late = np.repeat(late, [counts[r] for r in here.tolist()], axis=0)
+            gains = static_gains(scene, here.tolist(), tail, at, sampling_rate)
             waves = plane_waves(tail, key, source, sampling_rate, moves=False)
             made = combined(waves, late, gains, tail.centres, sampling_rate)
-        found |= dict(zip(here.tolist(), _cut(made, sampling_rate, band), strict=True))
-    return [found[r] for r in range(len(places))], tail
+        found |= dict(zip(rows, _cut(made, sampling_rate, band), strict=True))
+    return [found[row] for row in range(int(first_row[-1]))], tail
 
 
 def _cut(made: Responses, rate: float, band: ResponseBand) -> list[ImpulseResponse]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from clsim.numerics.quaternions import rotate
 from clsim.paths.response import covered
+from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.tail.design import at_middles, band_shares, with_middles
 
@@ -26,6 +27,7 @@ _SHAPED = 7  # of seeds: what the numbers are for
 _SLOWNESSES = (1, 2, 4, 8, 16)  # by which sampling rates are divided
 _SLOWEST = _SLOWNESSES[-1]
 _ROOM = 1.25  # half of such a rate over the end of a band, at least: envelopes make bands wider
+_EVEN = 512  # steps between frequencies at which channels' gains are taken: impulses of twice as many samples
 _RINGING = 1024  # samples in which the onset of low bands rings, before time 0
 
 
@@ -69,8 +71,13 @@ def at_one_place(
     return Responses(_shaped(total, tail, rate, rng), 0, streams, np.zeros_like(streams))
 
 
-def combined(waves: Responses, delays: Floats, gains: Floats, centres: Floats, rate: float) -> Responses:
-    """Return the sum of plane waves at static places; delays (R, M) s; gains (R, M, B); centres (B,) Hz."""
+def combined(
+    waves: Responses, delays: Floats, gains: Sequence[NDArray[Any]], centres: Floats, rate: float
+) -> Responses:
+    """Return the sum of plane waves at static places; delays (R, M) s; centres (B,) Hz.
+
+    gains: of each place, (M, B) by band, or complex (M, F) at even frequencies up to half the sampling rate.
+    """
     from scipy.fft import irfft, next_fast_len, rfft
 
     lead = math.ceil(float(np.abs(delays).max(initial=0.0)) * rate) + 32
@@ -82,9 +89,10 @@ def combined(waves: Responses, delays: Floats, gains: Floats, centres: Floats, r
     taps = np.empty((len(delays), count), np.float32)
     for place, (delay, gain) in enumerate(zip(delays, gains, strict=True)):
         total = np.zeros(len(frequencies), np.complex128)
-        for spectrum, late, by_band in zip(spectra, delay, gain, strict=True):
+        for spectrum, late, one in zip(spectra, delay, gain, strict=True):
             turn = np.exp(-2j * np.pi * frequencies * (late + lead / rate))
-            total += spectrum * turn if np.all(by_band == 1.0) else spectrum * turn * (by_band @ shares)
+            shape = at_frequencies(one, size) if np.iscomplexobj(one) else one @ shares
+            total += spectrum * turn if np.all(one == 1.0) else spectrum * turn * shape
         taps[place] = irfft(total, size)[:count]
     places = np.arange(len(delays))
     return Responses(taps, waves.lead + lead, np.zeros_like(places), places)
@@ -101,6 +109,36 @@ def receiver_gains(scene: Scene, receiver: int, directions: Floats, times: Float
     met = covered(frequencies, end.directivity)
     gain: Any = end.directivity.gain_towards(own[:, :, None, :], met, scene.air.speed_of_sound)
     return np.broadcast_to(np.abs(gain), shape)
+
+
+def channel_gains(scene: Scene, receiver: int, directions: Floats, times: Floats, frequencies: Floats) -> NDArray[Any]:
+    """Return the gains (C, T, M, F) of a receiver's channels, with their signs or phases; see `receiver_gains`."""
+    end = scene.receivers[receiver]
+    own = np.stack([rotate(end.orientation(times), axis) @ directions.T for axis in np.eye(3)], axis=-1)
+    met = covered(frequencies, end.directivity)
+    return np.moveaxis(end.directivity.gain_towards(own[:, :, None, :], met, scene.air.speed_of_sound), -1, 0)
+
+
+def static_gains(scene: Scene, receivers: Sequence[int], tail: SourceTail, time: float, rate: float) -> list[Any]:
+    """Return the gains of every row of static receivers, as `combined` takes them."""
+    found: list[Any] = []
+    for r in receivers:
+        if isinstance(scene.receivers[r].directivity, ChannelDirectivity):
+            even = np.linspace(0.0, 0.5 * rate, _EVEN + 1)
+            gains = channel_gains(scene, r, tail.arrivals, np.array([time]), even)[:, 0]
+            found += list(gains.astype(np.complex128))
+        else:
+            found += list(gains_of(scene, [r], tail, time))
+    return found
+
+
+def at_frequencies(gain: NDArray[Any], size: int) -> NDArray[Any]:
+    """Return a gain (F,) at even frequencies up to half a rate at those of a transform of a size, by its impulses."""
+    from scipy.fft import irfft, rfft
+
+    taps = irfft(gain)
+    half = len(taps) // 2
+    return np.asarray(rfft(np.concatenate([taps[:half], np.zeros(size - len(taps)), taps[half:]])))
 
 
 def _departures(shares: Floats, count: int, rng: np.random.Generator) -> NDArray[np.int64]:

@@ -78,7 +78,8 @@ def scene_basis(
         held.within(error_db)
     held_out = sampled_responses(tracks.scene, source, drawn.held_out, band)
     sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
-    count, rows = 1, _Rows.of(sampled)
+    rows = _Rows.of(sampled)
+    count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):
         found = _Functions.of(rows, count, allowed)
         while found.wrong(rows.sample).max() > allowed and count < MOST_FUNCTIONS:
@@ -171,6 +172,12 @@ class _Rows:
     def parts(self) -> int:
         """Return 2 if responses are complex, else 1."""
         return 1 + int(np.iscomplexobj(self.sample.responses))
+
+    def least(self, allowed: float) -> int:
+        """Return a number of functions below which the mean error of all rows is above what is allowed, at least 1."""
+        sizes = np.linalg.norm(self.places, axis=0)  # along singular vectors, falling
+        left = np.sqrt(np.cumsum(sizes[::-1] ** 2))[::-1] / max(float(np.linalg.norm(sizes)), 1e-300)
+        return int(np.clip(np.count_nonzero(left > allowed), 1, MOST_FUNCTIONS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,11 +12,11 @@ import numpy as np
 from clsim.paths.response import SceneResponse, directivity_gain
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.signal.occupied_bandwidth import shares
-from clsim.tracks.tracks import PairTracks, SceneTracks
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.directivity.directivity import Directivity
+    from clsim.tracks.tracks import SceneTracks
 
 _STEP = 0.25  # s, over which distances are bounded
 _LEAST_MOVE = 0.05  # m, or for as long as motions take for it
@@ -52,7 +52,7 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
             lost[both] += float(bound[quiet].sum()) / strongest[both]
             count += len(quiet) - len(rows)
         if len(rows):
-            pairs.append(PairTracks(pair.source, pair.receiver, pair.start[rows], pair.end[rows]))
+            pairs.append(replace(pair, start=pair.start[rows], end=pair.end[rows]))
             pair_paths.append(paths.part(rows))
     if not count:
         return tracks, f"no path stays below {below_db:g} dB"

@@ -82,8 +82,8 @@ def chebyshev_points(low: float, high: float, count: int) -> Floats:
 class Sample:
     """Responses (n, F) of paths at instants, relative to the level then, weighted by the number each represents.
 
-    A frame is an instant at one receiver; `first` is where the responses of each begin. The sum of squares over the
-    rows of a frame is that over all of its paths.
+    A frame is an instant at one channel of a receiver; `first` is where the responses of each begin. The sum of
+    squares over the rows of a frame is that over all of its paths.
     """
 
     band: Band
@@ -198,10 +198,10 @@ def sampled_responses(scene: Scene, source: int, picked: Iterable[Picked], band:
     made: list[Any] = []
     at = SceneResponse(scene, source, band.frequencies)
     for some in picked:
-        along = some.paths.response(some.found, some.times, at)[:, 0]
+        along = some.paths.responses(some.found, some.times, at)[:, :, 0]
         if band.late != 0.0:
             along = along * np.conj(band.turn)
-        made.append(along * some.scale)
+        made += list(along * some.scale)
     if not made:
         return _nothing(band)
     return Sample(band, np.concatenate(made), np.cumsum([0, *(len(rows) for rows in made[:-1])]))

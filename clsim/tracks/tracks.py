@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
 _TOGETHER = 65536  # paths looked at at a time
+_BESIDE = 1e-4  # s, to either side, between which the lateness of channels is taken to change evenly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +41,7 @@ class PairTracks:
     receiver: int  # likewise
     start: Floats  # (paths,) interval of reception in which each path is heard, s
     end: Floats  # likewise
+    channels: range = range(1)  # of the receiver: those that have the delays
 
     def __len__(self) -> int:
         return len(self.start)
@@ -62,6 +64,11 @@ class Tracks(ABC):
     def of_scene(self) -> SceneTracks | None:
         """These tracks with the scene whose paths they are; None for those that were computed elsewhere."""
         return None
+
+    @property
+    def channels(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the channels of each receiver."""
+        return (("",),) * len(self.receiver_names)
 
     @abstractmethod
     def evaluate(
@@ -88,8 +95,8 @@ class Tracks(ABC):
             From emission to reception, s.
         rate : ndarray (P, T)
             Its derivative by the time of reception, s/s.
-        gains : ndarray (K, P, ceil(T / every))
-            Received over emitted pressure, by functions of the basis.
+        gains : ndarray (C, K, P, ceil(T / every))
+            Received over emitted pressure, by channels of the receiver and functions of the basis.
         """
 
     def costly(self, pair: int) -> bool:
@@ -276,6 +283,11 @@ class SceneTracks(Tracks):
         """The scene."""
         return self.paths.scene
 
+    @property
+    def channels(self) -> tuple[tuple[str, ...], ...]:
+        """Those of the receivers' directivities."""
+        return tuple(receiver.directivity.channels for receiver in self.scene.receivers)
+
     def costly(self, pair: int) -> bool:
         """Return the property of the kind of paths."""
         return self.pair_paths[pair].family.costly
@@ -285,15 +297,22 @@ class SceneTracks(Tracks):
     ) -> tuple[Floats, Floats, Floats]:
         """Return delay, its derivative and gains, in float64 without approximation."""
         paths = self.pair_paths[pair] if rows is None else self.pair_paths[pair].part(rows)
-        receiver = self.scene.receivers[paths.receiver]
+        receiver, reach = self.scene.receivers[paths.receiver], paths.reach
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
         found = paths.arrivals(times + clock_error, self.kinematics)
         some = found if every == 1 else found.part(np.arange(len(paths)), slice(None, None, every))
-        response = paths.response(
+        responses = paths.responses(
             some, (times + clock_error)[::every], SceneResponse(self.scene, paths.source, basis.nodes)
         )
-        gain = np.moveaxis(basis.gains(response), -1, 0)
-        return found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0), gain
+        gain = np.moveaxis(basis.gains(responses), -1, 1)
+        delay, rate = found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0)
+        if reach == 0.0:
+            return delay, rate, gain
+        before, after = (
+            paths.lateness(paths.arrivals(at, self.kinematics), at)
+            for at in (times + clock_error - _BESIDE, times + clock_error + _BESIDE)
+        )
+        return delay + paths.lateness(found, times + clock_error), rate + (after - before) / (2.0 * _BESIDE), gain
 
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
@@ -345,7 +364,8 @@ class SceneTracks(Tracks):
                 rows = np.concatenate([self.pair_paths[i].index for i in batch])
                 r = family.receiver[rows]
                 low, high = family.delay_bounds(rows, first[r], last[r], self.speeds)
-                yield batch, low - most[r], high - least[r]
+                reach = np.repeat([self.pair_paths[i].reach for i in batch], [len(self.pairs[i]) for i in batch])
+                yield batch, low - most[r] - reach, high - least[r] + reach
 
     def first_end(self) -> tuple[float, str]:
         """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity, and whose."""
@@ -388,8 +408,8 @@ class SampledTracks(Tracks):
             gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -reach, reach)
         gain = gain[:, ::every]
         if rows is None:
-            return delay, rate, gain[None]
-        return delay[rows], rate[rows], gain[None, rows]
+            return delay, rate, gain[None, None]
+        return delay[rows], rate[rows], gain[None, None, rows]
 
     def max_rate(self, source: int) -> float:
         """Return the largest derivative of any delay."""
@@ -455,8 +475,9 @@ def track(
     for _, of_pair in paths.pairs():
         receiver, family = scene.receivers[of_pair.receiver], of_pair.family
         start, end = (_clock_time(receiver, times[of_pair.rows]) for times in (family.start, family.end))
-        pairs.append(PairTracks(of_pair.source, of_pair.receiver, start, end))
-        pair_paths.append(of_pair)
+        for group in of_pair.by_delay():
+            pairs.append(PairTracks(of_pair.source, of_pair.receiver, start, end, group.channels or range(1)))
+            pair_paths.append(group)
     # Speeds are sampled; 2 % covers what lies between the samples.
     source_speed, receiver_speed = (
         np.array([1.02 * _peak_speed(end.trajectory, *end.time_range) for end in ends])

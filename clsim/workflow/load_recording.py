@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import as_flag
+from clsim.arrays import as_flag, row_name
 from clsim.errors import InputError, not_one_of
 from clsim.files.names import file_names
 from clsim.files.sound import EnvelopeFile, SoundFile
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.output.record import Record
+    from clsim.scene.scene import Scene
 
 
 def load_recording(
@@ -80,16 +81,20 @@ def load_recording(
     files = stores or [f"{kept[r]}.wav" for r in rows]
     if verify:
         _refuse_changed(folder, record, [COMPLETED, *files])
-    samples, rate = _stored(folder, rows) if stores else _read([folder / name for name in files], carrier)
     chosen = [file.scene.receivers[r] for r in rows]
+    channels = [(end.name, channel) for end in chosen for channel in end.directivity.channels]
+    samples, rate = (
+        _stored(folder, _rows_of(file.scene, rows)) if stores
+        else _read([folder / name for name in files], carrier)
+    )  # fmt: skip
     found = None
     if paths:
         from clsim.workflow.pipeline import find_scene_paths  # late: pydantic takes longer to import than all else
 
         found = find_scene_paths(replace(file, scene=replace(file.scene, receivers=chosen)))
     return Recording(
-        samples, rate, tuple(end.name for end in chosen), found, (f"read from {folder}",),
-        tuple(end.unit for end in chosen), carrier=carrier,
+        samples, rate, tuple(map(row_name, channels)), found, (f"read from {folder}",),
+        tuple(end.unit for end in chosen for _ in end.directivity.channels), carrier=carrier, channels=tuple(channels),
     )  # fmt: skip
 
 
@@ -112,6 +117,12 @@ def _stored(folder: Path, rows: list[int]) -> tuple[NDArray[Any], float]:
         raise InputError("folder", f"must hold the sound that was written, but {error}") from error
 
 
+def _rows_of(scene: Scene, receivers: list[int]) -> list[int]:
+    """Rows of the channels of some receivers of a scene."""
+    counts = [len(receiver.directivity.channels) for receiver in scene.receivers]
+    return [sum(counts[:r]) + channel for r in receivers for channel in range(counts[r])]
+
+
 def _row(names: list[str], wanted: str) -> int:
     if wanted not in names:
         raise InputError("receivers", not_one_of(wanted, names))
@@ -123,7 +134,12 @@ def _read(paths: list[Path], carrier: float | None) -> tuple[NDArray[Any], float
     import soundfile
 
     try:
-        files = [SoundFile(path) if carrier is None else EnvelopeFile(path) for path in paths]
+        parts, kind = (1, SoundFile) if carrier is None else (2, EnvelopeFile)
+        files = [
+            kind(path, channel)
+            for path in paths
+            for channel in range(soundfile.info(os.fsencode(path)).channels // parts)
+        ]
         samples = np.empty((len(files), len(files[0])), dtype=np.float32 if carrier is None else np.complex64)
         for row, sound in zip(samples, files, strict=True):
             row[:] = sound[0 : len(row)]

@@ -60,7 +60,14 @@ def draw_pictures(
                 if wanted not in missing:
                     continue
                 try:
-                    _draw(kind, planned, times, store.row(results.folder, r), r, results.work / wanted)
+                    _draw(
+                        kind,
+                        planned,
+                        times,
+                        store.row(results.folder, int(planned.plan.first_rows[r])),
+                        r,
+                        results.work / wanted,
+                    )
                 except Exception as error:  # of whatever draws: the sound is there
                     problem = " ".join(str(error).split())[:300] or type(error).__name__
                     warn(f"{wanted} could not be drawn: {problem}")
@@ -77,8 +84,8 @@ def _draw(kind: str, planned: PlannedScene, times: Floats, sound: Readable, r: i
         echogram_picture(planned.path_table(times[:1], r), r, 0, path)
     elif plan.carrier is None:
         spectrogram_picture(
-            sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[r], segment=_sweep_window(plan),
-            overlay=_theory(planned, times, r),
+            sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[plan.first_rows[r]],
+            segment=_sweep_window(plan), overlay=_theory(planned, times, r),
         )  # fmt: skip
     else:
         envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, path, title=title)

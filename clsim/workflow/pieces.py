@@ -71,7 +71,7 @@ class Piece:
 
     first: int  # samples, the last one not among them
     last: int  # likewise
-    receivers: range | None = None  # whose ends are to take the pressure; None for the pressure itself
+    receivers: range | None = None  # rows whose ends are to take the pressure; None for the pressure itself
     shared: str | None = None
 
 
@@ -81,19 +81,20 @@ class Handed:
 
     plan: Plan  # what is rendered
     store: SoundStore  # into which; created
-    blocks: tuple[range, ...]  # receivers whose samples are written together
+    blocks: tuple[range, ...]  # rows whose samples are written together, of whole receivers
     blas_threads: int  # of the linear algebra, where the run is begun: on others it may round otherwise
 
     @classmethod
     def of(cls, plan: Plan, store: SoundStore, blocks: int) -> Handed:
         """Return the shared data, with receivers in so many blocks."""
         edges = np.linspace(0, plan.receiver_count, min(blocks, plan.receiver_count) + 1).astype(int).tolist()
-        return cls(plan, store, tuple(map(range, edges[:-1], edges[1:])), blas_threads())
+        rows = plan.first_rows[edges].tolist()
+        return cls(plan, store, tuple(map(range, rows[:-1], rows[1:])), blas_threads())
 
     def later(self) -> list[range]:
         """Return the blocks with receivers that carry state, whose pieces form a chain."""
-        ends = receivers_with_ends(self.plan)
-        return [block for block in self.blocks if any(i in block for i in ends)]
+        rows = [int(self.plan.first_rows[i]) for i in receivers_with_ends(self.plan)]
+        return [block for block in self.blocks if any(row in block for row in rows)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,8 +74,9 @@ class PlannedScene:
         """Return the description of the sound for a store in a folder."""
         plan, receivers = self.plan, self.paths.scene.receivers
         positions = np.concatenate([receiver.trajectory.position(np.zeros(1)) for receiver in receivers])
+        positions = np.repeat(positions, np.diff(plan.first_rows), axis=0)
         return StoredSound(
-            plan.tracks.receiver_names, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk,
+            plan.channels, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk,
             self.completed(folder), __version__, plan.carrier,
         )  # fmt: skip
 

@@ -1,5 +1,6 @@
 // Sum of all paths of one receiver as a complex envelope: each path's envelope, delayed, and turned by the carrier's
-// phase of the exact delay. Work-item: dimension 0 counts WIDTH = VECTORS * LANES samples, dimension 1 receivers.
+// phase of the exact delay. Work-item: dimension 0 counts WIDTH = VECTORS * LANES samples, dimension 1 receivers,
+// dimension 2 the receivers' CHANNELS channels, whose gains of a function stand side by side.
 
 #define WIDTH (VECTORS * LANES)  // samples that share the whole part of a path's delay
 
@@ -21,7 +22,7 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
                        ulong turn_per_sample,           // of the carrier; one turn is 2^64
                        float half_turns_per_sample)
 {
-    const int at = get_global_id(0) * WIDTH, receiver = get_global_id(1);
+    const int at = get_global_id(0) * WIDTH, receiver = get_global_id(1), channel = get_global_id(2);
     const int block = at / block_samples, inside = at - block * block_samples;
     const int row = first_block + block;
     const float middle = ((float)inside + 0.5f * (WIDTH - 1)) * (2.0f / (float)block_samples) - 1.0f;
@@ -35,7 +36,7 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
         const int mask = activity[row * (long)slots + slot];
         if ((inside + WIDTH - 1) / SUBBLOCK < MASK_FIRST(mask) || inside / SUBBLOCK >= MASK_END(mask)) continue;
 #endif
-        __global const float* c = polynomials + place_of(row, slot, FUNCTIONS, slots);
+        __global const float* c = polynomials + place_of(row, slot, FUNCTIONS * CHANNELS, slots);
         float moved = c[DELAY_TERMS - 1];  // whole samples from the block's middle to that of these samples
 #pragma unroll
         for (int i = DELAY_TERMS - 2; i >= 0; i--) moved = moved * middle + c[i];
@@ -58,8 +59,8 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
-            __global const float* g = c + DELAY_TERMS + k;
-            const float g0 = g[0], g1 = g[FUNCTIONS], g2 = g[2 * FUNCTIONS], g3 = g[3 * FUNCTIONS];
+            __global const float* g = c + DELAY_TERMS + k * CHANNELS + channel;
+            const float g0 = g[0], g1 = g[FUNCTIONS * CHANNELS], g2 = g[2 * FUNCTIONS * CHANNELS], g3 = g[3 * FUNCTIONS * CHANNELS];
             vec a[VECTORS], b[VECTORS];
 #pragma unroll
             for (int j = 0; j < VECTORS; j++) {
@@ -90,7 +91,7 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
             imaginary_sum[j] += imaginary[j] * cosine - real[j] * sine;
         }
     }
-    __global float* out = envelope + 2 * envelope_row[receiver] * (long)envelope_stride + first_sample + at;
+    __global float* out = envelope + 2 * (envelope_row[receiver] + channel) * (long)envelope_stride + first_sample + at;
     for (int j = 0; j < VECTORS; j++) {
         __global loose_vec* re = (__global loose_vec*)(out + j * LANES);
         __global loose_vec* im = (__global loose_vec*)(out + envelope_stride + j * LANES);

@@ -1,5 +1,6 @@
 // Adds the envelopes of paths that begin or end within a block, sample by sample, with a weight that rises and falls.
-// Work-item: dimension 0 counts the samples of a block, dimension 1 the places: a receiver and one of its blocks each.
+// Work-item: dimension 0 counts the samples of a block, dimension 1 the places: a receiver and one of its blocks each, dimension
+// 2 the receiver's CHANNELS channels.
 
 __kernel void baseband_fades(
     __global const float* branches, int stride, int lead, __constant int* first_row,  // as in baseband.cl
@@ -10,7 +11,8 @@ __kernel void baseband_fades(
     float per_ramp, int block_samples, int samples,
     __global float* envelope, int envelope_stride, int first_sample, ulong turn_per_sample, float half_turns_per_sample)
 {
-    const int n = get_global_id(0), place = get_global_id(1), at = block[place] * block_samples + n;
+    const int n = get_global_id(0), place = get_global_id(1), channel = get_global_id(2);
+    const int at = block[place] * block_samples + n;
     if (at >= samples) return;
     const float t = (float)(2 * n) / (float)block_samples - 1.0f;
     float real_sum = 0.0f, imaginary_sum = 0.0f;
@@ -20,7 +22,7 @@ __kernel void baseband_fades(
 #if SPARSE
         if (activity[node * (long)slots + slot] == 0) continue;
 #endif
-        __global const float* c = polynomials + place_of(node, slot, FUNCTIONS, slots);
+        __global const float* c = polynomials + place_of(node, slot, FUNCTIONS * CHANNELS, slots);
         const float both = weight((float)n - start[fade], per_ramp) - weight((float)n - end[fade], per_ramp);
         if (both == 0.0f) continue;
         float delayed = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
@@ -31,8 +33,9 @@ __kernel void baseband_fades(
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
-            __global const float* g = c + DELAY_TERMS + k;
-            const float gain = CUBIC(g[0], g[FUNCTIONS], g[2 * FUNCTIONS], g[3 * FUNCTIONS], t);
+            __global const float* g = c + DELAY_TERMS + k * CHANNELS + channel;
+            const int power = FUNCTIONS * CHANNELS;
+            const float gain = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
             float a = *x, b = *y;
             for (int q = 1; q < count; q++) {
                 a = a * mu + *(x -= stride);
@@ -45,7 +48,7 @@ __kernel void baseband_fades(
         real_sum += both * (real * cosine + imaginary * sine);
         imaginary_sum += both * (imaginary * cosine - real * sine);
     }
-    __global float* out = envelope + 2 * row[place] * (long)envelope_stride + first_sample + at;
+    __global float* out = envelope + 2 * (row[place] + channel) * (long)envelope_stride + first_sample + at;
     out[0] += real_sum;
     out[envelope_stride] += imaginary_sum;
 }

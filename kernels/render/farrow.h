@@ -3,9 +3,10 @@
 // code for as many rows costs less than a loop; else a single function is summed over many paths, and on CPUs a loop takes
 // no longer, and less time to build. GPUs, which wait for what they read, have rows one after the other in code.
 
-// Add one path's share of one function; `branches` points at the subblock's first sample in the first of its `rows` rows.
+// Add one path's share of one function to every channel; `branches` points at the subblock's first sample in the first
+// of its `rows` rows, and `first` is the first of its gains.
 static void add_function(__global const float* branches, int stride, const int rows, const vec* sample, const vec* mu,
-                         float gain, float slope, float bend, float flex, int worker, vec* sum)
+                         const EXPANDED batch* paths, int p, int first, int worker, vec sum[CHANNELS][VECTORS])
 {
     __global const float* row = branches + (rows - 1) * (long)stride;
     vec value[VECTORS];
@@ -16,13 +17,19 @@ static void add_function(__global const float* branches, int stride, const int r
 #pragma unroll
         for (int j = 0; j < VECTORS; j++) value[j] = value[j] * mu[j] + LOAD(row + (worker * VECTORS + j) * LANES);
     }
-#pragma unroll
-    for (int j = 0; j < VECTORS; j++) {
+    for (int c = 0; c < CHANNELS; c++) {
+        const float gain = paths->gain[first + c][p], slope = paths->slope[first + c][p];
 #if FINE
-        sum[j] += (((sample[j] * flex + bend) * sample[j] + slope) * sample[j] + gain) * value[j];
-#else
-        sum[j] += (sample[j] * slope + gain) * value[j];
+        const float bend = paths->bend[first + c][p], flex = paths->flex[first + c][p];
 #endif
+#pragma unroll
+        for (int j = 0; j < VECTORS; j++) {
+#if FINE
+            sum[c][j] += (((sample[j] * flex + bend) * sample[j] + slope) * sample[j] + gain) * value[j];
+#else
+            sum[c][j] += (sample[j] * slope + gain) * value[j];
+#endif
+        }
     }
 }
 
@@ -42,12 +49,8 @@ static void add_path(__global const float* branches, int stride, __global const 
 #endif
     }
     __global const float* row = branches + PLACE(-paths->whole[p], stride);
-#if FINE
-#define GAIN(k) paths->gain[k][p], paths->slope[k][p], paths->bend[k][p], paths->flex[k][p]
-#else
-#define GAIN(k) paths->gain[k][p], paths->slope[k][p], 0.0f, 0.0f
-#endif
-#define ADD(k, rows) add_function(row + first_row[k] * (long)stride, stride, rows, sample, mu, GAIN(k), worker, sum[k])
+#define ADD(k, rows) add_function(row + first_row[k] * (long)stride, stride, rows, sample, mu, paths, p, (k) * CHANNELS, \
+                                  worker, sum + (k) * CHANNELS)
 #if SPARSE || LANES == 1
     for (int k = 0; k < functions; k++) {
         switch (first_row[k + 1] - first_row[k]) {

@@ -1,4 +1,5 @@
-// Sum of all paths of one receiver over SUBBLOCKS subblocks of samples, for FUNCTIONS neighbouring functions of frequency.
+// Sum of all paths of one receiver over SUBBLOCKS subblocks of samples, for neighbouring functions of frequency and
+// CHANNELS channels, FUNCTIONS gains in all. Gains of a function come for each channel of the receiver side by side.
 // Work-item (or work-group of WORKERS): dimension 0 counts spans, dimension 1 receivers. Paths come sorted by delay and
 // are walked in tiles, so that the branch signals in play stay in cache.
 
@@ -7,8 +8,9 @@ void render(__global const float* branches,     // [rows][stride], those of one 
             int stride,
             int lead,                           // sample of `branches` emitted at the run's first sample
             __global const int* first_row,      // [functions + 1]
-            int functions,                      // in all
-            int first_function, int functions_here,
+            int functions,                      // gains in all, of functions of frequency and channels
+            int first_gain,
+            int first_function, int functions_here,  // functions of frequency whose branches are read
             __global const int* delay,          // [block][slots], whole samples
             __global const float* polynomials,  // as in polynomials.h, on [-1, 1]
             __global const int* activity,       // [block][slots]: subblocks in which it sounds, see activity.h
@@ -17,7 +19,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
             __global const int* first_slot,     // [receivers + 1], multiples of BATCH and of TILE
             int block_subblocks,                // subblocks in a block
             int subblocks,                      // in the run
-            __global const int* pressure_row,   // [receivers]
+            __global const int* pressure_row,   // [receivers], of the first channel here
             __global float* pressure,           // [rows][pressure_stride], added to
             int pressure_stride,
             int first_sample)                   // of `pressure`, at the run's first sample
@@ -61,13 +63,13 @@ void render(__global const float* branches,     // [rows][stride], those of one 
             for (int i = 0; i < count[g - first_subblock]; i++) {
                 const int slot = tile + active[g - first_subblock][i];
                 expand(delay[row * (long)slots + slot], polynomials + place_of(row, slot, functions, slots), functions,
-                       first_function, t, per_sample, &paths);
+                       first_gain, t, per_sample, &paths);
                 add_path(rows + g * SUBBLOCK, stride, first_row + first_function, functions_here, &paths, 0, worker, subblock_sum);
             }
 #else
             for (int slot = tile; slot < tile_end; slot += BATCH) {
                 expand(delay + row * (long)slots + slot, polynomials + place_of(row, slot, functions, slots), functions,
-                       first_function, t, per_sample, worker, &paths);
+                       first_gain, t, per_sample, worker, &paths);
                 SYNCHRONISE;
                 for (int p = 0; p < BATCH; p++) {
                     add_path(rows + g * SUBBLOCK, stride, first_row + first_function, 1, &paths, p, worker, subblock_sum);
@@ -81,10 +83,12 @@ void render(__global const float* branches,     // [rows][stride], those of one 
         }
     }
     for (int g = first_subblock; g < last_subblock; g++) {
-        __global float* out = pressure + pressure_row[receiver] * (long)pressure_stride + first_sample + g * SUBBLOCK;
-        for (int j = 0; j < VECTORS; j++) {
-            __global loose_vec* at = (__global loose_vec*)(out + (worker * VECTORS + j) * LANES);
-            for (int k = 0; k < FUNCTIONS; k++) *at = *at + sum[g - first_subblock][k][j];
+        for (int c = 0; c < CHANNELS; c++) {
+            __global float* out = pressure + (pressure_row[receiver] + c) * (long)pressure_stride + first_sample + g * SUBBLOCK;
+            for (int j = 0; j < VECTORS; j++) {
+                __global loose_vec* at = (__global loose_vec*)(out + (worker * VECTORS + j) * LANES);
+                for (int k = c; k < FUNCTIONS; k += CHANNELS) *at = *at + sum[g - first_subblock][k][j];
+            }
         }
     }
 }

@@ -2,6 +2,7 @@
 // A batch is BATCH paths whose polynomials are expanded at a subblock's centre before any of them is summed: neighbours
 // side by side; where signals pause a single one, the terms of its functions side by side. About the centre a delay goes
 // on with two more terms and a gain with one; where blocks are short because motion is near (FINE), with their cubics.
+// Gains of a function come for each of CHANNELS channels of the receiver side by side; FUNCTIONS counts all of these.
 
 #if WORKERS == 1
 #define SHARED __private
@@ -65,23 +66,26 @@ static void expand(int delay, __global const float* c, int functions, int first,
 #if FINE
     out->twist[0] = per_sample * per_sample * per_sample * c[3];
 #endif
-    gains g[4];
-    for (int i = 0; i < 4; i++) g[i] = *(__global const loose_gains*)(c + DELAY_TERMS + i * functions + first);
-    const gains gain = CUBIC(g[0], g[1], g[2], g[3], t), slope = per_sample * CUBIC_SLOPE(g[1], g[2], g[3], t);
+    for (int first_beside = 0; first_beside < FUNCTIONS; first_beside += 8) {
+        const int beside = FUNCTIONS - first_beside < 8 ? FUNCTIONS - first_beside : 8;
+        gains g[4];
+        for (int i = 0; i < 4; i++) g[i] = *(__global const loose_gains*)(c + DELAY_TERMS + i * functions + first + first_beside);
+        const gains gain = CUBIC(g[0], g[1], g[2], g[3], t), slope = per_sample * CUBIC_SLOPE(g[1], g[2], g[3], t);
 #pragma unroll
-    for (int k = 0; k < FUNCTIONS; k++) {
-        out->gain[k][0] = ((const float*)&gain)[k];
-        out->slope[k][0] = ((const float*)&slope)[k];
-    }
+        for (int k = 0; k < beside; k++) {
+            out->gain[first_beside + k][0] = ((const float*)&gain)[k];
+            out->slope[first_beside + k][0] = ((const float*)&slope)[k];
+        }
 #if FINE
-    const gains bend = per_sample * per_sample * CUBIC_CURVE(g[2], g[3], t);
-    const gains flex = per_sample * per_sample * per_sample * g[3];
+        const gains bend = per_sample * per_sample * CUBIC_CURVE(g[2], g[3], t);
+        const gains flex = per_sample * per_sample * per_sample * g[3];
 #pragma unroll
-    for (int k = 0; k < FUNCTIONS; k++) {
-        out->bend[k][0] = ((const float*)&bend)[k];
-        out->flex[k][0] = ((const float*)&flex)[k];
-    }
+        for (int k = 0; k < beside; k++) {
+            out->bend[first_beside + k][0] = ((const float*)&bend)[k];
+            out->flex[first_beside + k][0] = ((const float*)&flex)[k];
+        }
 #endif
+    }
 }
 #else
 // Expand a batch about the subblock's centre t in [-1, 1] of its block, with the gains of `functions` from a first one on.

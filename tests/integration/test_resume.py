@@ -317,7 +317,7 @@ def test_open_store_refuses_others(tmp_path: Path) -> None:
     zarr.open_group(tmp_path / "other.zarr", mode="w")
     with pytest.raises(clsim.InputError, match="does not say so"):
         clsim.open_store(tmp_path / "other.zarr")
-    about = StoredSound(("a",), ("Pa",), np.zeros((1, 3)), 48e3, 10, 10, "", "9.9")
+    about = StoredSound((("a", ""),), ("Pa",), np.zeros((1, 3)), 48e3, 10, 10, "", "9.9")
     store = STORES["zarr"](tmp_path, about, ["a"])
     store.create()
     group = zarr.open_group(tmp_path / "recording.zarr", mode="r+")

@@ -33,6 +33,8 @@ EQUATION = re.compile(
 SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
 # Functions that no publication holds, and why; what is derived is derived in their Notes.
 OWN = {
+    "advanced": "a delay of transforms",
+    "harmonic_norm": "a factor of `real_harmonics`",
     "sphere_aspects": "derived: angle and distances of the ends",
     "sphere_bound": "a maximum",
     "band_filters": "derived: least squares of a filter's real and imaginary part",

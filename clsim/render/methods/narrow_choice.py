@@ -217,7 +217,7 @@ def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[floa
     outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > carrier * max_rate + narrow.half - narrow.flat
     begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2])
     stretches = begins[:, None] + np.arange(count) / rate
-    delays, _, gains = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
+    delays, _, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
     for k, begin in enumerate(begins.tolist()):
         delay, gain = (a[:, k * count : (k + 1) * count] for a in (delays, gains[0]))
         heard = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)

@@ -18,6 +18,7 @@ from clsim.render.methods.passes import is_passed, passes
 from clsim.render.methods.per_sample import PathSum, cost_of_filters
 from clsim.render.opencl.channel_engine import ChannelEngine
 from clsim.render.plan import LONG_BLOCKS
+from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tracks.basis import flat_basis
 from clsim.tracks.continued import continued
 
@@ -84,6 +85,8 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
     if family.moves or scene.air.fluctuation is not None:
         return "what is in between moves"
     member = tracks.pairs[pair]
+    if isinstance(scene.receivers[member.receiver].directivity, ChannelDirectivity):
+        return "its receiver has several channels"
     if not member.always_heard:
         return "paths begin or end"
     ends = scene.sources[member.source], scene.receivers[member.receiver]
@@ -146,7 +149,7 @@ def _error_db(tracks: SceneTracks, emission: Emission, filters: SourceFilters, p
     for pair in pairs[:: -(-len(pairs) // _LOOKED_AT[0])]:
         rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
         delay, _, gain = tracks.evaluate(pair, times.ravel(), flat_basis(filters.band), rows)
-        turned = (gain[0] * np.exp(-2j * math.pi * filters.band * delay)).reshape(len(rows), count, -1)
+        turned = (gain[0, 0] * np.exp(-2j * math.pi * filters.band * delay)).reshape(len(rows), count, -1)
         apart = np.einsum("pin,in->pi", turned[..., :-1], weights) - turned[..., -1]
         wrong += float(np.max(np.sum(np.abs(apart) ** 2, axis=0)))
         loud += float(np.mean(np.sum(np.abs(turned[..., -1]) ** 2, axis=0)))

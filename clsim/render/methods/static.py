@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.convolution import convolved
-from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_response
+from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_responses
 from clsim.render.contributions import Stateless
 from clsim.render.interpolator import Bandlimited
 from clsim.scene.directivity.patterns import Omni
@@ -97,7 +97,7 @@ class StaticConvolution:
         return _Convolution(self)
 
     def responses(self, source: int) -> list[tuple[int, ImpulseResponse]]:
-        """Return receivers and impulse responses of a source."""
+        """Return rows of the pressure and impulse responses of a source."""
         filters, scene = self.source_filters[source], self.tracks.scene
         centre = filters.signal.centre_frequency if self.at_centre else None
         rate = filters.signal.sampling_rate
@@ -107,8 +107,9 @@ class StaticConvolution:
             if pair.source == source:
                 clock_error = float(scene.receivers[pair.receiver].clock_error(np.zeros(1))[0])
                 later = filters.start - clock_error
-                response = frozen_response(pair, 0.0, rate, band, later=later, centre=centre)
-                found.append((pair.receiver, filters.acting(response)))
+                row = sum(map(len, self.tracks.channels[: pair.receiver])) + self.tracks.pairs[i].channels.start
+                for channel, made in enumerate(frozen_responses(pair, 0.0, rate, band, later=later, centre=centre)):
+                    found.append((row + channel, filters.acting(made)))
         return found
 
 
@@ -120,7 +121,7 @@ class _Convolution(Stateless):
         self._responses: dict[int, list[tuple[int, ImpulseResponse]]] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add the convolved pairs from sample `start` on to the pressure (receivers, n), Pa."""
+        """Add the convolved pairs from sample `start` on to the pressure (rows, n), Pa."""
         all_filters = self._what.source_filters
         if not self._responses:
             self._responses = {source: self._what.responses(source) for source in range(len(all_filters))}
@@ -133,8 +134,8 @@ class _Convolution(Stateless):
             emitted = all_filters[source].emitted(start - last, stop - first)
             if not np.any(emitted):
                 continue
-            for receiver, response in responses:
-                pressure[receiver] += _convolved(emitted[last - response.last :], response, stop - start)
+            for row, response in responses:
+                pressure[row] += _convolved(emitted[last - response.last :], response, stop - start)
 
 
 def _band(filters: SourceFilters, *, complex_responses: bool) -> ResponseBand:

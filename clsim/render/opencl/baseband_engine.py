@@ -71,19 +71,20 @@ class _BasebandRun(Run):
         lanes = engine._layout.lanes
         vectors = min(block, WIDEST_SUBBLOCK) // lanes if lanes > 1 else 1
         spans = (end - begin) // (vectors * lanes)
-        size = work(spans, len(self._batch.pairs), group=1 if lanes > 1 else math.gcd(spans, 32))
+        size = work(spans, len(self._batch.pairs), self._channels, group=1 if lanes > 1 else math.gcd(spans, 32))
         filters = self._filters
         constants = {
             "LANES": lanes,
             "VECTORS": vectors,
             "SUBBLOCK": filters.bank.subblock,
             "FUNCTIONS": self._functions,
+            "CHANNELS": self._channels,
         }
         kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
         kernel(
             engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),
             **self._envelope_arguments(begin), first_row=filters.rows, first_slot=self._first_slot, block_samples=block,
-            envelope_row=self._row,
+            envelope_row=self._rows,
         )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
@@ -93,10 +94,10 @@ class _BasebandRun(Run):
         if fades is None:
             return
         slot = engine._upload(fades.slot)
-        constants = {"LANES": 1, "FUNCTIONS": self._functions}
+        constants = {"LANES": 1, "FUNCTIONS": self._functions, "CHANNELS": self._channels}
         kernel = engine._compiler.kernel("baseband_fades", constants | self._polynomial_constants(nodes))
         kernel(
-            engine._queue, work(block, len(fades.row), group=math.gcd(block, 32)), **self._branch_arguments(begin),
+            engine._queue, self._fade_work(fades, block), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
             **self._envelope_arguments(begin), first_row=self._filters.rows,
         )  # fmt: skip

@@ -45,6 +45,7 @@ class PathBatch:
 
     pairs: tuple[int, ...]  # indices in `Tracks.pairs`, one per receiver of the batch
     receiver: NDArray[np.int32]  # (pairs,) receiver of each pair
+    row: NDArray[np.int32]  # (pairs,) first row of the pressure that has the pair's paths
     first_slot: NDArray[np.int32]  # (pairs + 1,) where the slots of each pair begin; whole batches
     path: NDArray[np.int64]  # (slots,) row of each slot in its pair
     padding: NDArray[np.bool_]  # (slots,) slots that only fill up a batch: silent copies of a path
@@ -78,6 +79,7 @@ def fill_batch(plan: Plan, active: list[ActivePaths], batch: int, apart: int = 1
     return PathBatch(
         tuple(pair.index for pair in active),
         np.array(receivers, dtype=np.int32),
+        np.array([plan.rows_of_pair(pair.index).start for pair in active], dtype=np.int32),
         np.array(first, dtype=np.int32),
         np.concatenate(path),
         np.concatenate(padding),

@@ -70,9 +70,8 @@ class ChannelEngine(OpenclEngine):
         least = round((min(float(pair.low.min()) for pair in active) + begin) * rate)
         most = round((max(float(pair.high.max()) for pair in active) + begin) * rate)
         branches = Branches(None, 0, start - most, least - _MARGIN, most + _MARGIN, None)
-        slots = self.limits.node_budget // (plan.bytes_per_node(source) * (plan.segment // plan.blocks[0]))
         heard = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
-        for some in self._batches(heard, slots):
+        for some in self._batches(heard, source, plan.blocks[0]):
             batch = fill_batch(plan, some, BATCH, apart=_APART)
             task = ChannelTask(source, batch, branches, None, segments * plan.segment, start, 0, segments, frames)
             _ChannelRun(self, task).render()
@@ -85,7 +84,7 @@ class _ChannelRun(Run):
     _engine: ChannelEngine
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
-        begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.receiver
+        begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.sounding(range(-(-first // spacing), -(-last // spacing)))
         size = 4 * len(rows) * self._functions * frames.grid.points
@@ -99,7 +98,7 @@ class _ChannelRun(Run):
         """Make the responses of some nodes, and add what is heard by them."""
         import pyopencl as cl
 
-        engine, frames, rows = self._engine, self._task.frames, self._batch.receiver
+        engine, frames, rows = self._engine, self._task.frames, self._batch.row
         shape = len(some), len(rows), self._functions, frames.grid.points
         grids = engine._scratch.take("grids", 4 * math.prod(shape))
         bank = self._plan.source_filters[self._source].bank

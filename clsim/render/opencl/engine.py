@@ -17,56 +17,30 @@ from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
 from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostNodeMaker
+from clsim.render.opencl.layout import CPU_LAYOUT, GPU_LAYOUT, Layout
 from clsim.render.opencl.limits import Limits
 from clsim.render.opencl.nodes import NodeMaker
 from clsim.render.opencl.pair_nodes import PairNodeMaker
 from clsim.render.opencl.path_columns import COLUMNS
 from clsim.render.opencl.residual import Residual
 from clsim.render.plan import BATCH
+from clsim.scene.directivity.directivity import ChannelDirectivity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from clsim.opencl.launch import WorkItems
     from clsim.paths.family import PathFamily
     from clsim.render.opencl.fades import Fades
     from clsim.render.plan import Plan
 
     Maker = NodeMaker | HostNodeMaker
 
-_TILE = 128  # paths whose branch signals stay in cache together
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Layout of the sum of paths on a device: a subblock of samples over lanes of vectors, or over work-items."""
-
-    lanes: int
-    subblocks: int  # subblocks to a work-item, or to a group of them
-    sparse_subblocks: int  # the same where signals pause
-    nodes: int  # of a path, whose delays are solved side by side
-
-    def constants(self, subblock: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
-        """Return the compile-time constants of the render kernel for a subblock's length."""
-        workers = 1 if self.lanes > 1 else subblock
-        return {
-            "LANES": self.lanes,
-            "VECTORS": subblock // (workers * self.lanes),
-            "WORKERS": workers,
-            "SPARSE": int(sparse),
-            "FINE": int(fine),
-            "OVERSAMPLING": oversampling,
-            "BATCH": 1 if sparse else BATCH,
-            "TILE": _TILE,
-            "SUBBLOCKS": (self.sparse_subblocks if sparse else self.subblocks) * (32 // subblock),
-        }
-
-
-CPU_LAYOUT = Layout(lanes=8, subblocks=16, sparse_subblocks=48, nodes=4)
-GPU_LAYOUT = Layout(lanes=1, subblocks=4, sparse_subblocks=16, nodes=1)
+_CHANNELS = 16  # of a receiver that are summed at a time
 
 
 class OpenclEngine:
@@ -95,13 +69,13 @@ class OpenclEngine:
         self._makers: dict[PathFamily | None, Maker] = {}  # None: the host, whatever the kind of paths
 
     def render(self, start: int, stop: int) -> NDArray[Any]:
-        """Return the pressure (receivers, stop - start) in Pa; `start` is a whole number of segments."""
-        pressure = np.zeros((self._plan.receiver_count, stop - start), dtype=self._plan.sample_type)
+        """Return the pressure (rows, stop - start) in Pa; `start` is a whole number of segments."""
+        pressure = np.zeros((self._plan.row_count, stop - start), dtype=self._plan.sample_type)
         self.add(pressure, start)
         return pressure
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add all paths from sample `start` on, a whole number of segments, to the pressure (receivers, n), Pa."""
+        """Add all paths from sample `start` on, a whole number of segments, to the pressure (rows, n), Pa."""
         import pyopencl as cl
 
         most = self.limits.most_samples
@@ -149,6 +123,10 @@ class OpenclEngine:
         in_pairs = of_scene is not None and plan.baseband is None and of_scene.scene.air.wind is None
         known = COLUMNS.keys() if self._info.fp64 else {"images"} if in_pairs else set()
         kind = None if family is None or family.device not in known else family
+        if of_scene is not None and isinstance(
+            of_scene.scene.receivers[plan.tracks.pairs[pair].receiver].directivity, ChannelDirectivity
+        ):
+            kind = None
         if kind not in self._makers:
             device = NodeMaker if self._info.fp64 else PairNodeMaker
             self._makers[kind] = (
@@ -166,7 +144,7 @@ class OpenclEngine:
         import pyopencl as cl
 
         plan, length = self._plan, self.branch_signals.whole_blocks(start, start + pressure.shape[1])
-        shape = self.parts * plan.receiver_count, length
+        shape = self.parts * plan.row_count, length
         size = 4 * shape[0] * shape[1]
         on_device = self._scratch.take("pressure", size)
         cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
@@ -181,10 +159,8 @@ class OpenclEngine:
             for first in range(0, segments, step):
                 last = min(first + step, segments)
                 here = [pair.during(plan, start + first * plan.segment, start + last * plan.segment) for pair in active]
-                per_segment = plan.bytes_per_node(source) * (plan.segment // plan.shortest_block)
-                slots = self.limits.node_budget // per_segment
                 heard = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
-                for some in self._batches(heard, slots):
+                for some in self._batches(heard, source, plan.shortest_block):
                     batch = fill_batch(plan, some, BATCH)
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         for unheld in self.unheld:
@@ -193,23 +169,25 @@ class OpenclEngine:
         self.put(rows[:, : pressure.shape[1]], pressure)
         rows.base.release(self._queue)
 
-    def _batches(self, active: list[ActivePaths], most: int) -> list[list[ActivePaths]]:
-        """Cut pairs into batches of at most so many slots: those whose polynomials for one segment fit the budget.
+    def _batches(self, active: list[ActivePaths], source: int, block: int) -> list[list[ActivePaths]]:
+        """Cut a source's pairs into batches of slots: as many fit the node budget.
 
-        All pairs of a batch have their nodes made by the same maker. No receiver is in it twice, with paths of two
-        kinds or too many for a launch: work-groups that add to the same samples would race.
+        All pairs of a batch have their nodes made by the same maker, and as many channels. No receiver is in it twice,
+        with paths of two kinds or too many for a launch: work-groups that add to the same samples would race.
         """
-        most = max(BATCH, most)
-        batches: list[list[ActivePaths]] = []
-        count, last, there = most, None, set[int]()
+        plan, batches = self._plan, list[list[ActivePaths]]()
+        count, last, there = 0, None, set[int]()
         for pair in active:
-            slots, maker = -(-len(pair.rows) // BATCH) * BATCH, self.maker(pair.index)
-            receiver = self._plan.tracks.pairs[pair.index].receiver
-            if count + slots > most or maker is not last or receiver in there:
+            row, channels = plan.rows_of_pair(pair.index).start, len(plan.tracks.pairs[pair.index].channels)
+            slots = -(-len(pair.rows) // BATCH) * BATCH
+            kind = self.maker(pair.index), channels
+            a_segment = plan.bytes_per_node(source, channels) * (plan.segment // block)
+            most = max(BATCH, self.limits.node_budget // a_segment)
+            if count + slots > most or kind != last or row in there:
                 batches.append([])
-                count, last, there = 0, maker, set()
+                count, last, there = 0, kind, set()
             batches[-1].append(pair)
-            there.add(receiver)
+            there.add(row)
             count += slots
         return batches
 
@@ -242,7 +220,9 @@ class Run:
         self._engine, self._plan, self._task = engine, engine._plan, task
         self._source, self._batch, self._branches = task.source, task.batch, task.branches
         self._pressure, self._length, self._start = task.pressure, task.length, task.start
-        self._first_slot, self._row = engine._upload(task.batch.first_slot), engine._upload(task.batch.receiver)
+        self._first_slot = engine._upload(task.batch.first_slot)
+        self._rows = task.batch.row
+        self._channels = len(self._plan.tracks.pairs[task.batch.pairs[0]].channels)  # of each pair of the batch
         self._bounds = boundaries(self._plan, task.batch)
         begin, end = task.first * self._plan.segment, min(task.last * self._plan.segment, task.length)
         self._maker: Any = engine.maker(task.batch.pairs[0])
@@ -252,6 +232,7 @@ class Run:
         )  # fmt: skip
         self._tolerance = 10 ** (self._plan.motion_error_db / 20)
         self._functions = len(self._plan.source_filters[task.source].basis)
+        self._gains = self._functions * self._channels  # of a path
 
     def render(self) -> None:
         """Add the batch's paths to the pressure on the device."""
@@ -261,7 +242,7 @@ class Run:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
         plan, segment = self._plan, self._plan.segment
         block = plan.blocks[level]
-        node = plan.bytes_per_node(self._source)
+        node = plan.bytes_per_node(self._source, self._channels)
         limits, count = self._engine.limits, self._batch.count
         step = max(1, limits.node_budget // (node * count * (segment // block)))
         step = min(step, limits.segments_in_launch(count, block))
@@ -289,7 +270,8 @@ class Run:
 
     def _fits(self, block: int) -> bool:
         """Test whether the polynomials of one segment in blocks of a length fit into memory."""
-        needed = self._plan.bytes_per_node(self._source) * self._batch.count * (self._plan.segment // block)
+        node = self._plan.bytes_per_node(self._source, self._channels)
+        needed = node * self._batch.count * (self._plan.segment // block)
         return not self._plan.is_fine(block) or needed <= 4 * self._engine.limits.node_budget
 
     def _check(self, shortest: float, longest: float) -> None:
@@ -312,17 +294,20 @@ class Run:
         begin = segment * self._plan.segment
         subblocks = (end - begin) // subblock
         size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._batch.pairs))
-        together = _TOGETHER if sparse and self._functions > 1 else 1
-        constants = {**layout, "FUNCTIONS": together, "DELAY_TERMS": self._plan.delay_terms}
-        kernel = engine._compiler.kernel("render", constants)
-        for k in range(0, self._functions, together):
-            kernel(
-                engine._queue, (size, (layout["WORKERS"], 1)), **self._branch_arguments(begin),
-                **self._block_arguments(nodes, first_block), first_row=filters.rows, functions=self._functions,
-                first_function=k, functions_here=min(together, self._functions - k), first_slot=self._first_slot,
-                block_subblocks=block // subblock, subblocks=subblocks, pressure_row=self._row, pressure=self._pressure,
-                pressure_stride=self._length, first_sample=begin,
-            )  # fmt: skip
+        together = _TOGETHER if sparse and self._functions > 1 and self._channels == 1 else 1
+        for first in range(0, self._channels, _CHANNELS):
+            channels = min(_CHANNELS, self._channels - first)
+            constants = {"FUNCTIONS": together * channels, "CHANNELS": channels, "DELAY_TERMS": self._plan.delay_terms}
+            kernel = engine._compiler.kernel("render", layout | constants)
+            for k in range(0, self._functions, together):
+                kernel(
+                    engine._queue, (size, (layout["WORKERS"], 1)), **self._branch_arguments(begin),
+                    **self._block_arguments(nodes, first_block), first_row=filters.rows, functions=self._gains,
+                    first_gain=k * self._channels + first, first_function=k,
+                    functions_here=min(together, self._functions - k), first_slot=self._first_slot,
+                    block_subblocks=block // subblock, subblocks=subblocks, pressure_row=self._rows + np.int32(first),
+                    pressure=self._pressure, pressure_stride=self._length, first_sample=begin,
+                )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
@@ -335,9 +320,9 @@ class Run:
         constants = {"OVERSAMPLING": filters.oversampling, **self._polynomial_constants(nodes)}
         kernel = engine._compiler.kernel("fades", constants)
         kernel(
-            engine._queue, work(block, len(fades.row), group=math.gcd(block, 32)), **self._branch_arguments(begin),
+            engine._queue, self._fade_work(fades, block), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
-            functions=self._functions, first_row=filters.rows, pressure=self._pressure,
+            functions=self._functions, channels=self._channels, first_row=filters.rows, pressure=self._pressure,
             pressure_stride=self._length, first_sample=begin,
         )  # fmt: skip
         self._clear_gains(nodes, slot, at)
@@ -361,9 +346,14 @@ class Run:
         """Return the blocks in which paths begin or end, as kernels take them."""
         ramp = self._bounds.ramp
         return {
-            "slot_of": slot, "start": fades.start, "end": fades.end, "first": fades.first, "row": fades.row,
+            "slot_of": slot, "start": fades.start, "end": fades.end, "first": fades.first,
+            "row": fades.row,
             "block": fades.at, "per_ramp": 1.0 / ramp if ramp else 0.0, "block_samples": block, "samples": samples,
         }  # fmt: skip
+
+    def _fade_work(self, fades: Fades, block: int) -> WorkItems:
+        """Return the work-items of blocks in which paths begin or end: samples, places and channels."""
+        return work(block, len(fades.row), self._channels, group=math.gcd(block, 32))
 
     def _lead(self, begin: int) -> int:
         """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
@@ -374,7 +364,7 @@ class Run:
         kernel = self._engine._compiler.kernel("clear_gains", self._polynomial_constants(nodes))
         count = slot.size // 4
         kernel(
-            self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._functions,
+            self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._gains,
             polynomials=nodes.polynomials, slots=self._batch.count,
         )  # fmt: skip
 

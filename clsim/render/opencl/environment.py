@@ -9,6 +9,8 @@ import numpy as np
 from clsim.numerics.quaternions import rotate
 from clsim.paths.response import SceneResponse
 from clsim.render.opencl.lookup_tables import directivity_kind, directivity_table, wall_table
+from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -50,7 +52,10 @@ class Environment:
             name: put(np.concatenate([part.astype(np.float32).ravel() for part in parts]))
             for name, parts in columns.items()
         }
-        directivities = [r.directivity for r in scene.receivers]
+        # Receivers of several channels have their nodes made by the host.
+        directivities = [
+            Omni() if isinstance(d, ChannelDirectivity) else d for d in (r.directivity for r in scene.receivers)
+        ]
         self.source_kind, self.receiver_kind = (
             directivity_kind([scene.sources[source].directivity]),
             directivity_kind(directivities),

@@ -51,7 +51,7 @@ class Fades:
     start: NDArray[np.float32]  # (n,) boundaries in samples from the block's start
     end: NDArray[np.float32]  # likewise
     first: NDArray[np.int32]  # (places + 1,) where each receiver and block begins in the columns above
-    row: NDArray[np.int32]  # (places,) row of its receiver in the output
+    row: NDArray[np.int32]  # (places,) row of its receiver's first channel in the output
     at: NDArray[np.int32]  # (places,) its block
 
 
@@ -102,5 +102,5 @@ def find_fades(bounds: Boundaries, batch: PathBatch, start: int, block: int, blo
 
     return Fades(
         slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
-        np.append(new, len(slot)).astype(np.int32), batch.receiver[pair[new]], at[new].astype(np.int32),
+        np.append(new, len(slot)).astype(np.int32), batch.row[pair[new]], at[new].astype(np.int32),
     )  # fmt: skip

@@ -87,7 +87,9 @@ class HostNodeMaker:
         plan, filters = self._plan, self._plan.source_filters[source]
         run = _Run(source, start, block, blocks, bounds.samples_from(start))
         whole = np.empty((blocks, batch.count), dtype=np.int32)
-        cubics = np.empty((blocks, plan.delay_terms + 4 * len(filters.basis), batch.count), dtype=np.float32)
+        channels = len(plan.tracks.pairs[batch.pairs[0]].channels)  # the same of all of a batch
+        terms = plan.delay_terms + 4 * len(filters.basis) * channels
+        cubics = np.empty((blocks, terms, batch.count), dtype=np.float32)
 
         def make(part: tuple[int, NDArray[np.int64]]) -> _Found:
             pair, slots = part
@@ -121,7 +123,7 @@ class HostNodeMaker:
         whole, made = block_polynomials(
             delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, terms
         )
-        sized = gain * filters.basis.strengths[:, None, None]
+        sized = gain * _strengths(filters.basis, len(gain))[:, None, None]
         part = 0.0 if plan.is_fine(block) else plan.subblock(run.source, block) / block
         wrong = block_error(delay, change, sized, 2.0 * math.pi * filters.swiftness, block / rate, part, terms)
         first, last = (edge[slots, None] for edge in run.heard)
@@ -138,24 +140,39 @@ class HostNodeMaker:
     ) -> tuple[Floats, Floats, Floats]:
         """Return delays, their rates, and gains at evenly spaced times; costly gains only where they change fast.
 
+        Gains (K C, P, T) are those of each function, by channel.
+
         Others are taken at every fourth node, and at those between from these, as in `smooth.h`: where this is known
         to be wrong by less than the error that is allowed between nodes, by 10 dB, relative to what is heard of all.
         """
         tracks, count, cells = self._plan.tracks, len(times), -(-(len(times) - 1) // _CELL)
         if not tracks.costly(pair) or cells < 4:
-            return tracks.evaluate(pair, times, basis, rows)
+            delay, rate, gain = tracks.evaluate(pair, times, basis, rows)
+            return delay, rate, _side_by_side(gain)
         longer = times[0] + (times[1] - times[0]) * np.arange(_CELL * cells + 1)
         delay, rate, few = tracks.evaluate(pair, longer, basis, rows, every=_CELL)
+        few = _side_by_side(few)
         gain, wrong = between(few, _CELL)
-        level = math.sqrt(np.mean(np.tensordot(basis.strengths, np.abs(few), 1) ** 2))
+        strengths = _strengths(basis, len(few))
+        level = math.sqrt(np.mean(np.tensordot(strengths, np.abs(few), 1) ** 2))
         allowed = math.sqrt(SMOOTH_SHARE) * 10 ** (self._plan.motion_error_db / 20)
-        fast = np.flatnonzero(basis.strengths @ wrong > allowed * level)
+        fast = np.flatnonzero(strengths @ wrong > allowed * level)
         if len(fast):
-            gain[:, fast, :count] = tracks.evaluate(pair, times, basis, rows[fast])[2]
+            gain[:, fast, :count] = _side_by_side(tracks.evaluate(pair, times, basis, rows[fast])[2])
         return delay[:, :count], rate[:, :count], gain[..., :count]
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
+
+
+def _side_by_side(gain: Floats) -> Floats:
+    """Return gains (K C, P, T), channels of a function side by side, of gains (C, K, P, T)."""
+    return np.swapaxes(gain, 0, 1).reshape(-1, *gain.shape[2:])
+
+
+def _strengths(basis: Basis, count: int) -> Floats:
+    """Return the strengths of a basis for each of so many gains, channels side by side."""
+    return np.repeat(basis.strengths, count // len(basis))
 
 
 def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ class Limits:
         # Of every buffer that grows with the chunk: bytes for a sample, and for those of the longest delay.
         rows, emitted = 4.3 * parts * self._rows, 4.3 * parts * functions
         self._per_sample = {"branch signals": rows, "emitted signals": emitted}
-        self._per_sample["pressure of all receivers"] = 4.0 * parts * plan.receiver_count
+        self._per_sample["pressure of all receivers"] = 4.0 * parts * plan.row_count
         span = plan.tracks.longest_delay(0.0, plan.duration) * plan.sampling_rate + 256.0  # margins
         self._fixed = {"branch signals": rows * span, "emitted signals": emitted * span}
         self._longest = MOST_INDEX / 1.1 / max(f.oversampling for f in filters) - span  # kernels count them in 32 bits

@@ -10,7 +10,7 @@ from clsim.errors import DeviceError
 from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, upload, work
-from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT
+from clsim.render.opencl.layout import CPU_LAYOUT, GPU_LAYOUT
 from clsim.tail.interpolation import NEIGHBOURS, NODE
 
 if TYPE_CHECKING:

@@ -119,6 +119,8 @@ class Directivity(ABC):
 
     Attributes
     ----------
+    channels : tuple of str
+        Names of the outputs of a receiver: one without a name, unless it is a `ChannelDirectivity`.
     is_complex : bool
         Whether gains have a phase.
     band : tuple of float
@@ -126,6 +128,11 @@ class Directivity(ABC):
     """
 
     __slots__ = ()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the outputs of a receiver."""
+        return ("",)
 
     @property
     @abstractmethod
@@ -209,6 +216,43 @@ class Directivity(ABC):
         if outside is not None:
             as_choice("outside", outside, ("hold",))
         return _NAMED[as_choice("name", name, Directivity.names())](outside)
+
+
+class ChannelDirectivity(Directivity):
+    """Directivities of a receiver with several outputs at one place: ears, or ambisonic components.
+
+    `gain_towards` has shape (..., C), C channels; a subclass gives `channels`.
+
+    Attributes
+    ----------
+    reach : float
+        Bound of how much earlier or later than at the centre sound arrives at a channel, s; 0 where all channels have
+        the centre's delay, or else `lateness` is asked for.
+    """
+
+    __slots__ = ()
+
+    @property
+    def reach(self) -> float:
+        """Bound of the magnitude of `lateness`, s."""
+        return 0.0
+
+    def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
+        """Return the approximate delay of each channel behind the centre.
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the receiver's own frame.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (..., C)
+            s. Delays of paths have it, and the gains that go with them are without its phase.
+        """
+        return np.zeros((*np.shape(direction)[:-1], len(self.channels)))
 
 
 class AxisymmetricDirectivity(Directivity):

@@ -162,7 +162,7 @@ from pathlib import Path
 import numpy as np
 from clsim.output.stores import STORES, StoredSound
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-sound = StoredSound(("a", "b"), ("Pa", "Pa"), np.zeros((2, 3)), 192e3, 20_000, 18_432, "text" * 9000, "1", None)
+sound = StoredSound((("a", ""), ("b", "")), ("Pa", "Pa"), np.zeros((2, 3)), 192e3, 20_000, 18_432, "text" * 9000, "1", None)
 for limit in (500, 30_000, 100_000):
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     try:

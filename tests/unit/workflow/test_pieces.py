@@ -61,7 +61,7 @@ def rendered(engine: str) -> tuple[Plan, np.ndarray, Rendering]:
 def store_in(folder: Path, plan: Plan) -> SoundStore:
     names = plan.tracks.receiver_names
     positions = np.zeros((len(names), 3))
-    about = StoredSound(names, plan.units, positions, RATE, plan.samples, plan.chunk, "", clsim.__version__)
+    about = StoredSound(plan.channels, plan.units, positions, RATE, plan.samples, plan.chunk, "", clsim.__version__)
     store = STORES["zarr"](folder, about, names)
     store.create()
     return store

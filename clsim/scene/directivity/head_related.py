@@ -1,0 +1,331 @@
+"""Directivities of two ears: head-related responses from SOFA files, and a rigid sphere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from clsim.acoustics.spherical_head import sphere_surface_field
+from clsim.arrays import Floats, as_floats, as_number, read_only, short_repr
+from clsim.errors import InputError
+from clsim.numerics.arrival_times import advanced, arrival_times
+from clsim.numerics.sphere import largest_hole, merged
+from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage
+from clsim.scene.directivity.sofa_hrtf import read_hrtf
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from clsim.arrays import Complexes
+
+EARS = ("left", "right")
+_LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
+_MOST = 4000  # directions, whose equations take 0.2 GB and some seconds
+_KEPT = 1e-7  # of the largest component of all responses, below which one is left out
+_LONGEST = 2**14  # samples of a response
+_SLOWEST = 200.0  # m/s, below which no sound in air is
+_DEGREE = 5  # of the polynomial of lateness
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadRelated(ChannelDirectivity):
+    """Head-related impulse responses of two ears, interpolated over the sphere with their times of arrival apart.
+
+    Parameters
+    ----------
+    directions : array_like (n, 3)
+        From where the sound comes, in the head's frame (front +x, left +y, up +z), of any length. No cap without one
+        may be wider than 60° from its centre.
+    responses : array_like (n, 2, samples)
+        Of the left and the right ear, relative to the pressure at the head's centre without the head.
+    sampling_rate : float
+        Hz.
+    outside : {None, "hold"}
+        What gains above half the sampling rate are: refused (None), or as there.
+    name : str
+        What to call it.
+
+    Raises
+    ------
+    InputError
+        If a value breaks one of these rules.
+
+    Notes
+    -----
+    A response's time of arrival is where it is most like its minimum-phase version (J. Nam, J. S. Abel and J. O. Smith,
+    AES Convention 125, 2008, paper 7612). Responses are advanced by it, and both are interpolated over the sphere by
+    cubic radial functions, which go through the values at given directions. Over frequency, a response is its Fourier
+    sum.
+    """
+
+    directions: Floats
+    responses: Floats
+    sampling_rate: float
+    _: KW_ONLY
+    outside: str | None = None
+    name: str = ""
+    parts: tuple[Floats, Floats] = field(init=False, repr=False)  # (n, R + 2) weights and times, (R, 2, N) components
+
+    is_complex: ClassVar[bool] = True
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        rate = as_number("sampling_rate", self.sampling_rate, at_least=1000.0, at_most=10e6, unit="Hz")
+        given = as_floats("directions", self.directions, (None, 3))
+        responses = as_floats("responses", self.responses, (len(given), 2, None))
+        length = np.linalg.norm(given, axis=1)
+        for i in np.flatnonzero(length <= 0.0)[:1]:
+            raise InputError(f"directions[{i}]", "must have a length above 0, but is 0")
+        count = responses.shape[2]
+        if count > _LONGEST:
+            raise InputError("responses", f"must be at most {_LONGEST} samples long, but are {count}")
+        directions, flat = merged(given / length[:, None], responses.reshape(len(given), -1))
+        responses = flat.reshape(len(directions), 2, count)
+        for i in np.flatnonzero(np.any(np.all(responses == 0.0, axis=2), axis=1))[:1]:
+            raise InputError(f"responses[{i}]", "must not be silent at an ear")
+        hole = largest_hole(directions)
+        if hole > _LARGEST_HOLE:
+            raise InputError("directions", f"must leave no gap wider than {_LARGEST_HOLE:g}°, but leave {hole:.0f}°")
+        if len(directions) > _MOST:
+            raise InputError("directions", f"must be at most {_MOST}, but are {len(directions)}")
+        late = arrival_times(responses)
+        aligned = advanced(responses, late).reshape(len(directions), -1)
+        weights, components = _components(aligned)
+        columns = np.column_stack([weights, late / rate])
+        kept = read_only(columns), read_only(components.reshape(len(components), 2, -1))
+        values = {"directions": read_only(directions), "responses": read_only(responses), "sampling_rate": rate}
+        for key, value in (values | {"parts": kept}).items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, ``"left"`` and ``"right"``."""
+        return EARS
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies (low, high) in Hz that the responses cover."""
+        return 0.0, math.inf if self.outside == "hold" else 0.5 * self.sampling_rate
+
+    def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
+        """Return the gain of each ear; see `Directivity.gain_towards`.
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the head's own frame.
+        frequency : array_like (...)
+            Hz; broadcasts against `direction` without its last axis.
+        speed_of_sound : float
+            m/s: not used.
+
+        Returns
+        -------
+        ndarray (..., 2)
+            Gain, 1.
+
+        Raises
+        ------
+        InputError
+            If a frequency lies outside `band`.
+        """
+        f = np.asarray(frequency, dtype=np.float64)
+        check_coverage(f, self.band)
+        unique, column = np.unique(np.minimum(f, 0.5 * self.sampling_rate), return_inverse=True)
+        found = _over_sphere(self)(np.asarray(direction, dtype=np.float64).reshape(-1, 3))
+        weights, late = found[:, :-2], np.clip(found[:, -2:], -self.reach, self.reach)
+        gain = np.tensordot(weights, _spectra(self, unique.tobytes()), 1)
+        gain *= np.exp(-2j * np.pi * late[:, :, None] * unique)
+        row = np.arange(len(gain)).reshape(np.shape(direction)[:-1])
+        return np.moveaxis(gain, 1, 2)[row, column.reshape(f.shape)]
+
+    @property
+    def reach(self) -> float:
+        """Bound of the magnitude of `lateness`, s."""
+        return 1.25 * float(np.abs(self.parts[0][:, -2:]).max())
+
+    def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
+        """Return the times of arrival at each ear; see `ChannelDirectivity.lateness`.
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the head's own frame.
+        speed_of_sound : float
+            m/s: not used.
+
+        Returns
+        -------
+        ndarray (..., 2)
+            s.
+        """
+        found = _over_sphere(self)(np.asarray(direction, dtype=np.float64).reshape(-1, 3))[:, -2:]
+        return np.asarray(np.clip(found, -self.reach, self.reach)).reshape(*np.shape(direction)[:-1], 2)
+
+    @classmethod
+    def from_sofa(cls, path: str | PathLike[str], **options: Any) -> HeadRelated:
+        """Return the responses of a SOFA file (AES69), through the package ``sofar`` (``pip install 'clsim[sofa]'``).
+
+        Parameters
+        ----------
+        path : path-like
+            With the ending ``.sofa``, of the convention SimpleFreeFieldHRIR, FreeFieldHRIR or FreeFieldHRTF.
+        **options : Any
+            `outside` and `name` of the constructor.
+
+        Returns
+        -------
+        HeadRelated
+            The responses.
+
+        Raises
+        ------
+        InputError
+            If the package is missing, the file cannot be read or is of another kind, or a value breaks a rule.
+        """
+        try:
+            return cls(*read_hrtf(Path(path)), **options)
+        except InputError as error:
+            raise InputError("path", f"{error.problem} ({error.field}): {path}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class SphericalHead(ChannelDirectivity):
+    """Two ears on a rigid sphere: sources are far away.
+
+    Parameters
+    ----------
+    radius : float
+        m, at most 1.
+    ear_azimuth : float
+        Of the left ear from the front, degrees; the right one is opposite.
+
+    Raises
+    ------
+    InputError
+        If a value is out of bounds.
+
+    Notes
+    -----
+    R. O. Duda and W. L. Martens, "Range dependence of the response of a spherical head model", J. Acoust. Soc. Am. 104
+    (5), 3048-3058, 1998: 8.75 cm, and ears 100° from the front.
+
+    Examples
+    --------
+    >>> gain = SphericalHead().gain_towards(np.array([0.0, 1.0, 0.0]), 8e3, 343.0)
+    >>> (20 * np.log10(np.abs(gain))).round(1).tolist()
+    [5.9, -15.7]
+    """
+
+    is_complex: ClassVar[bool] = True
+    band: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    radius: float = 0.0875
+    ear_azimuth: float = 100.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", as_number("radius", self.radius, at_least=1e-4, at_most=1.0, unit="m"))
+        azimuth = as_number("ear_azimuth", self.ear_azimuth, at_least=0.0, at_most=180.0)
+        object.__setattr__(self, "ear_azimuth", azimuth)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, ``"left"`` and ``"right"``."""
+        return EARS
+
+    def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
+        """Return the gain of each ear; see `Directivity.gain_towards`.
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the head's own frame.
+        frequency : array_like (...)
+            Hz; broadcasts against `direction` without its last axis.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (..., 2)
+            Gain, 1.
+        """
+        f = np.asarray(frequency, dtype=np.float64)
+        unique, column = np.unique(f, return_inverse=True)
+        row = np.arange(np.asarray(direction)[..., 0].size).reshape(np.shape(direction)[:-1])
+        cosine = self._cosines(direction).reshape(-1, 2)
+        ka = 2.0 * np.pi * unique * self.radius / speed_of_sound
+        gain = np.stack([sphere_surface_field(ka, of_ear) for of_ear in cosine.T], axis=-1)
+        return gain[row, column.reshape(f.shape)]
+
+    @property
+    def reach(self) -> float:
+        """Bound of the magnitude of `lateness`, s: half of the way round, in slow air."""
+        return 0.5 * math.pi * self.radius / _SLOWEST
+
+    def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
+        """Return about the times of arrival at each ear: straight, and along the surface behind (Woodworth).
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the head's own frame.
+        speed_of_sound : float
+            m/s.
+
+        Returns
+        -------
+        ndarray (..., 2)
+            s: a smooth polynomial of the cosine of incidence.
+        """
+        late = np.polynomial.polynomial.polyval(self._cosines(direction), _WOODWORTH)
+        return np.asarray(self.radius / speed_of_sound * late)
+
+    def _cosines(self, direction: Floats) -> Floats:
+        """Return the cosines (..., 2) of the angles between directions (..., 3) and both ears."""
+        angle = math.radians(self.ear_azimuth)
+        ears = np.array([[math.cos(angle), side * math.sin(angle), 0.0] for side in (1.0, -1.0)])
+        return np.asarray(np.clip(np.asarray(direction) @ ears.T, -1.0, 1.0))
+
+
+def _woodworth() -> Floats:
+    """Return the polynomial of the cosine that is nearest to Woodworth's lateness, in radii over the speed of sound."""
+    cosine = np.cos(np.linspace(0.0, math.pi, 181))
+    late = np.where(cosine > 0.0, -cosine, np.arcsin(-np.minimum(cosine, 0.0)))
+    return np.asarray(np.polynomial.polynomial.polyfit(cosine, late, _DEGREE), dtype=np.float64)
+
+
+def _components(aligned: Floats) -> tuple[Floats, Floats]:
+    """Return weights (n, R) and components (R, m) whose products are rows (n, m), but for what is next to nothing."""
+    tall = aligned.shape[0] > aligned.shape[1]
+    powers, axes = np.linalg.eigh(aligned.T @ aligned if tall else aligned @ aligned.T)
+    axes = axes[:, powers > _KEPT**2 * powers[-1]]
+    first, second = (aligned @ axes, axes.T) if tall else (axes, axes.T @ aligned)
+    return np.asarray(first), np.asarray(second)
+
+
+_WOODWORTH = _woodworth()
+
+
+@lru_cache(maxsize=8)
+def _over_sphere(head: HeadRelated) -> Any:
+    """Return the function of direction (m, 3) whose values are weights and times of arrival (m, R + 2)."""
+    from scipy.interpolate import RBFInterpolator
+
+    return RBFInterpolator(head.directions, head.parts[0], kernel="cubic")
+
+
+@lru_cache(maxsize=32)
+def _spectra(head: HeadRelated, frequencies: bytes) -> Complexes:
+    """Return the spectra (R, 2, F) of a head's components at frequencies given as bytes."""
+    components, f = head.parts[1], np.frombuffer(frequencies)
+    count = components.shape[2]
+    times = (np.arange(count) + count // 2) % count - count // 2  # the second half is before time 0
+    return np.asarray(components @ np.exp(-2j * np.pi / head.sampling_rate * np.outer(times, f)))
