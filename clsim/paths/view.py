@@ -9,9 +9,9 @@ import numpy as np
 
 from clsim.files.atomic import atomic_path
 from clsim.paths.family import DIFFRACTION
-from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedPaths, ViewedWall, page_text
+from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedFlaws, ViewedPaths, ViewedWall, page_text
 from clsim.scene.room.edges import Edges
-from clsim.scene.scene import frame_times, viewed_bodies, viewed_ends, viewed_walls
+from clsim.scene.scene import frame_times, viewed_bodies, viewed_ends, viewed_flaws, viewed_walls
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,6 +40,7 @@ class View:
     notes: tuple[str, ...]
     edges: Floats
     bodies: tuple[ViewedBody, ...]
+    flaws: ViewedFlaws
 
 
 class Viewable(Protocol):
@@ -76,7 +77,7 @@ def paths_page(paths: Viewable, *, title: str, **options: Any) -> str:
     view = viewed(paths, **options)
     return page_text(
         title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes,
-        edges=view.edges, bodies=view.bodies,
+        edges=view.edges, bodies=view.bodies, flaws=view.flaws,
     )  # fmt: skip
 
 
@@ -124,6 +125,7 @@ def viewed(
         notes,
         np.stack([edges.start, edges.stop], axis=1),
         tuple(replace(body, places=body.places[kept], axes=body.axes[kept]) for body in bodies),
+        viewed_flaws(scene.room),
     )
 
 

@@ -29,6 +29,7 @@ _ORDERS = ("#c1272d", "#3b0f70", "#2c728e", "#21a685", "#8bc34a", "#c0b000", "#e
 _BODIES = ("#5d4037", "#7b1fa2", "#00695c", "#283593")
 _HERE = Path(__file__).parent
 _EDGES = "#b8860b"
+_HEALED, _OPEN = "#7b1fa2", "#ff00aa"
 _AIM = 0.06  # length of a drawn aim, of the room's
 _SOURCE, _RECEIVER = "#c1272d", "#111111"
 
@@ -76,6 +77,14 @@ class ViewedBody:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ViewedFlaws:
+    """Flaws of a mesh: where it was healed (n, 3), and open edges (E, 2, 3), m."""
+
+    healed_at: Floats
+    open_edges: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ViewedPaths:
     """The paths of a frame: vertices (order + 2, 3), m, orders (P,), labels, between whom, and levels (P,), dB."""
 
@@ -101,6 +110,7 @@ def page_text(
     notes: Sequence[str] = (),
     edges: Floats | None = None,
     bodies: Sequence[ViewedBody] = (),
+    flaws: ViewedFlaws | None = None,
 ) -> str:
     """Return the text of one self-contained HTML page, the drawing library included.
 
@@ -109,7 +119,9 @@ def page_text(
     _check_times(times, ends, frames)
     for i, frame in enumerate(frames):
         _check_paths(f"frames[{i}]", frame)
-    text = json.dumps(_document(walls, ends, times, frames, edges, bodies), separators=(",", ":"), allow_nan=False)
+    text = json.dumps(
+        _document(walls, ends, times, frames, edges, bodies, flaws), separators=(",", ":"), allow_nan=False
+    )
     parts = {
         "title": html.escape(title),
         "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
@@ -161,6 +173,7 @@ def _document(
     frames: Sequence[ViewedPaths],
     edges: Floats | None,
     bodies: Sequence[ViewedBody],
+    flaws: ViewedFlaws | None,
 ) -> dict[str, Any]:
     """Return the data of the page: fixed traces, changing traces, and their values per frame."""
     last = max(int(np.max(f.order, initial=0)) for f in frames)
@@ -169,7 +182,7 @@ def _document(
     reach = _AIM * max((float(np.max(np.ptp(wall.triangles, axis=(0, 1)))) for wall in walls), default=1.0)
     return {
         "times": [float(f"{t:.9g}") for t in times],
-        "fixed": [*_wall_traces(walls), *_edge_traces(edges), *_trail_traces(ends)],
+        "fixed": [*_wall_traces(walls), *_edge_traces(edges), *_flaw_traces(flaws), *_trail_traces(ends)],
         "bodies": [_body(body, _BODIES[i % len(_BODIES)]) for i, body in enumerate(bodies)],
         "marks": _mark_trace(ends),
         "places": [[_rounded(end.positions[i]) for end in ends] for i in range(len(times))],
@@ -211,6 +224,24 @@ def _edge_traces(edges: Floats | None) -> list[dict[str, Any]]:
         return []
     points = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
     return [_lines(points, color=_EDGES, width=5.0, name="edges that diffract") | {"showlegend": True}]
+
+
+def _flaw_traces(flaws: ViewedFlaws | None) -> list[dict[str, Any]]:
+    """Return the places where a mesh was healed, and its open edges, each toggled by a legend entry."""
+    traces: list[dict[str, Any]] = []
+    if flaws is not None and len(flaws.healed_at):
+        x, y, z = (_rounded(column) for column in flaws.healed_at.T)
+        traces.append({
+            "type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, "name": "healed here", "showlegend": True,
+            "marker": {"size": 4, "color": _HEALED, "symbol": "x"},
+            "hovertemplate": "healed at %{x} %{y} %{z} m<extra></extra>",
+        })  # fmt: skip
+    if flaws is not None and len(flaws.open_edges):
+        gaps = np.full((len(flaws.open_edges), 1, 3), np.nan)
+        points = np.concatenate([flaws.open_edges, gaps], axis=1).reshape(-1, 3)
+        named = "open edges: energy escapes here"
+        traces.append(_lines(points, color=_OPEN, width=6.0, name=named) | {"showlegend": True})
+    return traces
 
 
 def _surface(walls: Sequence[ViewedWall], color: str) -> dict[str, Any]:

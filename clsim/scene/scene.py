@@ -13,7 +13,7 @@ from clsim.arrays import FARTHEST, as_count, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.pictures.notebook import html_table, inline_page
-from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedPaths, ViewedWall, page_text
+from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedFlaws, ViewedPaths, ViewedWall, page_text
 from clsim.scene.air import Air
 from clsim.scene.body import Body, with_carriers
 from clsim.scene.body_checks import check_bodies
@@ -48,7 +48,7 @@ def scene_page(room: Room, ends: Ends, bodies: Bodies, frames: int, title: str) 
     nothing = ViewedPaths.none()
     return page_text(
         title=title, walls=viewed_walls(room), ends=viewed_ends(ends, times), times=times,
-        frames=[nothing] * len(times), bodies=viewed_bodies(bodies, times),
+        frames=[nothing] * len(times), bodies=viewed_bodies(bodies, times), flaws=viewed_flaws(room),
     )  # fmt: skip
 
 
@@ -74,6 +74,13 @@ def viewed_walls(room: Room) -> list[ViewedWall]:
         mine = corners[mesh.walls.of_triangle == w]
         walls.append(ViewedWall(name, names[id(mesh.faces.materials[w])], mine, mesh.walls.edges_of(w)))
     return walls
+
+
+def viewed_flaws(room: Room) -> ViewedFlaws:
+    """Find where a mesh was healed, and its open edges, through which energy escapes."""
+    mesh = room.as_mesh()
+    healed_at = np.empty((0, 3)) if mesh.healed_at is None else mesh.healed_at
+    return ViewedFlaws(healed_at, mesh.shape.open_edges)
 
 
 def viewed_ends(ends: Ends, times: Floats) -> list[ViewedEnd]:

@@ -92,19 +92,21 @@ def _joined(vertices: Floats, triangles: Ints, tolerance: float) -> Healed:
     notes, where = [], [vertices[moved > 0.0]]
     if len(places) < len(vertices):
         count = len(vertices) - len(places)
-        notes.append(f"healed: {count} corners joined to others, moved by {1e3 * moved.max():.3g} mm at most")
+        joined = _at(places[np.unique(vertex[moved > 0.0])])
+        notes.append(f"healed: {count} corners joined to others, moved by {1e3 * moved.max():.3g} mm at most, {joined}")
     corners, origin = _without_flat(places, corners, origin)
-    cut: list[int] = []
+    cut: dict[int, float] = {}
     for _ in range(_MOST_ROUNDS):
         pieces = _cut_once(places, corners, origin, tolerance)
         if pieces is None:
             break
         corners, origin, at = pieces
-        cut += at
+        cut |= at
         corners, origin = _without_flat(places, corners, origin)
     if cut:
-        notes.append(f"healed: sides cut at {len(set(cut))} corners that were on them, {_at(places[sorted(set(cut))])}")
-        where.append(places[sorted(set(cut))])
+        off = f"within {1e3 * max(cut.values()):.3g} mm" if max(cut.values()) > WELD else "exactly"
+        notes.append(f"healed: sides cut at {len(cut)} corners that were on them {off}, {_at(places[sorted(cut)])}")
+        where.append(places[sorted(cut)])
     return Healed(places, corners, origin, tuple(notes), np.concatenate(where))
 
 
@@ -133,13 +135,19 @@ def _without_flat(places: Floats, corners: Ints, origin: Ints) -> tuple[Ints, In
     return corners[kept], origin[kept]
 
 
-def _cut_once(places: Floats, corners: Ints, origin: Ints, tolerance: float) -> tuple[Ints, Ints, list[int]] | None:
-    """Cut every triangle with a corner on an open side of it there, once; None where there is none."""
+def _cut_once(
+    places: Floats, corners: Ints, origin: Ints, tolerance: float
+) -> tuple[Ints, Ints, dict[int, float]] | None:
+    """Cut every triangle with a corner on an open side of it there, once; None where there is none.
+
+    result: triangles, their origin, and the corners with their distances off the sides, m.
+    """
     sides = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, _, which = unique_rows(np.sort(sides, axis=1))
     opened = np.flatnonzero((np.bincount(which) % 2 == 1)[which])
     candidates = np.unique(sides[opened])
     cuts: dict[int, tuple[int, int]] = {}  # triangle: which side, and the corner on it
+    apart: dict[int, float] = {}
     for side in opened.tolist():
         a, b = places[sides[side]]
         along, length = (b - a) / np.linalg.norm(b - a), float(np.linalg.norm(b - a))
@@ -149,7 +157,9 @@ def _cut_once(places: Floats, corners: Ints, origin: Ints, tolerance: float) -> 
         on = np.flatnonzero((off <= tolerance) & (at > tolerance) & (at < length - tolerance))
         on = on[~np.isin(candidates[on], corners[side // 3])]
         if len(on) and side // 3 not in cuts:
-            cuts[side // 3] = side % 3, int(candidates[on[np.argmin(at[on])]])
+            first = on[np.argmin(at[on])]
+            cuts[side // 3] = side % 3, int(candidates[first])
+            apart[int(candidates[first])] = max(float(off[first]), apart.get(int(candidates[first]), 0.0))
     if not cuts:
         return None
     made, owner = [], []
@@ -162,7 +172,7 @@ def _cut_once(places: Floats, corners: Ints, origin: Ints, tolerance: float) -> 
         else:
             made.append(triangle)
             owner.append(origin[t])
-    return np.array(made), np.array(owner), [corner for _, corner in cuts.values()]
+    return np.array(made), np.array(owner), apart
 
 
 def _at(places: Floats) -> str:

@@ -72,6 +72,8 @@ class MeshRoom:
         What was repaired before.
     scale : float, optional
         Length of the unit of the files that it is from, m; None without files, or where they differ.
+    healed_at : array_like (n, 3), optional
+        Where it was healed, m.
 
     Attributes
     ----------
@@ -105,6 +107,7 @@ class MeshRoom:
     labels: Sequence[str] | None = None
     notes: tuple[str, ...] = ()
     scale: float | None = None
+    healed_at: Floats | None = None
     walls: Walls = field(init=False)
     faces: Faces = field(init=False)
     shape: MeshShape = field(init=False)
@@ -125,7 +128,11 @@ class MeshRoom:
         walls = build_walls(clean.vertices, clean.triangles, np.array([kinds[id(m)] for m in kept]), flatness)
         first = np.unique(walls.of_triangle, return_index=True)[1]
         names = _wall_names([labels[clean.kept[i]] for i in first])
+        healed_at = np.empty((0, 3)) if self.healed_at is None else np.asarray(self.healed_at)
+        if healed_at.size:
+            healed_at = as_floats("healed_at", healed_at, (None, 3), within=FARTHEST, unit="m")
         values: dict[str, Any] = {
+            "healed_at": healed_at,
             "vertices": read_only(clean.vertices),
             "triangles": read_only(clean.triangles),
             "materials": tuple(kept),
@@ -190,7 +197,7 @@ class MeshRoom:
         healed = heal_mesh(mesh.vertices, mesh.triangles, heal)
         return MeshRoom(
             healed.vertices, healed.triangles, [of_group[names[i]] for i in healed.origin], flatness,
-            [labels[i] for i in healed.origin], (*mesh.notes, *healed.notes), float(scale),
+            [labels[i] for i in healed.origin], (*mesh.notes, *healed.notes), float(scale), healed.places,
         )  # fmt: skip
 
     @staticmethod
@@ -261,6 +268,7 @@ class MeshRoom:
         return MeshRoom(
             np.concatenate([healed.vertices, points]), np.concatenate([healed.triangles, more + count]),
             [given[i] for i in origin], flatness, [names[i] for i in origin], (*notes, *healed.notes),
+            healed_at=healed.places,
         )  # fmt: skip
 
     @staticmethod
@@ -350,6 +358,7 @@ class MeshRoom:
             [label for mesh in meshes for label in mesh.labels or ()],
             tuple(note for mesh in meshes for note in mesh.notes),
             scales.pop() if len(scales) == 1 else None,
+            np.concatenate([mesh.healed_at for mesh in meshes if mesh.healed_at is not None]),
         )
 
     def with_sheets(self, thinner_than: float) -> MeshRoom:
@@ -384,7 +393,7 @@ class MeshRoom:
         vertices, triangles, origin, notes = thin_panels(self.vertices, self.triangles, labels, thickness)
         return MeshRoom(
             vertices, triangles, [materials[i] for i in origin], self.flatness, [labels[i] for i in origin],
-            (*self.notes, *notes), self.scale,
+            (*self.notes, *notes), self.scale, self.healed_at,
         )  # fmt: skip
 
     def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:

@@ -10,7 +10,9 @@ import pytest
 from exhaustive import few
 
 import clsim
+from clsim.pictures.view_page import ViewedFlaws, ViewedPaths, page_text
 from clsim.scene.room.healing import heal_mesh
+from clsim.scene.scene import viewed_flaws
 
 WALL = clsim.Material.from_reflection(0.9)
 # Where the published files of measured rooms are.
@@ -164,6 +166,33 @@ def test_sheets_hang_in_a_closed_room() -> None:
 def test_polygons_with_something_wrong(polygons: Any, more: dict[str, Any], problem: str) -> None:
     with pytest.raises(clsim.InputError, match=problem):
         clsim.MeshRoom.from_polygons([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], polygons, WALL, **more)
+
+
+def test_the_report_tells_where_and_by_how_much() -> None:
+    """A gallery's corner 4 mm off a wall's side, and two corners 2 mm apart: notes and places, also in the viewer."""
+    corners = [
+        *[(x, y, z) for z in (0.0, 3.0) for y in (0.0, 4.0) for x in (0.0, 5.0)],
+        (2.0, 0.004, 0.0),
+        (5.0, 4.0, 3.002),
+    ]
+    sides = [(0, 1, 3, 2), (4, 5, 9, 6), (0, 8, 5, 4), (8, 1, 5), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    room = clsim.MeshRoom.from_polygons(corners, sides, WALL, heal=0.005, flatness=0.01)
+    assert room.is_closed
+    text = " ".join(room.notes)
+    assert "healed: 1 corners joined to others, moved by 2 mm at most, at (5.000, 4.000, 3.000) m" in text
+    assert "healed: sides cut at 1 corners that were on them within 4 mm, at (2.000, 0.004, 0.000) m" in text
+    assert room.healed_at is not None
+    assert np.linalg.norm(room.healed_at - (2.0, 0.004, 0.0), axis=1).min() == 0.0
+    flaws = viewed_flaws(room)
+    assert len(flaws.healed_at) == 2
+    assert not len(flaws.open_edges)
+    door = clsim.MeshRoom.from_polygons(corners[:8], [(0, 1, 3, 2), *sides[4:6], (1, 3, 7, 5), (0, 1, 5, 4)], WALL)
+    assert len(viewed_flaws(door).open_edges) == 4
+    none = ViewedPaths.none()
+    page = page_text(title="t", walls=[], ends=[], times=np.zeros(1), frames=[none], flaws=ViewedFlaws(flaws.healed_at, door.shape.open_edges))  # fmt: skip
+    assert "healed here" in page
+    assert "energy escapes here" in page
+    assert clsim.MeshRoom.joined([room, door]).healed_at is not None
 
 
 AC = """AC3Db
