@@ -16,6 +16,7 @@ import numpy as np
 
 import clsim
 from clsim.render.methods.costs import FILE, measured_costs
+from clsim.render.methods.sampled_channel import work_of
 from clsim.render.render import record
 
 RATE, SECONDS = 192e3, 1.0
@@ -89,7 +90,58 @@ def measured() -> dict[str, float]:
         "upsampled": 1e9 * seconds(lambda: part.upsampler(received, 0)) / samples,
         "split": 1e9 * seconds(lambda: split.sounding(0, samples)) / samples,
         "planned": 1e9 * max(planned[1] - planned[0], 0.0),
+        **of_dense_scenes(),
     }
+
+
+def dense(order: int, rate: float, speed: float, *, by_frequency: bool) -> clsim.PathSet:
+    """Return the paths of a wide band to four receivers, in a box of 6 x 5 x 3 m."""
+    table = clsim.Material.from_absorption([125, 500, 2e3, 8e3], [0.1, 0.15, 0.2, 0.3])
+    seconds = 32e3 / rate
+    way = clsim.Trajectory.circle((2.5, 2.5, 1.4), 1.0, 2.0 * np.pi / speed, seconds)
+    source = clsim.Source("s", clsim.Signal.noise(seconds, rate, 1, (0.01 * rate, 0.4 * rate)), way)
+    walls = table if by_frequency else clsim.Material.from_reflection(0.9)
+    ears = clsim.receiver_array("r", [(4.9, 0.8 + 0.1 * i, 1.2) for i in range(4)])
+    return clsim.find_paths(clsim.Scene(clsim.Shoebox((6.0, 5.0, 3.0), walls), clsim.Air(), [source], ears), order)
+
+
+def of_dense_scenes() -> dict[str, float]:
+    """Return figures of the sum over paths by its filters, and of sampled channels, fitted to some scenes, ns."""
+    sums, channels = [], []
+    for order, rate, speed, by_frequency, responses in [
+        (6, 16e3, 1.0, False, "centre"), (12, 16e3, 1.0, False, "centre"), (4, 16e3, 1.0, True, "band"),
+        (12, 16e3, 1.0, True, "band"), (10, 16e3, 0.25, True, "band"), (6, 192e3, 1.0, False, "band"),
+        (12, 192e3, 0.5, False, "centre"),
+    ]:  # fmt: skip
+        paths, options = (
+            dense(order, rate, speed, by_frequency=by_frequency),
+            {"responses": responses, "duration": 32e3 / rate},
+        )
+        plan = clsim.plan_render(paths, rate, channels=True, **options)
+        plain = clsim.plan_render(paths, rate, channels=False, narrowband=False, **options)
+        filters = plan.source_filters[0]
+        (part,) = plan.allocation.channels
+        channels.append((seconds(lambda plan=plan: record(plan)), *work_of(part, filters, plan.duration)))
+        path_samples = plain.path_count * plain.samples
+        sums.append(
+            (
+                seconds(lambda plain=plain: record(plain)),
+                path_samples * int(filters.rows[-1]),
+                path_samples * len(filters.basis),
+            )
+        )
+    return dict(zip(("branch", "function"), fitted(sums), strict=True)) | dict(
+        zip(("channel_path", "channel_function", "channel_point", "channel_nodes"), fitted(channels), strict=True)
+    )
+
+
+def fitted(rows: list[tuple[float, ...]]) -> list[float]:
+    """Return the costs, ns, that explain times, s, by counts and a cost of each call: least relative error, none below 0."""
+    from scipy.optimize import nnls
+
+    table = np.array(rows)
+    counts = np.column_stack([table[:, 1:], np.ones(len(table))])
+    return (1e9 * nnls(counts / table[:, :1], np.ones(len(table)))[0][:-1]).tolist()
 
 
 def processor() -> str:

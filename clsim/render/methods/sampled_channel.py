@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from clsim.render.source_filters import Emission, SourceFilters
     from clsim.tracks.tracks import SceneTracks, Tracks
 
-_SPARE, _MARGINS = 1.03, (12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order
+_SPARE, _MARGINS = 1.03, (6.0, 12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order
 _BEYOND = 1.0  # s beyond delays and blocks, for which motions go on at either end: as long as nodes weigh at most
 _LEAST_SPACING = 16  # samples between nodes, below which the sum over paths is as cheap
 _LOOKED_AT = (4, 8, 24)  # pairs, paths of each, and instants at which the error over time is measured
@@ -104,14 +104,31 @@ def _pays(emission: Emission, filters: SourceFilters, pairs: list[int], spacing:
     """Test whether the processor time of sampled channels is below that of the sum over paths, or is requested."""
     if emission.options.channels:
         return True
-    tracks, rate, known = emission.tracks, emission.signal.sampling_rate, measured_costs()
-    paths, functions = sum(len(tracks.pairs[pair]) for pair in pairs), len(filters.basis)
-    samples = min(emission.signal.duration + 2.0 * NODES * spacing / rate, emission.until) * rate
-    grid = ChannelFilters.of(filters).grid(0.0, tracks.longest_delay(0.0, emission.until, emission.source), spacing)
-    nodes = emission.until * rate / spacing + 2 * NODES
-    transforms = grid.size * ((1.25 * functions + 1.0) * len(pairs) + 1.0) * known.channel_point
-    a_node = paths * (known.channel_path + known.channel_function * functions) + transforms
-    return nodes * a_node + known.channel_nodes * paths * samples < cost_of_filters(filters) * paths * samples
+    tracks, known = emission.tracks, measured_costs()
+    paths = sum(len(tracks.pairs[pair]) for pair in pairs)
+    longest = tracks.longest_delay(0.0, emission.until, emission.source)
+    work = _work(filters, (paths, len(pairs)), spacing, longest, emission.until)
+    costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
+    samples = min(emission.signal.duration + longest, emission.until) * emission.signal.sampling_rate
+    return sum(a * b for a, b in zip(work, costs, strict=True)) < cost_of_filters(filters) * paths * samples
+
+
+def work_of(part: ChannelPart, filters: SourceFilters, until: float) -> tuple[float, ...]:
+    """Return what a part costs until the end of a run, s, as counts: see `_work`."""
+    tracks = part.plan.tracks
+    counts = sum(len(tracks.pairs[pair]) for pair in part.pairs), len(part.pairs)
+    return _work(filters, counts, part.spacing, tracks.longest_delay(0.0, until, part.source), until)
+
+
+def _work(
+    filters: SourceFilters, counts: tuple[int, int], spacing: int, longest: float, until: float
+) -> tuple[float, ...]:
+    """Return counts of paths at nodes, these by functions, points of transforms, and paths in samples."""
+    (paths, pairs), functions = counts, len(filters.basis)
+    rate = filters.signal.sampling_rate
+    nodes = until * rate / spacing + 2 * NODES
+    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * ((1.25 * functions + 1.0) * pairs + 1.0)
+    return nodes * paths, nodes * paths * functions, nodes * points, paths * (until * rate + 2 * NODES * spacing)
 
 
 def _obstacle(emission: Emission, pairs: list[int], shift: float, margin: float) -> str:

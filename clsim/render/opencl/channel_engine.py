@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
 _AT_ONCE = 8 * 2**20  # bytes of grids that are made at a time: what is transformed at once should stay in cache
+_ROWS = 4  # of float32 that SciPy transforms side by side; those that are left over take three times as long each
 _MARGIN = 64  # samples beside the bounds of delays
 _NEVER = -(2**62)
 
@@ -47,24 +48,24 @@ class ChannelEngine(OpenclEngine):
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add all pairs of the plan from sample `start` on to the pressure (receivers, n), Pa."""
-        segment = self._plan.segment
+        block = self._plan.blocks[0]
         nodes = nodes_of(start, start + pressure.shape[1], self._spacing)
-        first, last = nodes[0] * self._spacing // segment, nodes[-1] * self._spacing // segment + 1
+        first, last = ((node * self._spacing // block + i) * block for i, node in enumerate((nodes[0], nodes[-1])))
         for source, filters in enumerate(self._filters):
-            active = self.branch_signals.active(source, first * segment, (last - first) * segment)
+            active = self.branch_signals.active(source, first, last - first)
             if active:
                 grid = self._grid(filters, active)
                 frames = ChannelFrames(filters, grid, pressure, start)
-                self._add_source(source, active, frames, first * segment, last - first)
+                self._add_source(source, active, frames, first, last - first)
         for unheld in self.unheld:
-            unheld.settle(first)
+            unheld.settle(first // self._plan.segment)
 
     def _grid(self, filters: ChannelFilters, active: list[ActivePaths]) -> ChannelGrid:
         low, high = min(pair.low.min() for pair in active), max(pair.high.max() for pair in active)
         return filters.grid(float(low), float(high), self._spacing)
 
     def _add_source(
-        self, source: int, active: list[ActivePaths], frames: ChannelFrames, start: int, segments: int
+        self, source: int, active: list[ActivePaths], frames: ChannelFrames, start: int, length: int
     ) -> None:
         plan, rate, begin = self._plan, self._plan.sampling_rate, self._plan.source_filters[source].start
         least = round((min(float(pair.low.min()) for pair in active) + begin) * rate)
@@ -73,7 +74,7 @@ class ChannelEngine(OpenclEngine):
         heard = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
         for some in self._batches(heard, source, plan.blocks[0]):
             batch = fill_batch(plan, some, BATCH, apart=_APART)
-            task = ChannelTask(source, batch, branches, None, segments * plan.segment, start, 0, segments, frames)
+            task = ChannelTask(source, batch, branches, None, length, start, 0, -(-length // plan.segment), frames)
             _ChannelRun(self, task).render()
 
 
@@ -88,7 +89,8 @@ class _ChannelRun(Run):
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.sounding(range(-(-first // spacing), -(-last // spacing)))
         size = 4 * len(rows) * self._functions * frames.grid.points
-        step = max(1, _AT_ONCE // size)
+        unit = thread_count() * (_ROWS // math.gcd(_ROWS, len(rows)))
+        step = unit * max(1, _AT_ONCE // (unit * size))
         for some in (wanted[i : i + step] for i in range(0, len(wanted), step)):
             at = np.array(some) * spacing - first
             place = 2.0 * (at % block) / block - 1.0
