@@ -114,7 +114,7 @@ def _pays(emission: Emission, filters: SourceFilters, pairs: list[int], spacing:
 
 
 def work_of(part: ChannelPart, filters: SourceFilters, until: float) -> tuple[float, ...]:
-    """Return what a part costs until the end of a run, s, as counts: see `_work`."""
+    """Return the counts of `_work` of a part, until the end of a run, s."""
     tracks = part.plan.tracks
     counts = sum(len(tracks.pairs[pair]) for pair in part.pairs), len(part.pairs)
     return _work(filters, counts, part.spacing, tracks.longest_delay(0.0, until, part.source), until)
