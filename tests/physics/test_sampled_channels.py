@@ -264,10 +264,10 @@ def test_a_plan_for_another_device_takes_its_channels_along() -> None:
 
 
 def test_many_paths_take_several_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Receivers apart, and a receiver's paths in parts, whose responses are added up as sound."""
+    """Receivers apart, and a receiver's paths in parts, whose responses are added up as sound; blocks are chosen for each."""
     plan = planned(scene(0.3), order=4)
     whole = sound(plan)
     monkeypatch.setattr(limits, "NODE_BUDGET", 2**17)
-    assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -120.0
+    assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -105.0
     monkeypatch.setattr(limits.Limits, "paths_in_launch", 64)
-    assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -120.0
+    assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -105.0
