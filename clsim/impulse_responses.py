@@ -14,10 +14,9 @@ from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.impulse_response import ResponseBand, frozen_responses, summed
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import check_band_coverage
-from clsim.tail.design import ULTRASOUND, searched_order
+from clsim.tail.design import ULTRASOUND, NoTailError, searched_order
 from clsim.tail.diffuse_field import DiffuseField
 from clsim.tail.frozen import frozen_tails
-from clsim.tail.room_rays import why_no_rays
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -226,12 +225,12 @@ def _add_tails(
     found: dict[tuple[int, int], ImpulseResponse],
 ) -> tuple[str, ...]:  # fmt: skip
     """Add every source's tail to the pairs' responses at a time, s; return a line of description each."""
-    reason = why_no_rays(paths.scene.room)
-    if reason:
-        return (f"no tail: {reason}",)
     notes = []
     for source in sorted({source for source, _ in found}):
-        tails, what = frozen_tails(paths, source, time, rate, band, seed)
+        try:
+            tails, what = frozen_tails(paths, source, time, rate, band, seed)
+        except NoTailError as refused:
+            return (f"no {refused}",)
         for receiver, one in enumerate(tails):
             before = [found[source, receiver]] if (source, receiver) in found else []
             found[source, receiver] = summed([*before, one])

@@ -165,3 +165,32 @@ SCATTER = {
     "first": INT, "shift": FLOAT, "points": INT,
     "grids": made("float", "nodes, receivers, functions, points"),
 }  # fmt: skip
+RAY_NUMBERS = structure(
+    "ray_numbers", **dict.fromkeys(("radius", "off", "scale", "escape_scale", "rain", "floor_share"), FLOAT),
+    bins_per_metre=FLOAT, windows_per_metre=FLOAT, origin=Argument("float", "3"),
+    **dict.fromkeys(("count", "first_ray", "groups", "bands", "zone_count", "bins", "early_bins"), INT),
+    **dict.fromkeys(("window_count", "arrival_count", "departure_count", "walls", "max_order"), INT),
+    stream=Argument("uint"), key=Argument("uint", "2"),
+)  # fmt: skip
+_OF_RAYS = {
+    "run": RAY_NUMBERS, "directions": taken("float", "count, 3"), "emitted": taken("float", "count, bands"),
+    "departure": taken("int", "count"), "first_band": taken("int", "groups + 1"), "until": taken("float", "groups"),
+    "wavelength": taken("float", "groups"), "plane": taken("float4", "walls"), "along": taken("float4", "walls"),
+    "across": taken("float4", "walls"), "kind": taken("int", "walls"),
+    "returned": taken("float", "kinds, ANGLES, bands"), "scattered": taken("float", "kinds, ANGLES, groups"),
+    "boxes": taken("float8", "nodes, 6"), "children": taken("int8", "nodes"), "leaves": taken("float8", "leaves, 13"),
+    "wall_of": taken("int8", "leaves"), "zones": taken("float4", "zone_count"), "late_row": taken("int", "zone_count"),
+    "arrivals": taken("float4", "arrival_count"),
+    "early": changed("uint2", "zone_count, early_bins, arrival_count, bands"),
+    "late": changed("uint2", "rows, bins - early_bins, arrival_count, bands"),
+    "images": changed("uint2", "zone_count, bins, bands"),
+    "windows": changed("uint2", "SLOTS, zone_count, window_count, bands"),
+    "departures": changed("uint2", "zone_count, departure_count"), "escaped": changed("uint2", "walls + 1, bands"),
+    "ends": made("float4", "groups, count, 2"),
+}  # fmt: skip
+RAYS = (  # files, arguments and constants of their program
+    ("rays/philox.h", "rays/next_wall.h", "rays/energies.h", "rays/scatter.h", "rays/rays.cl"), _OF_RAYS,
+    frozenset(
+        {"CONVEX", "SIZED", "BANDS", "SLOTS", "ANGLES", "MOST_REFLECTIONS", "FAINT", "NOT_ESCAPED", "PI", "FARTHEST"}
+    ),
+)  # fmt: skip

@@ -31,6 +31,7 @@ from clsim.opencl.arguments import (
     NODES_MADE,
     PATHS_ACTIVE,
     PRESSURE,
+    RAYS,
     SCATTER,
     TABLES,
     VIEWS,
@@ -104,10 +105,7 @@ PROGRAMS = {
     "emit": Program(
         ("render/emit.cl",),
         {
-            "count": INT,
-            "places": taken("int", "count"),
-            "values": taken("float", "rows, count"),
-            "clear": INT,
+            "count": INT, "places": taken("int", "count"), "values": taken("float", "rows, count"), "clear": INT,
             "stride": Argument("long"),
             "emitted": made("float", "rows, stride"),
         },
@@ -202,6 +200,7 @@ PROGRAMS = {
         EDGE_INTERVALS | INTERVALS,
         frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {"CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE"}),
     ),
+    "rays": Program(*RAYS),
     "fades": Program(
         (*_POLYNOMIALS, "render/phases.h", "render/transition.h", "render/fades.cl"),
         {

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     WorkItems = tuple[tuple[int, ...], tuple[int, ...]]  # in all, and in a group
 
 NUMBERS: dict[str, type[np.generic]] = {
-    "int": np.int32, "long": np.int64, "ulong": np.uint64, "float": np.float32, "double": np.float64,
+    "int": np.int32, "uint": np.uint32, "long": np.int64, "ulong": np.uint64, "float": np.float32, "double": np.float64,
 }  # fmt: skip
 
 

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
+from clsim.tail.design import ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
 from clsim.tail.diffuse_field import DiffuseField
-from clsim.tail.room_rays import why_no_rays
 from clsim.tail.zones import Zones
 
 if TYPE_CHECKING:
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.render.options import RenderOptions
 
-_FEW = 256  # rays at a time, for a figure in passing
 _MUCH_DB = -20.0  # of the reverberation, above which a note tells of it
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
@@ -48,7 +46,9 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
     told: list[str] = []
     until = max(source.end for source in scene.sources) if options.duration is None else options.duration
     receivers = Zones.along(scene.receivers, scene.room, np.inf if options.duration is None else until, beams=False)
-    asked = TailOptions(searched_order(paths), options.tail_directions, options.tail_error_db, options.tail_seed)
+    asked = TailOptions(
+        searched_order(paths), options.tail_directions, options.tail_error_db, options.tail_seed, device=options.device
+    )
     for i, source in enumerate(scene.sources):
         low, high = source.emitted.band()
         if low >= ULTRASOUND:
@@ -82,16 +82,17 @@ def _without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
 def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
     """Return the energy that images leave at 0 s, relative to all, of the source where it is most, dB, by a few rays.
 
-    None in open rooms, or where a package is missing that traces rays in a mesh.
+    None in rooms from which most of the energy escapes.
     """
     scene, most = paths.scene, -np.inf
-    if why_no_rays(scene.room):
-        return None
     receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
-    asked = TailOptions(searched_order(paths), directions=1, error_db=np.inf, rays=_FEW)
+    asked = TailOptions(searched_order(paths), directions=1, error_db=np.inf)
     for i, source in enumerate(scene.sources):
         low, high = source.emitted.band()
         own = Zones.frozen([source], scene.room, 0.0, beams=True)
-        found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), asked)
+        try:
+            found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), asked)
+        except NoTailError:
+            return None
         most = max(most, found.left_db)
     return float(most)

@@ -9,13 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.errors import InputError
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
+from clsim.tail.device_rays import ray_engine
+from clsim.tail.host_rays import FLOOR
 from clsim.tail.modes import modal_shares
-from clsim.tail.rays import FLOOR, Listener, Tracer, volume_within
-from clsim.tail.room_rays import WallEnergies, room_rays
+from clsim.tail.ray_room import ray_room
+from clsim.tail.rays import STEP, Spheres, Tracer, volume_within
+from clsim.tail.room_rays import WallEnergies
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,26 +29,40 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
     from clsim.scene.scene import Scene
+    from clsim.tail.rays import Emitted, Heard
     from clsim.tail.zones import Zones
 
+SCATTERINGS = ("material", "size")
+MOST_ESCAPED = 0.5  # share of energy that may leave a room with a tail
+LITTLE_ESCAPED = 1e-3  # share of which nothing is said
 ULTRASOUND = 40e3  # Hz, from which on images hold what is heard
 DEPARTURES = 32  # directions of departure that are told apart
-_STEP = 1e-3  # s, bins of time
-_MOST_RAYS = 131_072  # from one place
-_LEAST_RUNS = 4
-_WINDOW = 0.02  # s, in which energies are compared between runs
-_DEPTH = 1e-4  # of the loudest window's energy, down to which they are
 
 
 @dataclass(frozen=True, eq=False)
 class TailEnergy:
-    """Energy of a tail from one zone to another."""
+    """Energy of a tail from one zone to another, by time, direction of arrival and band.
 
-    # (T, M, B) by bin of time, direction of arrival and band: of the received over that of what was emitted, Pa² s /
-    # (Pa² s).
-    energy: NDArray[np.float32]
+    Energies are those of the received over those of what was emitted, Pa² s / (Pa² s).
+    """
+
+    early: NDArray[np.float32]  # (T0, M, B) of the zone itself
+    late: NDArray[np.float32]  # (T1, M, B) after that; zones in which it is alike share it
     departed: Floats  # (Q,) shares of it by direction of departure
     images: Floats  # (T, B) what images hold beside it, likewise
+
+    def __len__(self) -> int:
+        return len(self.early) + len(self.late)
+
+    @property
+    def energy(self) -> NDArray[np.float32]:
+        """All of it (T, M, B), made at every call."""
+        return np.concatenate([self.early, self.late])
+
+    @property
+    def by_band(self) -> Floats:
+        """Sums (B,)."""
+        return np.asarray(sum(part.sum(axis=(0, 1), dtype=np.float64) for part in (self.early, self.late)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,18 +79,19 @@ class SourceTail:
     rays: int  # that were traced for each zone of the source, at most
     error_db: float  # standard error of energies in windows of 20 ms, dB
     seed: int  # of rays and noise
+    escapes: str = ""  # how much energy leaves the room, and where; empty where next to nothing does
 
     @property
     def duration(self) -> float:
         """Time after which the tail is negligible, s."""
-        return max(len(pair.energy) for pair in self.pairs.values()) * self.time_step
+        return max(map(len, self.pairs.values())) * self.time_step
 
     @property
     def left_db(self) -> float:
         """Energy of the tail over that of tail and images together, in the band where it is most, dB; -inf for none."""
         shares = []
         for pair in self.pairs.values():
-            tail, images = pair.energy.sum(axis=(0, 1), dtype=np.float64), pair.images.sum(axis=0)
+            tail, images = pair.by_band, pair.images.sum(axis=0)
             shares.append(float((tail / np.maximum(tail + images, 1e-300)).max()))
         return 10.0 * math.log10(max(shares)) if max(shares) > 0.0 else -math.inf
 
@@ -81,7 +100,14 @@ class SourceTail:
         found = hashlib.sha256(repr((self.time_step, self.seed, sorted(self.pairs))).encode())
         for key in sorted(self.pairs):
             pair = self.pairs[key]
-            for part in (pair.energy, pair.departed, self.centres, self.zones.poses, self.receiver_zones.poses):
+            for part in (
+                pair.early,
+                pair.late,
+                pair.departed,
+                self.centres,
+                self.zones.poses,
+                self.receiver_zones.poses,
+            ):
                 found.update(np.ascontiguousarray(part).tobytes())
         return found.hexdigest()
 
@@ -91,6 +117,7 @@ class SourceTail:
             f"{self.duration:.3g} s in {len(self.centres)} bands from {self.centres[0]:.4g} to {self.centres[-1]:.4g} "
             f"Hz, {len(self.arrivals)} directions, {len(self.zones)} x {len(self.receiver_zones)} zones; "
             f"{self.rays} rays, energies in 20 ms within {self.error_db:.2f} dB"
+            + (f"; {self.escapes}" if self.escapes else "")
         )
 
 
@@ -102,7 +129,12 @@ class TailOptions:
     directions: int = 64  # from which it arrives
     error_db: float = 0.25  # standard error of its energies that is asked for, dB
     seed: int = 0  # of rays and noise
-    rays: int = 2048  # that are traced at a time, four times at least
+    scattering: str = SCATTERINGS[0]
+    device: str | None = None  # on which rays are traced
+
+
+class NoTailError(InputError):
+    """A room has no tail, for most of the energy escapes from it."""
 
 
 def find_tail(
@@ -115,33 +147,49 @@ def find_tail(
 ) -> SourceTail:
     """Return the tail of a source by rays; band (low, high) Hz."""
     of_source, of_receivers = zones
-    centres = band_centres(*band)
-    c, walls = scene.air.speed_of_sound, room_rays(scene.room)
-    energies, departures = WallEnergies.of(scene, centres), fibonacci_sphere(DEPARTURES)
-    arrivals = fibonacci_sphere(options.directions)
-    volumes = [volume_within(scene.room, centre, of_receivers.radius) for centre in of_receivers.centres]
+    centres: Floats = band_centres(*band)
+    c = scene.air.speed_of_sound
+    energies = WallEnergies.of(scene, centres)
+    sized = options.scattering == "size" and not scene.room.is_convex
+    room: Any = scene.room
+    tracer = Tracer(
+        ray_room(room), energies, ray_engine(options.device), c, options.max_order, (options.seed, source),
+        c / centres if sized else None,
+    )  # fmt: skip
+    arrivals, departures = fibonacci_sphere(options.directions), fibonacci_sphere(DEPARTURES)
+    radius = of_receivers.radius
+    volumes = np.array([volume_within(scene.room, centre, radius) for centre in of_receivers.centres])
+    spheres = Spheres(of_receivers.centres, volumes, radius, arrivals, departures)
     pairs: dict[tuple[int, int], TailEnergy] = {}
-    most_rays, error_db = 0, 0.0
+    rays, error_db, escapes = 0, 0.0, ""
     for i, place in enumerate(of_source.centres):
         emitted = _emitted(scene, source, of_source.turns[i], centres)
-        tracer = Tracer(walls, scene.room.faces.normals, energies, place, emitted, departures, options.max_order)
-        rng = np.random.default_rng([options.seed, source, i])
-        until = tracer.longest_way(c, rng)
-        shape = math.ceil(until / (_STEP * c)), len(centres)
-        listeners = [
-            Listener(centre, of_receivers.radius, volume, arrivals, departures, _STEP * c, shape)
-            for centre, volume in zip(of_receivers.centres, volumes, strict=True)
-        ]
-        runs, error = _converged(tracer, until, listeners, rng, options)
-        most_rays, error_db = max(most_rays, runs * options.rays), max(error_db, error)
-        times = _STEP * (np.arange(shape[0], dtype=np.float64) + 0.5)
-        modal = modal_shares(scene.room, energies, centres, times, c)
-        pairs |= {(i, j): _settled(listener, runs, modal) for j, listener in enumerate(listeners)}
+        escapes = escapes or _checked_escapes(scene, tracer, place, emitted)
+        first = 0
+        for heard in tracer.heard(place, emitted, spheres, i, options.error_db):
+            rays, error_db = max(rays, heard.rays), max(error_db, heard.error_db)
+            for pair in _settled(heard, scene, energies, centres):
+                pairs[i, first] = pair
+                first += 1
         if progress is not None:
             progress((i + 1) / len(of_source))
     return SourceTail(
-        centres, _STEP, of_source, of_receivers, pairs, arrivals, departures, most_rays, error_db, options.seed
+        centres, STEP, of_source, of_receivers, pairs, arrivals, departures, rays, error_db, options.seed, escapes
     )
+
+
+def _checked_escapes(scene: Scene, tracer: Tracer, place: Floats, emitted: Emitted) -> str:
+    """Describe the energy that escapes from a room that is not closed; refuse a room from which most does."""
+    if scene.room.is_closed:
+        return ""
+    escaped = tracer.escaped(place, emitted)
+    told = escaped.describe(scene.room.faces.names)
+    if escaped.share > MOST_ESCAPED:
+        raise NoTailError(
+            "tail", f"must be 'off' in a room from which more than {100.0 * MOST_ESCAPED:.0f} % of the energy escapes, "
+            f"but {told}; the mesh is not watertight (`clsim check` tells where)"
+        )  # fmt: skip
+    return told if escaped.share > LITTLE_ESCAPED else ""
 
 
 def searched_order(paths: PathSet) -> int:
@@ -166,51 +214,32 @@ def _emitted(scene: Scene, source: int, turn: Floats, centres: Floats) -> Callab
     return emitted
 
 
-def _converged(
-    tracer: Tracer, until: float, listeners: list[Listener], rng: np.random.Generator, options: TailOptions
-) -> tuple[int, float]:
-    """Trace until energies are known within an error, dB, or rays are very many; return runs and the error reached."""
-    windows: list[Floats] = []
-    before = np.zeros(1)
-    runs, error = 0, math.inf
-    while runs < _LEAST_RUNS or (error > options.error_db and runs * options.rays < _MOST_RAYS):
-        for _ in range(max(_LEAST_RUNS, runs // 2)):
-            tracer.run(options.rays, until, listeners, rng)
-            now = np.stack([_windowed(listener.tail.sum(axis=1)) for listener in listeners])
-            windows.append(now - before)
-            before = now
-            runs += 1
-        error = _error_db(np.array(windows))
-    return runs, error
-
-
-def _windowed(energy: Floats) -> Floats:
-    """Return energies (T, B) summed in windows of 20 ms."""
-    length = round(_WINDOW / _STEP)
-    padded = np.pad(energy, ((0, -len(energy) % length), (0, 0)))
-    return np.asarray(padded.reshape(-1, length, energy.shape[1]).sum(axis=1))
-
-
-def _error_db(runs: Floats) -> float:
-    """Return the standard error of the mean of runs (R, zones, windows, B), in the mean over what is loud, dB."""
-    mean, spread = runs.mean(axis=0), runs.std(axis=0, ddof=1) / math.sqrt(len(runs))
-    loud = mean > _DEPTH * mean.max(axis=1, initial=0.0, keepdims=True)
-    if not loud.any():
-        return 0.0
-    relative = np.sqrt(np.mean(np.square(spread[loud] / mean[loud])))
-    return float(10.0 / math.log(10.0) * relative)
-
-
-def _settled(listener: Listener, runs: int, modal: Floats) -> TailEnergy:
-    """Mean of runs, as modes (T, B) decay, smoothed and cut at its audible end."""
-    tail, images = listener.tail * modal[:, None] / runs, listener.images / runs
-    total = tail.sum(axis=(0, 1)) + images.sum(axis=0)
-    left = np.cumsum(tail.sum(axis=1)[::-1], axis=0)[::-1]
-    loud = np.flatnonzero((left > FLOOR * total).any(axis=1))
-    last = int(loud[-1]) + 1 if len(loud) else 1
-    departed = listener.departed.sum(axis=1)
-    departed = departed / departed.sum() if departed.any() else np.full(len(departed), 1.0 / len(departed))
-    return TailEnergy(smoothed(tail[:last]).astype(np.float32), departed, images)
+def _settled(heard: Heard, scene: Scene, energies: WallEnergies, centres: Floats) -> list[TailEnergy]:
+    """Return energies of all zones in air, as modes decay, smoothed and cut at their audible end."""
+    c, early = scene.air.speed_of_sound, heard.early.shape[1]
+    times = STEP * (np.arange(heard.images.shape[1], dtype=np.float64) + 0.5)
+    air = np.exp(-np.multiply.outer(c * times - 1.0, energies.air))
+    factor = (air * modal_shares(scene.room, energies, centres, times, c)).astype(np.float32)[:, None]
+    own, images = heard.early * factor[:early], heard.images * air
+    lates, lasts = [], []
+    for row, late in enumerate(heard.late):
+        mine = heard.row == row
+        whole = np.concatenate([own[mine].mean(axis=0), late * factor[early:]])
+        by_band = whole.sum(axis=1, dtype=np.float64)
+        left = np.cumsum(by_band[::-1], axis=0)[::-1]
+        total = left[:1] + images[mine].mean(axis=0).sum(axis=0)
+        loud = np.flatnonzero((left > FLOOR * total).any(axis=1))
+        lasts.append(int(loud[-1]) + 1 if len(loud) else 1)
+        lates.append(smoothed(whole[: lasts[-1]])[early:])
+    found = []
+    for zone, row in enumerate(heard.row):
+        # Windows of smoothing about the last early bin reach into the late part.
+        beyond = math.ceil(_OF_DIRECTIONS * early) + _LEAST + 1
+        raw = np.concatenate([own[zone], heard.late[row][:beyond] * factor[early : early + beyond]])[: lasts[row]]
+        departed = heard.departed[zone]
+        shares = departed / departed.sum() if departed.any() else np.full(len(departed), 1.0 / len(departed))
+        found.append(TailEnergy(smoothed(raw)[:early], lates[row], shares, images[zone]))
+    return found
 
 
 _OF_TIME = 0.03  # half of a window of time over the time itself
@@ -218,25 +247,26 @@ _OF_DIRECTIONS = 0.2  # the same for directions, which change more slowly and of
 _LEAST = 2  # bins, half of a window for directions at the beginning
 
 
-def smoothed(energy: Floats) -> Floats:
+def smoothed(energy: NDArray[Any]) -> NDArray[np.float32]:
     """Return energies (T, M, B) by bin of time, direction and band, smoothed over times that grow with time.
 
     The sum over directions is kept, but for a short window in which it is smoothed; how it is spread over them is taken
     from a longer one, for it changes slowly.
     """
-    total = _smoothed(energy.sum(axis=1), _OF_TIME, 0)
+    total = _smoothed(energy.sum(axis=1, dtype=np.float64), _OF_TIME, 0)
     spread = _smoothed(energy, _OF_DIRECTIONS, _LEAST)
-    whole = spread.sum(axis=1, keepdims=True)
-    even = np.full_like(spread, 1.0 / energy.shape[1])
-    return np.asarray(total[:, None, :] * np.where(whole > 0.0, spread / np.maximum(whole, 1e-300), even))
+    whole = spread.sum(axis=1)
+    spread *= (total / np.maximum(whole, 1e-30))[:, None]
+    spread += np.where(whole > 0.0, 0.0, total / energy.shape[1])[:, None]
+    return np.asarray(spread, np.float32)
 
 
-def _smoothed(values: Floats, share: float, least: int) -> Floats:
+def _smoothed(values: NDArray[Any], share: float, least: int) -> Floats:
     """Return means of values (T, ...) over times from `t - w` to `t + w`, w a share of t, cut at both ends alike."""
     count = len(values)
     t: NDArray[np.int64] = np.arange(count)
     half = np.minimum(np.maximum((share * t).astype(np.int64), least), np.minimum(t, count - 1 - t))
-    cumulated = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    cumulated = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0, dtype=np.float64)])
     length = (2 * half + 1).reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((cumulated[t + half + 1] - cumulated[t - half]) / length)
 

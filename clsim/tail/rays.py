@@ -1,246 +1,321 @@
-"""Rays of energy from a source, reflected or scattered by walls, and their energy at listeners."""
+"""Rays from one place of a source: how long they are followed, how many they are, and what energies they bring."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.numerics.quaternions import normalised, rotate
 from clsim.numerics.sphere import fibonacci_sphere
+from clsim.tail.host_rays import FLOOR
+from clsim.tail.ray_run import ESCAPE_SCALE, SLOTS, Layout, RayRun
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.scene.room.protocol import Room
-    from clsim.tail.room_rays import RoomRays, WallEnergies
+    from clsim.tail.ray_room import RayRoom
+    from clsim.tail.ray_run import RayEngine
+    from clsim.tail.room_rays import WallEnergies
 
     Emitted = Callable[[Floats], Floats]
+    Ints = NDArray[np.int64]
 
-_HELD = 200_000  # rays' passages that are kept before they are sorted in
-_POINTS = 4096  # by which the volume of a sphere inside the room is measured
+STEP = 1e-3  # s, bins of time
+WINDOW = 0.02  # s, in which energies are compared between slots
+RAIN = 0.1  # s, up to which zones are told apart and scattered energy reaches them directly
+MOST_RAYS = 131_072  # from one place
+_PILOT = 12  # rays of a slot that find out how long it takes
+_FIRST, _LEAST = 512, 64  # rays of a slot at first, over the groups of bands, and at least
+_LARGEST = 1024  # rays of a slot at a time
+_GROWTH = 4.0  # of their number at most before the error is looked at again
+_LONGEST = 10.0  # s
+_DEPTH = 1e-4  # of the loudest window's energy, down to which the error is told
+_ALIKE = 10.0**0.1  # late energies of zones that share them: 1 dB
+_WHOLE = 2.0**34  # the largest contribution as a whole number
+_POINTS = 1024  # by which the volume of a sphere inside the room is measured
+_BYTES = 2**28  # of energies on a device at a time
 
 
-@dataclass(eq=False)
-class Listener:
-    """A sphere in a room and the energy density in it, of sources of 1 Pa at 1 m for 1 s.
+@dataclass(frozen=True, slots=True, eq=False)
+class Heard:
+    """Energies in zones, of sources of 1 Pa at 1 m for 1 s, without the absorption of the air.
 
-    Shapes: centre (3,) m; arrivals, departures (M, 3); shape (T, B).
-
-    arrivals, departures: directions among which energy is shared: those that it comes from, and in which it left the
-    source.
+    Attributes
+    ----------
+    early : ndarray (Z, T0, M, B)
+        By bin of time, direction of arrival and band.
+    late : ndarray (rows, T - T0, M, B)
+        The same after `RAIN`, in the mean over the zones of a row.
+    images : ndarray (Z, T, B)
+        What images hold.
+    departed : ndarray (Z, Q)
+        By direction of departure.
+    row : ndarray (Z,)
+        Row of each zone.
     """
 
-    centre: Floats
-    radius: float
-    volume: float
-    arrivals: Floats
-    departures: Floats
-    time_step: float
-    shape: tuple[int, int]
-    # (T, M, B) energy by time, direction of arrival and band of what no image holds, Pa² s / (Pa² s).
-    tail: Floats = field(init=False)
-    images: Floats = field(init=False)  # (T, B) likewise of what images hold
-    departed: Floats = field(init=False)  # (Q, B) of the tail, by direction of departure
-    _held: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]] = field(init=False, default_factory=list)
-    _count: int = field(init=False, default=0)
-
-    def __post_init__(self) -> None:
-        times, bands = self.shape
-        self.tail = np.zeros((times, len(self.arrivals), bands))
-        self.images = np.zeros((times, bands))
-        self.departed = np.zeros((len(self.departures), bands))
-
-    def add(self, rays: Rays, far: Floats, late: NDArray[np.bool_], air: Floats, bands: NDArray[np.int64]) -> None:
-        """Add what rays carry through the sphere on their next way, far (n,) m; late ones are no images'.
-
-        The energy density of a ray of energy e is e times its way in the sphere over the sphere's volume; the time is
-        that at which its plane passes the centre.
-        """
-        to_centre = self.centre - rays.origin
-        along = np.einsum("ni,ni->n", to_centre, rays.direction)
-        inside = self.radius**2 - (np.einsum("ni,ni->n", to_centre, to_centre) - along**2)
-        hit = np.flatnonzero(inside > 0.0)
-        half, middle = np.sqrt(inside[hit]), along[hit]
-        way = np.minimum(middle + half, far[hit]) - np.maximum(middle - half, 0.0)
-        met = way > 0.0
-        hit, way, middle = hit[met], way[met], middle[met]
-        path = rays.travelled[hit] + middle
-        time = (path / self.time_step).astype(np.int64)
-        kept = (time >= 0) & (time < self.shape[0])
-        hit, time, path, way = hit[kept], time[kept], path[kept], way[kept]
-        energy = rays.energy[hit] * np.exp(-np.multiply.outer(path - 1.0, air)) * (way / self.volume)[:, None]
-        self._sort(late[hit], time, rays.direction[hit], rays.departure[hit], energy, bands)
-
-    def _sort(
-        self, late: NDArray[np.bool_], time: NDArray[np.int64], direction: Floats, departure: NDArray[np.int64],
-        energy: Floats, bands: NDArray[np.int64],
-    ) -> None:  # fmt: skip
-        early = ~late
-        if early.any():
-            for i, band in enumerate(bands):
-                self.images[:, band] += np.bincount(time[early], energy[early, i], self.shape[0])
-        if late.any():
-            arrival = (-direction[late] @ self.arrivals.T).argmax(axis=1)
-            self._held.append((time[late] * len(self.arrivals) + arrival, departure[late], energy[late]))
-            self._count += len(arrival)
-        if self._count > _HELD:
-            self.settle(bands)
-
-    def settle(self, bands: NDArray[np.int64]) -> None:
-        """Add the stored passages of rays that carry bands to the histogram."""
-        if not self._held:
-            return
-        place, departure, energy = (np.concatenate(parts) for parts in zip(*self._held, strict=True))
-        for i, band in enumerate(bands):
-            found = np.bincount(place, energy[:, i], self.tail.shape[0] * self.tail.shape[1])
-            self.tail[:, :, band] += found.reshape(self.tail.shape[:2])
-            self.departed[:, band] += np.bincount(departure, energy[:, i], len(self.departures))
-        self._held, self._count = [], 0
+    early: Floats
+    late: Floats
+    images: Floats
+    departed: Floats
+    row: Ints
+    rays: int
+    error_db: float
 
 
-@dataclass(eq=False)
-class Rays:
-    """Rays under way, n of them."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Escaped:
+    """Energy that leaves a room through its openings."""
 
-    origin: Floats  # (n, 3) where they last met a wall, m, and unit vectors
-    direction: Floats  # likewise
-    travelled: Floats  # (n,) their way so far, m
-    energy: Floats  # (n, B) that of a source of 1 Pa at 1 m over the rays, without the air's absorption
-    order: NDArray[np.int64]  # (n,) reflections so far
-    scattered: NDArray[np.bool_]  # (n,) whether one of these was scattered
-    departure: NDArray[np.int64]  # (n,) in which of some directions they left
+    share: float  # of what is emitted, in the band where it is most, the air's absorption aside
+    places: Floats  # (n, 3) some of the places where it does, m
+    walls: Ints  # walls from which most of it comes
 
-    def kept(self, rows: NDArray[np.bool_]) -> Rays:
-        """Return some of them."""
-        return Rays(
-            self.origin[rows], self.direction[rows], self.travelled[rows], self.energy[rows], self.order[rows],
-            self.scattered[rows], self.departure[rows],
-        )  # fmt: skip
-
-
-def volume_within(room: Room, centre: Floats, radius: float) -> float:
-    """Return the volume of a sphere's part inside a closed room, m³, by points on spirals of equal volume."""
-    from clsim.numerics.sphere import fibonacci_sphere
-
-    height = ((np.arange(_POINTS) * 0.754877666) % 1.0) ** (1.0 / 3.0)  # of a low-discrepancy sequence
-    points = centre + radius * height[:, None] * fibonacci_sphere(_POINTS)
-    return 4.0 / 3.0 * np.pi * radius**3 * max(float(np.mean(room.contains(points))), 1.0 / _POINTS)
+    def describe(self, names: tuple[str, ...]) -> str:
+        """Say how much leaves, and where."""
+        near = "; ".join("(" + ", ".join(f"{x:.2f}" for x in place) + ")" for place in self.places[:3])
+        last = ", ".join(repr(names[wall]) for wall in self.walls[:3])
+        return (
+            f"{100.0 * self.share:.2g} % of the energy escapes"
+            + (f", near {near} m" if near else "")
+            + (f", last reflected by {last}" if last else "")
+        )
 
 
-FLOOR = 10.0**-6.5  # of the energy, below which nothing is heard
-_PILOT = 256  # rays that find out how long it takes
-_SEVERAL = 16  # one in so many rays that end are taken out together
-_LONGEST = 10.0  # s
+@dataclass(frozen=True, slots=True, eq=False)
+class Spheres:
+    """Zones of receivers as rays see them."""
+
+    centres: Floats  # (Z, 3) m
+    volumes: Floats  # (Z,) of their parts inside the room, m³
+    radius: float  # m
+    arrivals: Floats  # (M, 3) directions among which energy is shared
+    departures: Floats  # (Q, 3) likewise those in which it left the source
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Tracer:
-    """A room in which rays are traced from one place."""
+    """A room in which rays are traced from places of one source."""
 
-    walls: RoomRays  # where rays meet walls
-    normals: Floats  # (walls, 3) of the walls
-    energies: WallEnergies  # what these do
-    origin: Floats  # (3,) of the rays, m
-    emitted: Emitted  # returns the energy (n, B) that is sent in directions (n, 3), 1 on the axis
-    departures: Floats  # (Q, 3) directions among which departures are told apart
+    room: RayRoom
+    energies: WallEnergies
+    engine: RayEngine
+    speed_of_sound: float
     max_order: int  # of images: energy that was only mirrored, so often at most, is theirs
+    seed: tuple[int, int]  # of rays, and the source
+    sized: NDArray[np.float64] | None = None  # wavelengths (B,) of bands, m, where walls scatter by their size
 
-    @cached_property
-    def _groups(self) -> list[NDArray[np.int64]]:
-        """Bands that share rays."""
+    def groups(self) -> list[Ints]:
+        """Return bands that share rays."""
+        if self.sized is not None:
+            return [np.array([band]) for band in range(len(self.energies.air))]
         return self.energies.groups()
 
-    def longest_way(self, speed_of_sound: float, rng: np.random.Generator) -> float:
-        """Return the way in m after which next to nothing of the energy is left, by a few rays."""
-        most = math.ceil(_LONGEST * speed_of_sound)
-        alive = np.zeros((most + 1, len(self.energies.air)))
+    def heard(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float) -> list[Heard]:
+        """Return the energies of a source's zone, in parts of as many spheres as fit the memory."""
+        pilot = self._pilot(origin, emitted, spheres, zone)
+        until = pilot.until(self.energies.air, self.groups(), self.speed_of_sound)
+        bins = math.ceil(float(until.max()) / (STEP * self.speed_of_sound))
+        bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
+        step = max(1, int(_BYTES / bytes_each))
+        return [
+            _Search(self, origin, emitted, spheres, zone, until, slice(i, i + step), pilot.late[i : i + step]).found(
+                error_db
+            )
+            for i in range(0, len(spheres.centres), step)
+        ]
 
-        def note(rays: Rays, far: Floats, bands: NDArray[np.int64]) -> None:
-            first = np.minimum(rays.travelled, most).astype(np.int64)
-            last = np.minimum(rays.travelled + far, most).astype(np.int64)
-            for i, band in enumerate(bands):
-                alive[:, band] += np.bincount(first, rays.energy[:, i], most + 1)
-                alive[:, band] -= np.bincount(last, rays.energy[:, i], most + 1)
+    def escaped(self, origin: Floats, emitted: Emitted, rays: int = 1024) -> Escaped:
+        """Return the energy that escapes of what is emitted at a place, m, by some rays."""
+        sphere = Spheres(np.asarray(origin)[None], np.ones(1), 1e-3, np.eye(3)[:1], np.eye(3)[:1])
+        layout = self._layout(sphere, np.zeros(1, np.int64), 1, 0, 0)
+        until = np.full(len(self.groups()), _LONGEST * self.speed_of_sound)
+        run, energies = self._run(origin, emitted, sphere, 0, rays // SLOTS, until, 0), layout.empty()
+        self.engine.trace(run, layout, energies)
+        by_wall = energies.escaped / ESCAPE_SCALE
+        emitted_energy = run.emitted.astype(np.float64).sum(axis=0)
+        share = float((by_wall.sum(axis=0) / emitted_energy).max())
+        of_walls = by_wall[:-1].sum(axis=1)
+        loud = np.argsort(-of_walls, kind="stable")
+        return Escaped(share, self._exits(energies.places), loud[of_walls[loud] > 0.05 * of_walls.sum()])
 
-        for bands in self._groups:
-            self._trace(_PILOT, float(most), bands, rng, note)
-        energy = np.cumsum(alive, axis=0) * np.exp(-np.arange(most + 1)[:, None] * self.energies.air)
-        left = np.cumsum(np.maximum(energy, 0.0)[::-1], axis=0)[::-1]
-        loud = np.flatnonzero((left > FLOOR * left[0]).any(axis=1))
-        return float(loud[-1] + 2) if len(loud) else 1.0
+    def _exits(self, places: Floats) -> Floats:
+        """Return where rays (n, 6) cross the box about the room on their way out."""
+        size = np.abs(self.room.leaves[:, :9]).reshape(-1, 3, 3, 8).max(axis=(0, 1, 3)) if len(places) else np.ones(3)
+        start, way = places[:, :3], places[:, 3:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = np.where(way == 0.0, np.inf, (np.copysign(size, way) - start) / way).min(axis=1, initial=np.inf)
+        return np.asarray(
+            start + np.where(np.isfinite(far), np.maximum(far, 0.0), 0.0)[:, None] * way + self.room.middle
+        )
 
-    def run(self, count: int, until: float, listeners: Sequence[Listener], rng: np.random.Generator) -> None:
-        """Trace so many rays for each group of bands up to a way in m, and have listeners note what passes."""
-        for bands in self._groups:
-            air = self.energies.air[bands]
+    def _pilot(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int) -> _Pilot:
+        count = len(spheres.centres)
+        windows = math.ceil(_LONGEST / WINDOW)
+        layout = self._layout(spheres, np.zeros(count, np.int64), 1, 0, windows)
+        until = np.full(len(self.groups()), _LONGEST * self.speed_of_sound)
+        energies = layout.empty()
+        self.engine.trace(self._run(origin, emitted, spheres, zone, _PILOT, until, 0), layout, energies)
+        total = np.zeros(energies.windows.shape[1:])
+        total[:, :, self._order()] = energies.windows.sum(axis=0)
+        return _Pilot(total)
 
-            def note(rays: Rays, far: Floats, bands: NDArray[np.int64], air: Floats = air) -> None:
-                late = rays.scattered | (rays.order > self.max_order)
-                for listener in listeners:
-                    listener.add(rays, far, late, air, bands)
+    def _order(self) -> Ints:
+        """Return bands group by group."""
+        return np.concatenate(self.groups())
 
-            self._trace(count, until, bands, rng, note)
-            for listener in listeners:
-                listener.settle(bands)
-
-    def _trace(
-        self,
-        count: int,
-        until: float,
-        bands: NDArray[np.int64],
-        rng: np.random.Generator,
-        note: Callable[[Rays, Floats, NDArray[np.int64]], None],
-    ) -> None:
-        rays = self._started(count, bands, rng)
-        least = FLOOR * float(rays.energy.max(initial=0.0))
-        while len(rays.travelled):
-            far, wall = self.walls.next(rays.origin, rays.direction)
-            note(rays, far, bands)
-            self._bounce(rays, far, wall, bands, rng)
-            loud = (rays.energy * np.exp(np.multiply.outer(rays.travelled, -self.energies.air[bands]))).max(axis=1)
-            kept = (rays.travelled < until) & (loud > least) & (wall >= 0)
-            rays.energy[~kept] = 0.0
-            if np.count_nonzero(kept) <= len(kept) * (1.0 - 1.0 / _SEVERAL):
-                rays = rays.kept(kept)
-
-    def _started(self, count: int, bands: NDArray[np.int64], rng: np.random.Generator) -> Rays:
-        """Return rays in even directions, turned at random."""
-        directions = rotate(normalised(rng.standard_normal((1, 4))), fibonacci_sphere(count))
-        energy = np.array(self.emitted(directions)[:, bands]) * (4.0 * np.pi / count)
-        departure = (directions @ self.departures.T).argmax(axis=1)
-        return Rays(
-            np.tile(self.origin, (count, 1)), directions, np.zeros(count), energy, np.zeros(count, np.int64),
-            np.zeros(count, np.bool_), departure,
+    def _layout(self, spheres: Spheres, row: Ints, rows: int, bins: int, windows: int) -> Layout:
+        c = self.speed_of_sound
+        zones = np.column_stack([spheres.centres - self.room.middle, 1.0 / spheres.volumes]).astype(np.float32)
+        most = max(2.0 * spheres.radius * float((1.0 / spheres.volumes).max()), 1.0 / (np.pi * spheres.radius**2))
+        return Layout(
+            zones, spheres.radius, row.astype(np.int32), rows,
+            np.pad(spheres.arrivals, ((0, 0), (0, 1))).astype(np.float32), len(spheres.departures), STEP * c,
+            WINDOW * c, bins, min(bins, round(RAIN / STEP)), windows, RAIN * c, _WHOLE / most,
+            len(self.energies.air), len(self.room.plane),
         )  # fmt: skip
 
-    def _bounce(
-        self, rays: Rays, far: Floats, wall: NDArray[np.int64], bands: NDArray[np.int64], rng: np.random.Generator
-    ) -> None:
-        """Bring rays to the walls that they meet, and send them off: mirrored, or scattered by Lambert's law."""
-        rays.origin += far[:, None] * rays.direction
-        rays.travelled += far
-        normal = self.normals[wall]
-        towards = np.einsum("ni,ni->n", rays.direction, normal)
-        returned, share = self.energies.at(wall, towards, bands)
-        rays.energy *= returned
-        rays.direction -= 2.0 * towards[:, None] * normal
-        rays.order += 1
-        if self.walls.off:
-            rays.origin -= self.walls.off * np.sign(towards)[:, None] * normal
-        if not np.any(share):
-            return
-        scattered = np.flatnonzero(rng.random(len(share)) < share)
-        # A normal and a point on the unit sphere add up to a direction whose density is the cosine's.
-        ball = rng.standard_normal((len(share), 3))[scattered]
-        ball /= np.linalg.norm(ball, axis=1, keepdims=True)
-        lambert = ball - np.sign(towards[scattered])[:, None] * (1.0 + 1e-9) * normal[scattered]
-        lambert /= np.linalg.norm(lambert, axis=1, keepdims=True)
-        rays.direction[scattered] = lambert
-        rays.scattered[scattered] = True
+    def _run(
+        self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, each: int, until: Floats, first_ray: int
+    ) -> RayRun:
+        """Return rays in even directions, turned at random in each of the slots."""
+        rng = np.random.default_rng([*self.seed, zone, first_ray])
+        even = fibonacci_sphere(each)
+        turned = np.stack([rotate(normalised(rng.standard_normal((1, 4))), even) for _ in range(SLOTS)], axis=1)
+        directions = turned.reshape(-1, 3)
+        groups, order = self.groups(), self._order()
+        tables = self.energies
+        ends = np.cumsum([0, *(len(group) for group in groups)])
+        one_of_each = [group[0] for group in groups]
+        wavelength = np.zeros(len(groups)) if self.sized is None else self.sized[one_of_each]
+        return RayRun(
+            self.room, self.sized is not None, tables.kind.astype(np.int32),
+            tables.returned[:, :, order].astype(np.float32), tables.scattered[:, :, one_of_each].astype(np.float32),
+            ends.astype(np.int32), wavelength.astype(np.float32), until.astype(np.float32), self.max_order,
+            (np.asarray(origin) - self.room.middle).astype(np.float32), directions.astype(np.float32),
+            np.ascontiguousarray(emitted(directions)[:, order], np.float32),
+            (directions @ spheres.departures.T).argmax(axis=1).astype(np.int32), first_ray, zone,
+            (self.seed[0] % 2**32, self.seed[1] % 2**32),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pilot:
+    """Energies of few rays."""
+
+    windows: Floats  # (Z, windows, B)
+
+    def until(self, air: Floats, groups: list[Ints], c: float) -> Floats:
+        """Return the way (G,) in m after which next to nothing is left in any band of a group."""
+        times = WINDOW * (np.arange(self.windows.shape[1]) + 0.5)
+        energy = self.windows.sum(axis=0) * np.exp(-np.multiply.outer(times, c * air))
+        left = np.cumsum(energy[::-1], axis=0)[::-1]
+        last = [int(np.flatnonzero((left[:, g] > FLOOR * left[:1, g]).any(axis=1)).max(initial=0)) for g in groups]
+        return np.asarray((np.array(last) + 2.0) * WINDOW * c)
+
+    @property
+    def late(self) -> Floats:
+        """Late energy (Z,) of zones, over the bands' means."""
+        late = self.windows[:, round(RAIN / WINDOW) :].sum(axis=1)
+        return np.asarray((late / np.maximum(late.mean(axis=0), 1e-300)).mean(axis=1))
+
+
+def rows_of(late: Floats) -> tuple[Ints, int]:
+    """Return the row (Z,) of zones whose late energies (Z,) differ by less than 1 dB, and the number of rows."""
+    row, count, first = np.zeros(len(late), np.int64), 0, -1.0
+    for zone in np.argsort(late, kind="stable"):
+        if count == 0 or late[zone] > _ALIKE * first:
+            first, count = float(late[zone]), count + 1
+        row[zone] = count - 1
+    return row, count
+
+
+class _Search:
+    """Rays from one place until energies are known as well as asked for."""
+
+    def __init__(
+        self, tracer: Tracer, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, until: Floats,
+        part: slice, late: Floats,
+    ) -> None:  # fmt: skip
+        self._tracer, self._origin, self._emitted, self._zone, self._until = tracer, origin, emitted, zone, until
+        self._spheres = replace(spheres, centres=spheres.centres[part], volumes=spheres.volumes[part])
+        self._row, rows = rows_of(late)
+        c = tracer.speed_of_sound
+        bins, windows = (math.ceil(float(until.max()) / (step * c)) for step in (STEP, WINDOW))
+        self._layout = tracer._layout(self._spheres, self._row, rows, bins, windows)
+        self._energies = self._layout.empty()
+        self._rays = 0
+
+    def found(self, wanted_db: float) -> Heard:
+        """Trace until the error is as small as is asked for, or rays are very many."""
+        self._trace(max(_FIRST // len(self._until), _LEAST))
+        error = self._error_db()
+        while error > wanted_db and self._rays < MOST_RAYS:
+            most = min(1.1 * (error / wanted_db) ** 2, _GROWTH) * self._rays
+            missing = min(most, MOST_RAYS) - self._rays
+            self._trace(min(max(math.ceil(missing / SLOTS), _LEAST // 4), _LARGEST))
+            error = self._error_db()
+        return self._heard(error)
+
+    def _trace(self, each: int) -> None:
+        run = self._tracer._run(
+            self._origin, self._emitted, self._spheres, self._zone, each, self._until, _PILOT * SLOTS + self._rays
+        )
+        self._tracer.engine.trace(run, self._layout, self._energies)
+        self._rays += each * SLOTS
+
+    def _per_unit(self) -> float:
+        """Energy of a whole number."""
+        return 4.0 * np.pi / (self._layout.scale * self._rays)
+
+    def _error_db(self) -> float:
+        """Return the standard error of what is loud, dB; late energies are means over the zones of a row."""
+        slots = self._energies.windows.astype(np.float64)
+        early = round(RAIN / WINDOW)
+        found = [slots[:, :, :early]]
+        found += [slots[:, self._row == row, early:].mean(axis=1, keepdims=True) for row in range(self._layout.rows)]
+        error, count = 0.0, 0
+        loudest = slots.mean(axis=0).max(axis=(0, 1))
+        for part in found:
+            mean, spread = part.mean(axis=0), part.std(axis=0, ddof=1) / math.sqrt(SLOTS)
+            loud = mean > _DEPTH * loudest
+            error += float(np.sum(np.square(spread[loud] / mean[loud])))
+            count += int(np.count_nonzero(loud))
+        return 10.0 / math.log(10.0) * math.sqrt(error / count) if count else 0.0
+
+    def _heard(self, error_db: float) -> Heard:
+        energies, order = self._energies, self._tracer._order()
+        zones = np.bincount(self._row, minlength=self._layout.rows)
+        early, late, images = (
+            np.empty(table.shape, np.float32 if table.ndim == 4 else np.float64)
+            for table in (energies.early, energies.late, energies.images)
+        )
+        unit = self._per_unit()
+        early[..., order] = energies.early * unit
+        late[..., order] = energies.late * (unit / zones)[:, None, None, None]
+        images[..., order] = energies.images * unit
+        departed = np.asarray(energies.departures * unit, np.float64)
+        return Heard(early, late, np.asarray(images, np.float64), departed, self._row, self._rays, error_db)
+
+
+def volume_within(room: Any, centre: Floats, radius: float) -> float:
+    """Return the volume of a sphere's part inside a room, m³; all of it where the room is not closed."""
+    return _volume_within(room, tuple(centre.tolist()), radius)
+
+
+@lru_cache(maxsize=4096)
+def _volume_within(room: Any, centre: tuple[float, ...], radius: float) -> float:
+    """Measure it by points on spirals of equal volume."""
+    whole = 4.0 / 3.0 * np.pi * radius**3
+    if not room.is_closed:
+        return whole
+    height = ((np.arange(_POINTS) * 0.754877666) % 1.0) ** (1.0 / 3.0)  # of a low-discrepancy sequence
+    points = np.array(centre) + radius * height[:, None] * fibonacci_sphere(_POINTS)
+    return whole * max(float(np.mean(room.contains(points))), 1.0 / _POINTS)

@@ -93,8 +93,13 @@ class Zones:
 
 
 def zone_radius(room: Room) -> float:
-    """Return the radius of zones in a closed room, m: a quarter of the mean free path, 0.1 to 4 m."""
-    return float(np.clip(_OF_FREE_PATH * 4.0 * (room.volume or 0.0) / room.surface_area, _LEAST, _MOST))
+    """Return the radius of zones in a room, m: a quarter of the mean free path, 0.1 to 4 m.
+
+    The volume of an open room is that of the box about it.
+    """
+    low, high = room.extent
+    volume = float(np.prod(high - low)) if room.volume is None else room.volume
+    return float(np.clip(_OF_FREE_PATH * 4.0 * volume / room.surface_area, _LEAST, _MOST))
 
 
 def is_static(end: End, *, turning: bool) -> bool:

@@ -21,4 +21,5 @@ double BUILTIN fmin(double, double);
 double BUILTIN fmax(double, double);
 double4 BUILTIN fmax(double4, double4);
 int __attribute__((overloadable)) atomic_inc(volatile __global int*);
+uint __attribute__((overloadable)) atomic_add(volatile __global uint*, uint);
 void __attribute__((overloadable, convergent)) barrier(cl_mem_fence_flags);

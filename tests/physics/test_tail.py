@@ -80,12 +80,10 @@ def image_energy(of: clsim.Scene, factor: float, radius: float, max_order: int, 
 def test_rays_hold_the_energy_of_images(scattering: float, mesh: bool, measured: Callable[..., float]) -> None:
     """Up to an order rays count what images do; what is left of mirrored rays goes on as a geometric series.
 
-    Energies are absolute: of 1 Pa at 1 m. The standard error of 8192 rays is some 0.03 dB here.
+    Energies are absolute: of 1 Pa at 1 m. The standard error of 60 000 rays is some 0.03 dB here.
     """
-    if mesh:
-        pytest.importorskip("embreex")
     of = scene(clsim.Material.from_reflection(0.9, scattering=scattering), mesh=mesh)
-    tail = tail_of(of, 6, (1000.0, 1000.0), error_db=1.0)
+    tail = tail_of(of, 6, (1000.0, 1000.0), error_db=0.05)
     (pair,) = tail.pairs.values()
     air = float(of.air.absorption_at(tail.centres)[0]) * math.log(10.0) / 10.0
     by_order = image_energy(of, 0.81 * (1.0 - scattering), zone_radius(of.room), 12, air)
@@ -133,19 +131,19 @@ def isotropic(seconds: float, level: float = 1.0, zones: Zones | None = None) ->
     """A tail alike from all sides that does not decay, of 0.25 in all, of one band."""
     here = Zones(4.0, HEARD[None] / 4.0, beams=False, turns=np.array([[0.0, 0.0, 0.0, 1.0]]))
     energy = np.full((round(seconds * 1e3), 64, 1), 0.25e-3 / 64 / seconds * level, np.float32)
-    pair = TailEnergy(energy, np.full(DEPARTURES, 1.0 / DEPARTURES), np.ones((len(energy), 1)))
+    pair = TailEnergy(energy[:100], energy[100:], np.full(DEPARTURES, 1.0 / DEPARTURES), np.ones((len(energy), 1)))
     return SourceTail(
         np.array([1000.0]), 1e-3, zones or here, here, {(0, 0): pair}, fibonacci_sphere(64), fibonacci_sphere(DEPARTURES), 1, 0.0, 0
     )  # fmt: skip
 
 
 def test_made_responses_decay_as_the_rays_energies() -> None:
-    """What is still to come, by short-time spectra at the middle of each band, within 0.6 dB down to -35 dB.
+    """What is still to come, by short-time spectra at the middle of each band, within their own error down to -35 dB.
 
     64 directions and 6 frequencies at least: a frame's own error is 0.2 dB, that of sums of frames less.
     """
     of = scene(clsim.Material.from_absorption([250.0, 4000.0], [0.1, 0.4], scattering=0.5))
-    tail = tail_of(of, 2, (500.0, 4000.0), error_db=1.0)
+    tail = tail_of(of, 2, (500.0, 4000.0), error_db=0.25)
     pair = tail.pairs[0, 0]
     taps = plane_waves(tail, (0, 0), 0, RATE, moves=False).taps
     window, hop, step = np.hanning(2048), 512, round(tail.time_step * RATE)
@@ -160,7 +158,10 @@ def test_made_responses_decay_as_the_rays_energies() -> None:
         left, asked = (np.cumsum(x[::-1])[::-1] for x in (power[:, near].mean(axis=1), wanted))
         loud = asked > asked[0] * 10.0**-3.5
         assert np.count_nonzero(loud) > 7
-        np.testing.assert_allclose(10.0 * np.log10(left[loud] / asked[loud]), 0.0, atol=0.6)
+        # Of 6 frequencies, and as many directions as energy is spread over: three standard errors of a frame.
+        spread = pair.energy[:200, :, b].sum(axis=0, dtype=np.float64)
+        error_db = 10.0 / math.log(10.0) * math.sqrt(np.sum(spread**2) / np.sum(spread) ** 2 / 6.0)
+        np.testing.assert_allclose(10.0 * np.log10(left[loud] / asked[loud]), 0.0, atol=3.0 * error_db)
 
 
 def test_microphones_are_as_coherent_as_in_a_diffuse_field() -> None:
@@ -275,7 +276,7 @@ def test_chunks_and_resuming_change_nothing_and_zones_little() -> None:
     assert 10.0 * math.log10(max(level) / min(level)) < 2.5
     (line,) = tail_alone(plan).describe()
     assert line in plan.describe()
-    assert re.match(r"source 0: diffuse tail of .* 16 directions, . x . zones; 8192 rays", line)
+    assert re.match(r"source 0: diffuse tail of .* 16 directions, . x . zones; [0-9]+ rays", line)
     assert Rendering(plan).state() == {}
 
 
@@ -329,7 +330,10 @@ def test_an_open_mesh_is_refused() -> None:
     floor = clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], clsim.Material.from_reflection(0.9))
     of = scene(clsim.Material.from_reflection(0.9))
     paths = clsim.find_paths(clsim.Scene(floor, of.air, of.sources, of.receivers), 1)
-    with pytest.raises(clsim.InputError, match=r"tail: must be 'off' in a room that is not closed.* not watertight"):
+    with pytest.raises(
+        clsim.InputError,
+        match=r"tail: must be 'off' in a room from which more than 50 % .* escapes, but .* not watertight",
+    ):
         clsim.render(paths, RATE, tail="auto")
 
 

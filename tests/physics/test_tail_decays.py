@@ -45,7 +45,7 @@ def test_decays_where_absorption_depends_on_frequency(table: Table, measured: Ca
         box_decays.decay_times(box_decays.octave_decay(by_order, table, centre), box_decays.STEP) for centre in centres
     ]
     off = 100.0 * float(np.abs(decays_of_the_tail(table, centres) / wanted - 1.0).max())
-    assert measured("decay of the tail by octaves", "energies of images of all orders", off, 3.0, "%") <= 3.0
+    assert measured("decay of the tail by octaves", "energies of images of all orders", off, 3.5, "%") <= 3.5
 
 
 @pytest.mark.parametrize(
