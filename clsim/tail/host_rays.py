@@ -98,13 +98,13 @@ def _next_triangle(room: RayRoom, o: Float32s, d: Float32s, below: Float32s) -> 
         last = np.minimum(last, np.where(ahead, high, low))
     ray, leaf = np.nonzero((near <= last) & (last >= 0.0) & (near <= below[:, None]))
     near = np.maximum(near[ray, leaf], _ZERO)
-    leaf = ~room.children[node, place][leaf]
-    found = _in_leaves(room, leaf, o[ray], d[ray], near)
+    leaves: Any = ~room.children[node, place][leaf]
+    found = _in_leaves(room, leaves, o[ray], d[ray], near)
     far = below.copy()
     wall: Any = np.full(len(o), -1)
     lowest: Any = np.full(len(o), -1)
     row, column = np.nonzero(found < NOWHERE)
-    held, number, of = found[row, column], 8 * leaf[row] + column, ray[row]
+    held, number, of = found[row, column], 8 * leaves[row] + column, ray[row]
     order = np.lexsort((number, held, of))
     of, first = np.unique(of[order], return_index=True)
     best = order[first]
