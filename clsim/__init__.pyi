@@ -1,4 +1,5 @@
 from clsim import score as score
+from clsim.decoding import decode_binaural
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.exchange.flac_files import write_flac
 from clsim.exchange.mat_files import write_mat
@@ -98,6 +99,7 @@ __all__ = [
     "TruncatedLagrange",
     "body_truth",
     "captured_person",
+    "decode_binaural",
     "direct_path",
     "find_paths",
     "grid_positions",

@@ -13,6 +13,7 @@ from clsim.arrays import Floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.impulse_responses import ImpulseResponses
 from clsim.room_measures import BANDS, band_centres, cut_to_band
+from clsim.scene.directivity.head_related import EARS
 
 _EARLY = 0.08  # s
 
@@ -45,8 +46,8 @@ class LateralMeasures:
 
 def lateral_measures(
     responses: ImpulseResponses,
-    microphones: tuple[str, str] | None = None,
-    ears: tuple[str, str] | None = None,
+    microphones: tuple[str, str] | str | None = None,
+    ears: tuple[str, str] | str | None = None,
     bands: str = "octave",
 ) -> LateralMeasures:
     """Compute lateral energy fractions of two microphones at a place, and the correlation of two ears.
@@ -55,11 +56,11 @@ def lateral_measures(
     ----------
     responses : ImpulseResponses
         From `impulse_responses`.
-    microphones : (str, str), optional
+    microphones : (str, str) or str, optional
         Names of an omnidirectional receiver and of a figure of eight, ``FirstOrder(0.0)``, whose null points at the
-        source.
-    ears : (str, str), optional
-        Names of the receivers of the left and the right ear.
+        source; or of an ambisonic receiver that faces the source: its channels ACN0 and ACN1 are both.
+    ears : (str, str) or str, optional
+        Names of the receivers of the left and the right ear, or of a head with two channels.
     bands : {"octave", "third-octave"}
         Into which responses are cut.
 
@@ -107,7 +108,9 @@ def lateral_measures(
 
 
 def _rows(field: str, pair: Any, names: tuple[str, ...]) -> list[int]:
-    """Find two receivers by their names."""
+    """Find two rows by their names, or the two of a receiver of several channels."""
+    if isinstance(pair, str):
+        pair = tuple(f"{pair} {channel}" for channel in (EARS if field == "ears" else ("ACN0", "ACN1")))
     if not isinstance(pair, tuple | list) or len(pair) != 2:
         raise InputError(field, f"must be the names of two receivers, but is {pair!r:.80}")
     for i, name in enumerate(pair):

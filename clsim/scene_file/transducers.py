@@ -9,8 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from clsim.errors import InputError
+from clsim.scene.directivity.ambisonic import Ambisonic
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import Directivity
+from clsim.scene.directivity.head_related import HeadRelated, SphericalHead
 from clsim.scene.directivity.patterns import FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.transducer.electronics import Electronics
@@ -115,8 +117,46 @@ class SofaModel(Model):
         )
 
 
+class _Ambisonic(Model):
+    kind: Literal["ambisonic"]
+    order: int = 1
+    normalization: Literal["SN3D", "N3D"] = "SN3D"
+
+    def build(self, base: Path) -> Directivity:
+        return Ambisonic(self.order, self.normalization)
+
+
+class HeadModel(Model):
+    """A SOFA file of head-related responses."""
+
+    kind: Literal["head"]
+    path: str
+    outside: Literal["hold"] | None = None
+
+    def build(self, base: Path) -> Directivity:
+        path = base / self.path
+        return HeadRelated.from_sofa(path, outside=self.outside, name=path.stem)
+
+
+class _SphericalHead(Model):
+    kind: Literal["spherical-head"]
+    radius: float = 0.0875
+    ear_azimuth: float = 100.0
+
+    def build(self, base: Path) -> Directivity:
+        return SphericalHead(self.radius, self.ear_azimuth)
+
+
 DirectivityModel = Annotated[
-    OmniModel | _FirstOrder | _Piston | _Named | DirectivityTableModel | SofaModel,
+    OmniModel
+    | _FirstOrder
+    | _Piston
+    | _Named
+    | DirectivityTableModel
+    | SofaModel
+    | _Ambisonic
+    | HeadModel
+    | _SphericalHead,
     Field(discriminator="kind"),
 ]
 

@@ -362,6 +362,8 @@ def scored_paths(recording: Recording, what: str) -> PathSet:
         raise InputError("recording", f"must be sound for {what}, but is the envelope about {recording.carrier:g} Hz")
     if recording.paths is None:
         raise InputError("recording", f"must have its paths for {what}, but has none: load_recording(…, paths=True)")
+    if len(recording.channels) != len(recording.paths.scene.receivers):
+        raise InputError("recording", f"must be of receivers of one channel for {what}, but one has several")
     return recording.paths
 
 
