@@ -10,7 +10,7 @@ import numpy as np
 from clsim.commands.arguments import add_scene
 from clsim.numerics.quaternions import rotate
 from clsim.paths.without_edges import largest_jump_db
-from clsim.render.tails import left_by_images
+from clsim.render.planning import left_by_images
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress

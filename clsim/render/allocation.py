@@ -38,10 +38,12 @@ def allocate(
     notes: list[str] = []
     with with_blas_threads(1):
         for i, (emitted, start) in enumerate(emissions):
+            mine = [k for k, pair in enumerate(tracks.pairs) if pair.source == i]
+            pairs = [k for k in mine if k not in convolved.convolved]
+            at_rest = bool(mine) and not pairs
             emission = _emission(
-                i, emitted.at_rate(options.sampling_rate), start, tracks, options, samples / rate, convolved
+                i, emitted.at_rate(options.sampling_rate), start, tracks, options, samples / rate, at_rest
             )
-            pairs = [k for k, p in enumerate(tracks.pairs) if p.source == i and k not in convolved.convolved]
             split, why = _cheapest_split(emission, pairs)
             notes += [why] if why else []
             if split is None:
@@ -60,12 +62,11 @@ def allocate(
 
 
 def _emission(
-    source: int, signal: Signal, start: float, tracks: Tracks, options: RenderOptions, until: float, claimed: Allocation
+    source: int, signal: Signal, start: float, tracks: Tracks, options: RenderOptions, until: float, at_rest: bool
 ) -> Emission:
     sound, spectrum = spectra(signal)
     drawn = cache(partial(Draw.of, tracks, source, until))
-    static_only = claimed.claims(tracks, source)
-    return Emission(source, signal, start, sound, tracks, options, until, static_only, spectrum, drawn)
+    return Emission(source, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
 
 
 def _cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, str]:

@@ -43,11 +43,6 @@ _TOGETHER = 16384  # samples that moving receivers hear at a time
 _RECEIVERS = 16  # of them at a time
 
 
-def diffuse_tail(plan: Plan) -> DiffuseTail | None:
-    """Return the contribution of a plan's tails; None if there is none."""
-    return DiffuseTail(plan) if any(tail is not None for tail in plan.allocation.tails) else None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DiffuseTail:
     """The tails of all sources."""

@@ -18,7 +18,7 @@ from clsim.acoustics.decay import eyring_time, reverberation_time
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.render.contributions import Contribution
-from clsim.render.diffuse_tail import diffuse_tail
+from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.methods import per_sample, static
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.rendering import Rendering
@@ -180,7 +180,7 @@ def test_microphones_are_as_coherent_as_in_a_diffuse_field() -> None:
 def heard_alone(of: clsim.Scene, tail: SourceTail, duration: float, rate: float = RATE, **options: Any) -> Plan:
     """The plan of hearing nothing but a tail."""
     plan = clsim.plan_render(clsim.find_paths(of, 0), rate, duration=duration, engine="reference", **options)
-    return replace(plan, allocation=replace(plan.allocation, tails=(tail,)), builders=[diffuse_tail])
+    return replace(plan, allocation=replace(plan.allocation, tails=(tail,)), builders=[DiffuseTail])
 
 
 def rendered(plan: Plan) -> np.ndarray:
@@ -263,7 +263,7 @@ def test_chunks_and_resuming_change_nothing_and_zones_little() -> None:
     assert tail is not None
     assert min(len(tail.zones), len(tail.receiver_zones)) > 1
     whole = of_contribution(plan)
-    cut = replace(plan, chunk=SEGMENT, builders=[diffuse_tail])
+    cut = replace(plan, chunk=SEGMENT, builders=[DiffuseTail])
     np.testing.assert_array_equal(of_contribution(cut), whole)
     np.testing.assert_array_equal(of_contribution(cut, 2 * SEGMENT), whole[:, 2 * SEGMENT :])
     heard = rendered(plan)

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 _AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
 
 
-def build(plan: Plan) -> NarrowParts | None:
-    """Return the contribution of a plan's narrow parts; None if there are none."""
-    return NarrowParts(plan.allocation.narrow) if plan.allocation.narrow else None
+def build(plan: Plan) -> NarrowParts:
+    """Make the contribution of a plan's narrow parts."""
+    return NarrowParts(plan.allocation.narrow)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -173,9 +173,9 @@ def _error_db(tracks: SceneTracks, emission: Emission, filters: SourceFilters, p
     return 10.0 * math.log10(max(wrong / max(loud, 1e-300), 1e-30))
 
 
-def build(plan: Plan) -> SampledChannels | None:
-    """Return the contribution of a plan's sampled channels; None if there are none."""
-    return SampledChannels(plan.allocation.channels) if plan.allocation.channels else None
+def build(plan: Plan) -> SampledChannels:
+    """Make the contribution of a plan's sampled channels."""
+    return SampledChannels(plan.allocation.channels)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -59,11 +59,10 @@ def _is_static(end: Source | Receiver) -> bool:
     return end.trajectory.is_static and (isinstance(end.directivity, Omni) or not end.trajectory.turns)
 
 
-def build(plan: Plan) -> StaticConvolution | None:
-    """Return the contribution of a plan's pairs at rest; None if there are none."""
+def build(plan: Plan) -> StaticConvolution:
+    """Make the contribution of a plan's pairs at rest."""
     of_scene, pairs = plan.tracks.of_scene, plan.allocation.convolved
-    if of_scene is None or not pairs:
-        return None
+    assert of_scene is not None, "only pairs of scenes are claimed"
     return StaticConvolution(of_scene, plan.source_filters, tuple(sorted(pairs)), plan.options.responses == "centre")
 
 

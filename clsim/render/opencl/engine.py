@@ -13,9 +13,8 @@ from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.opencl.limits import check_group
-from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch
+from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch, find_fades
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
-from clsim.render.opencl.fades import boundaries, find_fades
 from clsim.render.opencl.host_nodes import HostNodeMaker
 from clsim.render.opencl.layout import CPU_LAYOUT, GPU_LAYOUT, Layout
 from clsim.render.opencl.limits import Limits
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
     from clsim.opencl.launch import WorkItems
     from clsim.paths.family import PathFamily
-    from clsim.render.opencl.fades import Fades
+    from clsim.render.opencl.batches import Fades
     from clsim.render.plan import Plan
 
     Maker = NodeMaker | HostNodeMaker
@@ -223,7 +222,7 @@ class Run:
         self._first_slot = engine._upload(task.batch.first_slot)
         self._rows = task.batch.row
         self._channels = len(self._plan.tracks.pairs[task.batch.pairs[0]].channels)  # of each pair of the batch
-        self._bounds = boundaries(self._plan, task.batch)
+        self._bounds = task.batch.bounds
         begin, end = task.first * self._plan.segment, min(task.last * self._plan.segment, task.length)
         self._maker: Any = engine.maker(task.batch.pairs[0])
         self._state = self._maker.prepare(
@@ -287,11 +286,12 @@ class Run:
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, filters = self._engine, self._plan.source_filters[self._source]
-        self._render_fades(nodes, segment, end, block, first_block)
         subblock, fine = self._plan.subblock(self._source, block), self._plan.is_fine(block)
         sparse = nodes.activity is not None
         layout = engine._layout.constants(subblock, sparse=sparse, fine=fine, oversampling=filters.oversampling)
         begin = segment * self._plan.segment
+        arguments = self._branch_arguments(begin) | self._block_arguments(nodes, first_block)
+        self._render_fades(nodes, segment, end, block, first_block)
         subblocks = (end - begin) // subblock
         size = (-(-subblocks // layout["SUBBLOCKS"]) * layout["WORKERS"], len(self._batch.pairs))
         together = _TOGETHER if sparse and self._functions > 1 and self._channels == 1 else 1
@@ -301,9 +301,8 @@ class Run:
             kernel = engine._compiler.kernel("render", layout | constants)
             for k in range(0, self._functions, together):
                 kernel(
-                    engine._queue, (size, (layout["WORKERS"], 1)), **self._branch_arguments(begin),
-                    **self._block_arguments(nodes, first_block), first_row=filters.rows, functions=self._gains,
-                    first_gain=k * self._channels + first, first_function=k,
+                    engine._queue, (size, (layout["WORKERS"], 1)), **arguments, first_row=filters.rows,
+                    functions=self._gains, first_gain=k * self._channels + first, first_function=k,
                     functions_here=min(together, self._functions - k), first_slot=self._first_slot,
                     block_subblocks=block // subblock, subblocks=subblocks, pressure_row=self._rows + np.int32(first),
                     pressure=self._pressure, pressure_stride=self._length, first_sample=begin,
@@ -312,7 +311,7 @@ class Run:
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
         engine, begin = self._engine, segment * self._plan.segment
-        fades = find_fades(self._bounds, self._batch, self._start + begin, block, -(-(end - begin) // block))
+        fades = find_fades(self._batch, self._start + begin, block, -(-(end - begin) // block))
         if fades is None:
             return
         filters = self._plan.source_filters[self._source]

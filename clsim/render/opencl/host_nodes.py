@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.render.opencl.activity import Activity
-    from clsim.render.opencl.batches import PathBatch
-    from clsim.render.opencl.fades import Boundaries
+    from clsim.render.opencl.batches import Boundaries, PathBatch
     from clsim.render.source_filters import SourceFilters
     from clsim.tracks.basis import Basis
 

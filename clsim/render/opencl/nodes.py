@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
     from clsim.render.opencl.activity import Activity
-    from clsim.render.opencl.batches import PathBatch
-    from clsim.render.opencl.fades import Boundaries
+    from clsim.render.opencl.batches import Boundaries, PathBatch
     from clsim.tracks.tracks import SceneTracks
 
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
@@ -91,13 +90,13 @@ class NodeMaker:
             Environment(scene, i, self._mach(i), filters.basis, self._upload)
             for i, filters in enumerate(plan.source_filters)
         ]
-        self._columns = COLUMNS[family.device](Rendered(plan, tracks, family, self._environments, self._upload))
-        self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._static = {
             i: receiver_at(r, np.zeros(1))
             for i, r in enumerate(scene.receivers)
             if math.isinf(r.trajectory.end) and r.electronics is None
         }
+        self._columns = COLUMNS[family.device](Rendered(plan, tracks, family, self._environments, self._upload))
+        self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._all_static = len(self._static) == len(scene.receivers)
         for i, env in enumerate(self._environments):
             mine = [pair for pair in tracks.pair_paths if pair.family is family and pair.source == i]

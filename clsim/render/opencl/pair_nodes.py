@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.render.opencl.activity import Activity
-    from clsim.render.opencl.batches import PathBatch
-    from clsim.render.opencl.fades import Boundaries
+    from clsim.render.opencl.batches import Boundaries, PathBatch
     from clsim.render.opencl.nodes import DeviceChunk
 
 _MOST_COUNTED = 2**23  # samples that floats count to the half: of more, silence is not left out
