@@ -60,7 +60,9 @@ def test_the_promise_is_kept_against_the_oracle(one: Case, measured: Any) -> Non
     assert measured("sampled channels", "the oracle", found, PROMISED_DB) <= PROMISED_DB
 
 
-def scene(duration: float = 0.5, sources: int = 1, start: float = 0.0, **receiver: Any) -> clsim.Scene:
+def scene(
+    duration: float = 0.5, sources: int = 1, start: float = 0.0, air: clsim.Air | None = None, **receiver: Any
+) -> clsim.Scene:
     """Return a room of walls and beams by frequency: sources on circles, one receiver moving and one at rest."""
     soft = clsim.Material.from_absorption([125, 500, 2e3, 8e3], [0.1, 0.2, 0.35, 0.5])
     room = clsim.Shoebox((6.0, 5.0, 3.0), {"default": clsim.Material.from_reflection(0.9), "z_min": soft})
@@ -77,7 +79,7 @@ def scene(duration: float = 0.5, sources: int = 1, start: float = 0.0, **receive
             np.linspace(0.0, duration, 4), [(4.0, 1.0 + 0.5 * k * duration, 2.0 - 0.03 * k * k) for k in range(4)]), **receiver),
         clsim.Receiver("at rest", clsim.Trajectory.fixed((4.5, 4.0, 2.5)), beam, aim=(-1.0, 0.0, 0.0)),
     ]  # fmt: skip
-    return clsim.Scene(room, clsim.Air(), emitters, ears)
+    return clsim.Scene(room, air or clsim.Air(), emitters, ears)
 
 
 def planned(one: clsim.Scene, order: int = 4, **options: Any) -> Plan:
@@ -138,6 +140,8 @@ def mutated(program: str, old: str, new: str) -> str:
         pytest.param(scene(), {}, id="walls and beams by frequency"),
         pytest.param(scene(start=0.03123), {"responses": "centre"}, id="begins later, responses at the centre"),
         pytest.param(scene(sources=2), {}, id="two sources"),
+        pytest.param(scene(air=clsim.Air(wind=(3.0, -2.0, 0.5))), {}, id="wind"),
+        pytest.param(scene(air=clsim.Air((20.0, 24.0), heights=(0.0, 3.0))), {}, id="air by height, nodes by the host"),
         pytest.param(
             scene(electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=1e-3, high_cut=5e3, gain_db=20.0)), {},
             id="electronics, clock",
