@@ -354,3 +354,30 @@ def test_middles_of_bands_go_on_smoothly() -> None:
     np.testing.assert_array_less(at_middles(np.array([1.0, 2.0, 0.0, 3.0])), 3.0 + 1e-9)
     assert at_middles(np.array([[2.0]])).tolist() == [[pytest.approx(2.0)]]
     assert with_middles(np.array([500.0, 2000.0])).tolist() == pytest.approx([500.0, 1000.0, 2000.0])
+
+
+def test_a_hall_with_an_open_door_has_a_tail() -> None:
+    """The door takes 2 % of the walls; it swallows what Eyring's room with such a window would, and is named."""
+    mesh = clsim.Shoebox(SIZE, clsim.Material.from_reflection(math.sqrt(0.8), scattering=0.5)).as_mesh()
+    holed = clsim.MeshRoom.from_plan(
+        [(0, 0), (8, 0), (8, 6), (0, 6)], 3.0, clsim.Material.from_reflection(math.sqrt(0.8), scattering=0.5)
+    )
+    corners = [*holed.vertices, (8.0, 2.0, 0.0), (8.0, 3.0, 0.0), (8.0, 2.0, 2.0), (8.0, 3.0, 2.0)]
+    kept = [t for t in holed.triangles.tolist() if not np.all(holed.vertices[t][:, 0] == 8.0)]
+    n = len(holed.vertices)
+    low = [
+        int(np.flatnonzero(np.all(holed.vertices == p, axis=1))[0])
+        for p in ((8, 0, 0), (8, 6, 0), (8, 0, 3), (8, 6, 3))
+    ]
+    a, b, c, d = low
+    wall = [(a, n, n + 2), (a, n + 2, c), (c, n + 2, n + 3), (c, n + 3, d), (d, n + 3, n + 1), (d, n + 1, b)]
+    room = clsim.MeshRoom(corners, [*kept, *wall], clsim.Material.from_reflection(math.sqrt(0.8), scattering=0.5))
+    assert not room.is_closed
+    assert mesh.is_closed
+    of = scene(clsim.Material.from_reflection(0.9))
+    open_hall = clsim.Scene(room, of.air, of.sources, of.receivers)
+    tail = tail_of(open_hall, 2, (1000.0, 1000.0), error_db=0.5)
+    share = float(re.match(r"([\d.]+) % of the energy escapes, near \(8.00, ", tail.escapes)[1]) / 100.0  # type: ignore[index]
+    surface, door = mesh.surface_area, 2.0
+    absorbed = 0.2 * (surface - door) + door
+    assert share == pytest.approx(door / absorbed, rel=0.25)
