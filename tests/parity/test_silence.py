@@ -154,9 +154,9 @@ MUTANTS = {
     "last path left out": ("render", "i < count[g - first_subblock]; i++", "i < count[g - first_subblock] - 1; i++"),
     "curve of another term": ("render", "CUBIC_CURVE(c[2], c[3], t)", "CUBIC_CURVE(c[2], c[2], t)"),
     "slope of another term": ("render", "CUBIC_SLOPE(c[1], c[2], c[3], t)", "CUBIC_SLOPE(c[1], c[2], c[2], t)"),
-    "gains of other functions": ("render", "i * functions + first)", "i * functions + first + 1)"),
+    "gains of other functions": ("render", "i * functions + first + first_beside)", "i * functions + first + first_beside + 1)"),
     "gain's slope of another term": ("render", "CUBIC_SLOPE(g[1], g[2], g[3], t)", "CUBIC_SLOPE(g[1], g[2], g[2], t)"),
-    "another function's sum": ("render", "worker, sum[k])", "worker, sum[k / 2])"),
+    "another function's sum": ("render", "*at + sum[g - first_subblock][k][j]", "*at + sum[g - first_subblock][k / 2][j]"),
 }  # fmt: skip
 
 
