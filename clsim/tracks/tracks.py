@@ -14,6 +14,7 @@ from clsim.paths.arrivals import Kinematics
 from clsim.paths.family import PeakSpeeds
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
+from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.splines import checked_indices, checked_samples, fitted_splines, heard_intervals
@@ -289,8 +290,9 @@ class SceneTracks(Tracks):
         return tuple(receiver.directivity.channels for receiver in self.scene.receivers)
 
     def costly(self, pair: int) -> bool:
-        """Return the property of the kind of paths."""
-        return self.pair_paths[pair].family.costly
+        """Test the kind of paths, and whether the host works out the gains of several channels."""
+        receiver = self.scene.receivers[self.pairs[pair].receiver]
+        return self.pair_paths[pair].family.costly or isinstance(receiver.directivity, ChannelDirectivity)
 
     def evaluate(
         self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
