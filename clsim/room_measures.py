@@ -17,6 +17,7 @@ from clsim.acoustics.decay import (
     definition,
     eyring_time,
     has_decay_range,
+    is_clipped,
     reverberation_time,
     sabine_time,
 )
@@ -40,6 +41,7 @@ _DECAYS = {"edt": (0.0, -10.0), "t20": (-5.0, -25.0), "t30": (-5.0, -35.0)}  # d
 _ORDER = 3  # of the band filters, of each edge
 _ONSET_DB = -20.0  # re the largest sample, at which a measured response begins (ISO 3382-1:2009, annex A.2.1)
 _MOST_OF_FILE = 0.475  # of its sampling rate: the band of a measured response
+_SHORTEST = 0.05  # s, of a measured response
 _AT = 10.0  # m from a source in the free field, of the level that G is relative to
 _OF_PAIRS = {
     "edt": "s", "t20": "s", "t30": "s", "c50": "dB", "c80": "dB", "d50": "1", "ts": "s", "g": "dB", "drr": "dB",
@@ -161,6 +163,13 @@ class _Given:
         peak = np.abs(samples).max()
         if not peak > 0.0:
             raise InputError("responses", f"must hold a response, but {path} is silent")
+        if len(samples) < _SHORTEST * rate:
+            length = 1e3 * len(samples) / rate
+            raise InputError(
+                "responses", f"must last {1e3 * _SHORTEST:g} ms at least, but {path} lasts {length:.3g} ms"
+            )
+        if is_clipped(samples):
+            warn(f"{path} is clipped: several samples in a row are at full scale, so early energies are wrong")
         begin = int(np.argmax(np.abs(samples) >= peak * 10.0 ** (_ONSET_DB / 20.0)))
         names = ("measured",), (str(path),)
         band = (0.0, _MOST_OF_FILE * rate)
@@ -197,13 +206,14 @@ def room_measures(
     Raises
     ------
     InputError
-        If the responses are none, a file cannot be read or is silent, the word is not known, or no such band lies
+        If the responses are none, a file cannot be read, is silent or lasts less than 50 ms, the word is not
+        known, or no such band lies
         within that of the responses.
 
     Warns
     -----
     ClsimWarning
-        If noise or the end of a response hides the decay in a band.
+        If noise or the end of a response hides the decay in a band, or a file is clipped.
 
     Notes
     -----

@@ -16,6 +16,7 @@ _INTERVAL = 0.03  # s, over which the first look at a decay is averaged
 _PER_TEN_DB = 3  # intervals of later looks
 _ABOVE_DB, _LATE_DB = 10.0, 20.0  # above noise, where its late decay begins to be looked at, and over how much
 _LOOKS = 5
+_FULL = 0.999  # of full scale, from which on a sample of a sound file may be cut off
 
 
 def decay_curve(samples: Floats, noise: float = 0.0, beyond: float = 0.0) -> Floats:
@@ -112,6 +113,12 @@ def has_decay_range(curve: Floats, sampling_rate: float, last_db: float, found: 
     if noisy:
         return bool(curve[-1] <= last_db - _HEADROOM_DB)
     return -last_db / 60.0 * found <= len(curve) / sampling_rate
+
+
+def is_clipped(samples: Floats) -> bool:
+    """Test whether three samples (n,) in a row are at full scale, 1."""
+    full = np.abs(samples) >= _FULL
+    return bool(np.any(full[2:] & full[1:-1] & full[:-2]))
 
 
 def centre_time(samples: Floats, sampling_rate: float, begin: int = 0) -> float:

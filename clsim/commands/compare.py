@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.decay import before_noise, decay_curve
+from clsim.acoustics.decay import before_noise, decay_curve, is_clipped
 from clsim.arrays import as_index
 from clsim.commands.arguments import add_force, as_path, as_whole
-from clsim.errors import InputError
+from clsim.errors import InputError, warn
 from clsim.files.atomic import atomic_path
 from clsim.files.ownership import NewFile
 from clsim.files.sound import read_sound_file
@@ -104,6 +104,8 @@ def _read(path: Path, channel: int) -> tuple[Floats, float]:
         ) from error
     if rate < 1000.0:
         raise InputError("measured", f"must be sampled at 1 kHz at least, but is at {rate:g} Hz")
+    if is_clipped(taps.astype(np.float64)):
+        warn(f"{path} is clipped: several samples in a row are at full scale, and levels and early energies are wrong")
     return checked(taps.astype(np.float64), rate, path), rate
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -134,11 +135,27 @@ def test_a_measured_response(tmp_path: Path, rng: np.random.Generator) -> None:
     assert np.isnan(clsim.room_measures(tmp_path / "hall.wav", channel=1).g).all()
 
 
+@pytest.mark.filterwarnings("ignore:noise or the end of responses")
+@pytest.mark.parametrize(("gain", "clipped"), [(0.2, False), (4.0, True)])
+def test_a_clipped_response_is_told(gain: float, clipped: bool, tmp_path: Path, rng: np.random.Generator) -> None:
+    """A file that its converter cut off has several samples in a row at full scale; a single one may be its peak."""
+    soundfile.write(
+        tmp_path / "loud.wav", np.clip(gain * decaying(0.5, 1.0, rng), -1.0, 1.0), round(RATE), subtype="PCM_16"
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", clsim.ClsimWarning)
+        clsim.room_measures(tmp_path / "loud.wav")
+    assert any("loud.wav is clipped" in str(w.message) for w in caught) == clipped
+
+
 def test_files_that_hold_no_response(tmp_path: Path) -> None:
     soundfile.write(tmp_path / "silence.wav", np.zeros(4800), 48_000)
     soundfile.write(tmp_path / "short.wav", np.eye(1, 4800)[0], 48_000)
     soundfile.write(tmp_path / "slow.wav", np.eye(1, 1600)[0], 16_000)
+    soundfile.write(tmp_path / "brief.wav", np.eye(1, 480)[0], 48_000)
+    soundfile.write(tmp_path / "broken.wav", np.array([0.0, np.nan] * 4800), 48_000, subtype="FLOAT")
     for path, more, problem in (
+        ("brief.wav", {}, "responses: must last 50 ms at least, but .*brief.wav lasts 10 ms"), ("broken.wav", {}, "must hold finite samples"),
         ("silence.wav", {}, "responses: must hold a response, but .*silence.wav is silent"),
         ("none.wav", {}, "there is no file"), ("short.wav", {"channel": 1}, "channel: must be below 1"),
         ("short.wav", {"free_field": 3.0}, "free_field: must be a sound file and a distance"),
