@@ -147,7 +147,7 @@ class Tracer:
         return Escaped(share, self._exits(energies.places), loud[of_walls[loud] > 0.05 * of_walls.sum()])
 
     def _exits(self, places: Floats) -> Floats:
-        """Return where rays (n, 6) cross the box about the room on their way out."""
+        """Return places (n, 3) at which rays (n, 6) leave the box about the room, m."""
         size = np.abs(self.room.leaves[:, :9]).reshape(-1, 3, 3, 8).max(axis=(0, 1, 3)) if len(places) else np.ones(3)
         start, way = places[:, :3], places[:, 3:]
         with np.errstate(divide="ignore", invalid="ignore"):
