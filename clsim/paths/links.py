@@ -220,10 +220,12 @@ def in_chunks(links: Links, times: Floats, nodes: int, solve: Callable[[Links, F
     return Arrivals(**always, means=None, more=columns)
 
 
-def met_in_order(scene: Scene, before: Integers, vertex: Any, after: Integers | None) -> tuple[Any, Any]:
-    """Make interactions and objects (P, N) of paths on moving legs, from their surfaces and vertices."""
+def met_in_order(
+    scene: Scene, before: Integers, vertex: Any, after: Integers | None, of_bodies: bool = True
+) -> tuple[Any, Any]:
+    """Make interactions and objects (P, N) of paths from their surfaces, of walls and bodies, and their vertices."""
     walls = len(scene.room.faces)
-    faces = walls + sum(len(body.faces) for body in scene.bodies)
+    faces = walls + sum(len(body.faces) for body in scene.bodies if of_bodies)
     things = before
     if vertex is not None and after is not None:
         things = np.concatenate([before, faces + vertex.objects[:, None], after], axis=1)
@@ -231,5 +233,5 @@ def met_in_order(scene: Scene, before: Integers, vertex: Any, after: Integers | 
     at_vertex = NONE if vertex is None else vertex.interaction
     kinds = np.select([things < 0, things < walls, things < faces], [NONE, SPECULAR, BODY], at_vertex)
     objects = np.where(things >= walls, things - walls, things)
-    wide = np.int32 if at_vertex == DIFFRACTION else np.int64  # as they are hashed
+    wide = np.int64 if of_bodies and at_vertex != DIFFRACTION else np.int32  # as they are hashed
     return read_only(kinds.astype(np.int8)), read_only(objects.astype(wide))

@@ -1,33 +1,113 @@
-"""What is asked of a search for paths, of any kind and in any room."""
+"""The options of a search for paths: their types, defaults, bounds and docstring."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
+
+from clsim.arrays import as_choice, as_count, as_number
 
 if TYPE_CHECKING:
     from clsim.paths.family import PathFamily
     from clsim.scene.scene import Scene
 
+DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
+DIFFRACTION_MODELS = ("utd", "btm")
+LARGEST_DIFFRACTION = 2
+LARGEST_SCATTERING_ORDER = 3
+FINDERS = ("auto", "beam-tree", "shooting")
+ENGINES = ("opencl", "reference")
+
+DirectSound = bool | float | Mapping[tuple[str, str], bool | float]
+
 
 @dataclass(frozen=True, slots=True)
-class PathSearch:
-    """The arguments of `find_paths`, checked."""
+class PathOptions:
+    """Options of a search for paths, checked as a whole.
 
-    max_order: int  # largest number of reflections; at least 0, and how many there may be is the finder's to say
-    diffraction: int  # largest number of edges that a path turns round, 0 to 2
-    diffraction_model: str  # of the field at an edge
-    scattering_order: int  # largest number of reflections before a scatterer, and of those after it
-    body_order: int | None  # largest number of reflections of paths by bodies; `max_order` when None
-    body_step: float  # how far all that moves goes from one look at paths by and behind bodies to the next, m
-    path_limit: int  # number of paths of a kind above which the search is refused or given up
-    finder: str  # how wall sequences are found in a mesh
-    resolution: float | None  # to which ends of intervals are found, s; chosen by the finder when None
-    engine: str  # what validates paths
-    device: str | None  # likewise
-    progress: Callable[[float], None]  # takes the share of the work that is done
+    Parameters
+    ----------
+    max_order : int
+        Largest number of reflections, 0 for the direct sound alone.
+    diffraction : int
+        Largest number of edges that a path turns round: 0, 1 for paths with one edge and up to `max_order` reflections
+        before and after it, of the room or of bodies, or 2 for those over two edges of one face of the room as well.
+    diffraction_model : {"utd", "btm"}
+        Of the field at an edge: the uniform theory of diffraction, for some 5 kHz and more, or the exact field of a
+        wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two edges are those of
+        "utd".
+    scattering_order : int
+        Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3. An echo of N
+        walls has the shadow of a sphere if it is at least N.
+    body_order : int, optional
+        Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
+    body_step : float
+        How far bodies, source and receiver together go from one look to the next at paths over edges and by
+        scatterers that bodies may hide, and at others where no bound holds, 10 um to 1 m; what comes and goes between
+        two looks is missed.
+    direct : bool, float or mapping
+        Whether paths by nothing are among them; without them a sonar hears no cross-talk of its own source, and with
+        `max_order` 0 nothing but echoes of scatterers. A number is their level relative to the free direct sound, dB,
+        as behind a baffle; a mapping of (source, receiver), by their names, to either is for these pairs alone.
+    path_limit : int
+        Number of paths above which the search is refused or given up.
+    finder : {"auto", "beam-tree", "shooting"}
+        How wall sequences are found in a mesh: by a tree of beams, which misses none, or by rays, which can miss small
+        walls and needs embreex; "auto" shoots only where the tree would be far too large, with a warning.
+    resolution : float, optional
+        To which ends of intervals are found in a mesh, s; 1/16 sample of the fastest sampled signal when left out.
+    engine : {"opencl", "reference"}
+        What validates paths in a mesh: a device with float64, or NumPy, also taken (with a warning) where there is no
+        such device.
+    device : str, optional
+        As in `render`.
+    progress : callable, optional
+        Called now and then with the share of the work that is done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If an option breaks a rule.
+    """
+
+    max_order: int
+    _: KW_ONLY
+    diffraction: int = 0
+    diffraction_model: str = "utd"
+    scattering_order: int = 0
+    body_order: int | None = None
+    body_step: float = 0.01
+    direct: DirectSound = True
+    path_limit: int = DEFAULT_PATH_LIMIT
+    finder: str = "auto"
+    resolution: float | None = None
+    engine: str = "opencl"
+    device: str | None = None
+    progress: Callable[[float], None] | None = None
+
+    def __post_init__(self) -> None:
+        as_choice("finder", self.finder, FINDERS)
+        as_choice("engine", self.engine, ENGINES)
+        checked: dict[str, Any] = {}
+        if self.resolution is not None:
+            checked["resolution"] = as_number("resolution", self.resolution, at_least=1e-9, at_most=1.0, unit="s")
+        checked["path_limit"] = as_count("path_limit", self.path_limit, at_least=1)
+        as_choice("diffraction_model", self.diffraction_model, DIFFRACTION_MODELS)
+        checked["diffraction"] = as_count("diffraction", self.diffraction, at_most=LARGEST_DIFFRACTION)
+        most = LARGEST_SCATTERING_ORDER
+        checked["scattering_order"] = as_count("scattering_order", self.scattering_order, at_most=most)
+        if self.body_order is not None:
+            checked["body_order"] = as_count("body_order", self.body_order)
+        checked["body_step"] = as_number("body_step", self.body_step, at_least=1e-5, at_most=1.0, unit="m")
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    def tell(self, share: float) -> None:
+        """Report the share of the work that is done, 0 to 1."""
+        if self.progress is not None:
+            self.progress(share)
 
 
-RoomFinder = Callable[["Scene", Any, PathSearch], "PathFamily"]  # scene, its room, what is asked
-FamilyFinder = Callable[["Scene", PathSearch], "PathFamily"]
+RoomFinder = Callable[["Scene", Any, PathOptions], "PathFamily"]  # scene, its room, options
+FamilyFinder = Callable[["Scene", PathOptions], "PathFamily"]

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 from dataclasses import KW_ONLY, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, Protocol, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 from clsim.arrays import as_choice, as_count, as_flag, as_number
 from clsim.errors import InputError
-from clsim.paths.path_set import PathSet
 from clsim.render.baseband import Baseband, as_baseband
 from clsim.render.interpolator import Bandlimited, Interpolator
 from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Motion = Literal["retarded", "quasi-static"]
 Amplitude = Literal["wave-equation", "static", "convective"]
@@ -26,10 +20,6 @@ TailChoice = Literal["off", "auto"]
 _BANDLIMITED = Bandlimited()
 _OF_TRACKS = {"of_tracks": True}  # metadata of options that `track` and `pruned` carry out
 _WORDS = {"motion": Motion, "amplitude": Amplitude, "responses": Responses, "engine": Engine, "tail": TailChoice}
-
-P = ParamSpec("P")
-T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,50 +183,3 @@ class RenderOptions:
         for name in (f.name for f in fields(cls) if f.metadata.get("of_tracks") and f.name in options):
             raise InputError(name, f"must be left out, for the tracks have it already, but is {options[name]!r:.80}")
         return cls(sampling_rate, **options)
-
-
-class OfPaths(Protocol[P, T_co]):
-    """A function of paths and render options, each of which is a keyword."""
-
-    def __call__(self, paths: PathSet, *args: P.args, **kwargs: P.kwargs) -> T_co:
-        """Call the function with each option as a keyword."""
-        ...
-
-
-def keywords_of(
-    make: Callable[P, RenderOptions],
-) -> Callable[[Callable[[PathSet, RenderOptions], T]], OfPaths[P, T]]:
-    """Return a decorator for functions of paths and options, which makes each option a keyword.
-
-    Signature and docstring list them all, so that editors and ``help`` know them.
-    """
-
-    def decorated(function: Callable[[PathSet, RenderOptions], T]) -> OfPaths[P, T]:
-        """Return a function of paths and options as one of paths and keywords."""
-
-        def call(paths: PathSet, *args: P.args, **kwargs: P.kwargs) -> T:
-            """Check the paths and the names of keywords, and call with the options that they make."""
-            if not isinstance(paths, PathSet):
-                raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
-            try:
-                signature.bind(paths, *args, **kwargs)
-            except TypeError as error:  # in the words of the function that was called
-                raise TypeError(f"{function.__name__}() {error}") from None
-            return function(paths, make(*args, **kwargs))
-
-        own, options = inspect.signature(function), inspect.signature(make)
-        signature = own.replace(parameters=[own.parameters["paths"], *options.parameters.values()])
-        functools.update_wrapper(call, function)
-        vars(call)["__signature__"] = signature
-        call.__doc__ = with_options_listed(function.__doc__)
-        return call
-
-    return decorated
-
-
-def with_options_listed(docstring: str | None) -> str:
-    """Return a docstring in which the line of the options, and what is indented below, is what their own one says."""
-    own = inspect.cleandoc(RenderOptions.__doc__ or "").partition("----------\n")[2].partition("\n\nRaises")[0]
-    before, _, after = inspect.cleandoc(docstring or "").partition("options : RenderOptions\n")
-    rest = after.partition("\n\n")
-    return before + own + rest[1] + rest[2] if after else before

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.errors import InputError
+from clsim.keywords import keywords_of
+from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
 from clsim.render.allocation import allocate, moved_to
 from clsim.render.baseband import check_ends, segmented
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.methods import narrow_part, per_sample, sampled_channel, static
-from clsim.render.options import RenderOptions, keywords_of
+from clsim.render.options import RenderOptions
 from clsim.render.plan import BLOCKS, SEGMENT, Plan, chunk_of, max_rate
 from clsim.tail.design import ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
 from clsim.tail.diffuse_field import DiffuseField
@@ -26,7 +28,6 @@ from clsim.tracks.tracks import track
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from clsim.paths.path_set import PathSet
     from clsim.render.contributions import Contribution
     from clsim.scene.scene import Scene
     from clsim.scene.signal.signal import Signal
@@ -67,7 +68,7 @@ class FoundTails:
 NO_TAILS = FoundTails()
 
 
-@keywords_of(RenderOptions)
+@keywords_of(RenderOptions, PathSet)
 def plan_render(paths: PathSet, options: RenderOptions) -> Plan:
     """Return the plan of a rendering without carrying it out.
 

@@ -8,9 +8,11 @@ import numpy as np
 
 from clsim.arrays import as_count, as_number
 from clsim.errors import InputError
+from clsim.keywords import keywords_of
+from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
 from clsim.render.memory import within_memory
-from clsim.render.options import RenderOptions, keywords_of
+from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths, plan_tracks
 from clsim.render.rendering import Rendering
 from clsim.scene.signal.signal import Signal
@@ -21,12 +23,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.paths.path_set import PathSet
     from clsim.render.plan import Plan
     from clsim.tracks.tracks import Tracks
 
 
-@keywords_of(RenderOptions)
+@keywords_of(RenderOptions, PathSet)
 def render(paths: PathSet, options: RenderOptions) -> Recording:
     """Render the sound at every receiver of a scene.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 from pydantic import Discriminator, Field, Tag, ValidationError, create_model
 
 from clsim.arrays import Floats, short_repr
-from clsim.paths.find_paths import DEFAULT_PATH_LIMIT
+from clsim.paths.options import DEFAULT_PATH_LIMIT
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
 from clsim.render.options import RenderOptions

@@ -25,7 +25,7 @@ from clsim.paths.legs.static import StaticLeg
 from clsim.paths.path_set import PathSet
 from clsim.plugins import _plugins
 
-SEAMS = {"arrivals", "family", "propagation", "response", "search"}  # of clsim.paths
+SEAMS = {"arrivals", "family", "options", "propagation", "response"}  # of clsim.paths
 RATE = 192e3
 CHUNK = 18432
 

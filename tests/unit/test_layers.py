@@ -19,7 +19,7 @@ import clsim
 PACKAGE = Path(clsim.__file__).parent
 ROOT = PACKAGE.parent
 LAYERS = [
-    ("errors", "arrays", "packages", "plugins", "process", "version"),
+    ("errors", "arrays", "keywords", "packages", "plugins", "process", "version"),
     ("files", "numerics"),
     ("pictures",),
     ("acoustics",),

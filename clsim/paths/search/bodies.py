@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.chain import Chain
-    from clsim.paths.options import PathSearch
+    from clsim.paths.options import PathOptions
     from clsim.paths.propagation import UniformAir
     from clsim.paths.visibility.intervals import VisibilityQuery
     from clsim.scene.ends import End, Receiver, Source
@@ -95,7 +95,7 @@ class _Lifted:
 class BodySearch:
     """How paths by bodies, and what bodies hide, are looked for in a scene; see `find_paths`."""
 
-    def __init__(self, scene: Scene, search: PathSearch) -> None:
+    def __init__(self, scene: Scene, search: PathOptions) -> None:
         check_support("moving", scene.air)
         self.scene, self.search = scene, search
         self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)

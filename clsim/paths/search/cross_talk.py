@@ -15,9 +15,8 @@ from clsim.paths.chain import is_specular
 if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.family import PathFamily
+    from clsim.paths.options import DirectSound
     from clsim.scene.scene import Scene
-
-    DirectSound = bool | float | Mapping[tuple[str, str], bool | float]
 
 
 def direct_levels(scene: Scene, direct: DirectSound) -> Floats:

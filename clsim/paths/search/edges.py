@@ -27,21 +27,20 @@ from clsim.paths.visibility.edge_intervals import EdgeSearch, Pieces, find_piece
 from clsim.paths.visibility.edges import ENDS_BESIDE, EdgeCandidates
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.chain import Chain
     from clsim.paths.family import PathFamily
-    from clsim.paths.options import PathSearch
+    from clsim.paths.options import PathOptions
     from clsim.paths.visibility.intervals import VisibilityQuery
     from clsim.scene.room.edges import Edges
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
-    Generator = Callable[[Walls, Sides, list[Sides], Edges, int], Iterator[tuple[float, EdgeCandidates]]]
 
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
@@ -49,30 +48,36 @@ _SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or 
 _FARTHEST = 8  # resolutions, the same where that is more
 
 
-def edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> Chain:
+def edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]) -> Chain:
     """Return every path over one edge with up to `max_order` reflections before and after it.
 
     others: paths without edges: where an edge path takes over from one of them, that one's time is taken.
 
     A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
     """
-    rows, order, within = _rows_of(scene, search, others, _candidates)
+    rows, order, within = _rows_of(scene, search, others, pairs=False)
     return with_swaps(edge_chain(scene, search.diffraction_model, order, rows), within)
 
 
-def double_edge_paths(scene: Scene, search: PathSearch, others: tuple[PathFamily, ...]) -> Chain:
+def double_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]) -> Chain:
     """Return every path over two edges that share a face with up to `max_order` reflections before and after them.
 
     others: paths without edges and over one: where a path over two edges takes over from one of them, that one's time
     is taken.
     """
+<<<<<<< HEAD
     check_support("static edge pair", scene.air)
     rows, order, within = _rows_of(scene, search, others, _double_candidates)
+=======
+    if scene.air.layers or scene.air.fluctuation is not None:
+        raise InputError("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
+    rows, order, within = _rows_of(scene, search, others, pairs=True)
+>>>>>>> eb0a23b (Options of find_paths are one checked value; one search by pairing for scatterers, one for edges)
     return with_swaps(edge_pair_chain(scene, order, rows), within)
 
 
 def _rows_of(
-    scene: Scene, search: PathSearch, others: tuple[PathFamily, ...], candidates: Generator
+    scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], pairs: bool
 ) -> tuple[list[dict[str, Any]], int, float]:
     """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
 
@@ -84,7 +89,7 @@ def _rows_of(
     within = 0.0
     if len(edges):
         for source in range(len(scene.sources)):
-            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), candidates)
+            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), pairs)
             rows, within = rows + found, _FARTHEST * resolution
     rows.sort(key=lambda r: (r["source"], r["receiver"], len(r["before"]) + len(r["after"]),
                              *r["edges"], r["end_of"], *r["before"], *r["after"], r["start"]))  # fmt: skip
@@ -96,9 +101,9 @@ def _source_rows(
     edges: Edges,
     source: int,
     order: int,
-    search: PathSearch,
+    search: PathOptions,
     partners: _Partners,
-    generator: Generator,
+    pairs: bool,
 ) -> tuple[list[dict[str, Any]], float]:
     """Return the paths of a source, one by one, and to which time their ends are found, s."""
     room = scene.room.as_mesh()
@@ -112,13 +117,13 @@ def _source_rows(
         _sequences(room.walls, tables.sphere(1 + r), edges, spheres, order) for r in range(len(scene.receivers))
     ]
     done = source / len(scene.sources)
-    for share, candidates in generator(room.walls, from_source, to_receivers, edges, order):
-        pieces = find_pieces(finder, candidates, order, partial(search.progress, done))
+    for share, candidates in _candidates(room.walls, from_source, to_receivers, edges, order, pairs):
+        pieces = find_pieces(finder, candidates, order, partial(search.tell, done))
         found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
         if len(found) > search.path_limit:
             raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
         done = (source + share) / len(scene.sources)
-        search.progress(done)
+        search.tell(done)
     return found, query.resolution
 
 
@@ -171,54 +176,46 @@ def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDAr
 
 
 def _candidates(
-    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
+    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int, pairs: bool
 ) -> Iterator[tuple[float, EdgeCandidates]]:
-    """Yield all pairs of sequences to an edge, and to its free ends, by numbers of walls, and the share so far."""
+    """Yield pairs of sequences to vertices, by numbers of walls, and the share of the work so far.
+
+    Vertices are edges and their free ends, or `pairs` of edges that share a face.
+    """
     numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
-    free = [(-1, *np.flatnonzero(ends).tolist()) for ends in edges.free]
-    fewest = partner_reflections(edges.n).min(axis=1)
+    vertices = _edge_pairs(edges) if pairs else _edges_and_ends(edges)
     for done, (n, m) in enumerate(numbers):
         parts: list[tuple[Any, ...]] = []
         waiting = 0
         for receiver, to_receiver in enumerate(to_receivers):
-            for edge in np.flatnonzero(n + m + fewest <= order).tolist():
-                for end in free[edge]:
-                    before, after = from_source[edge][n], to_receiver[edge][m]
-                    if end >= 0:  # nothing comes to an end by a wall that it lies in
-                        place = (edges.start, edges.stop)[end][edge]
-                        before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
-                    i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
-                    edge_and_face = np.full((len(i), 2), edge), np.full((len(i), 2), -1)
-                    parts.append((before[i], after[j], *edge_and_face, *(np.full(len(i), x) for x in (end, receiver))))
-                    waiting += len(i)
-                if waiting >= _BATCH:
-                    yield done / len(numbers), _together(parts)
-                    parts, waiting = [], 0
-        if waiting:
-            yield (done + 1) / len(numbers), _together(parts)
-
-
-def _double_candidates(
-    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int
-) -> Iterator[tuple[float, EdgeCandidates]]:
-    """Yield all pairs of sequences to edges that share a face, by numbers of walls; and the share so far."""
-    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
-    pairs, faces = edges.pairs()
-    for done, (n, m) in enumerate(numbers):
-        parts: list[tuple[Any, ...]] = []
-        waiting = 0
-        for receiver, to_receiver in enumerate(to_receivers):
-            for pair, face in zip(pairs, faces, strict=True):
-                before, after = from_source[pair[0]][n], to_receiver[pair[1]][m]
+            for both, face, end, fewest in vertices:
+                if n + m + fewest > order:
+                    continue
+                before, after = from_source[both[0]][n], to_receiver[both[1]][m]
+                if end >= 0:  # nothing comes to an end by a wall that it lies in
+                    place = (edges.start, edges.stop)[end][both[0]]
+                    before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
                 i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
-                both = (np.tile(x, (len(i), 1)) for x in (pair, face))
-                parts.append((before[i], after[j], *both, np.full(len(i), -1), np.full(len(i), receiver)))
+                vertex = (np.tile(x, (len(i), 1)) for x in (both, face))
+                parts.append((before[i], after[j], *vertex, *(np.full(len(i), x) for x in (end, receiver))))
                 waiting += len(i)
                 if waiting >= _BATCH:
                     yield done / len(numbers), _together(parts)
                     parts, waiting = [], 0
         if waiting:
             yield (done + 1) / len(numbers), _together(parts)
+
+
+def _edges_and_ends(edges: Edges) -> Iterable[Any]:
+    """List edges and free ends of them: edges, faces shared, end, and fewest reflections of an adjacent path."""
+    fewest = partner_reflections(edges.n).min(axis=1).tolist()
+    ends = [(-1, *np.flatnonzero(free).tolist()) for free in edges.free]
+    return [((e, e), (-1, -1), end, fewest[e]) for e in range(len(edges)) for end in ends[e]]
+
+
+def _edge_pairs(edges: Edges) -> Iterable[Any]:
+    """List pairs of edges that share a face, likewise."""
+    return [(pair, face, -1, 0) for pair, face in zip(*edges.pairs(), strict=True)]
 
 
 def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.device import DeviceInfo
-    from clsim.paths.options import PathSearch
+    from clsim.paths.options import PathOptions
     from clsim.paths.trajectory_tables import TrajectoryTables
     from clsim.paths.visibility.intervals import Intervals
     from clsim.scene.ends import Source
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     Search = Callable[[NDArray[np.int32], NDArray[np.int64]], Intervals]
 
 LARGEST_MESH_ORDER = 20
-FINDERS = ("auto", "beam-tree", "shooting")
+
 BEAM_LIMIT = 5_000_000  # of one tree
 _SMALLEST_CELL = 0.01  # of the room's size, below which halving a cell does not help a tree
 # Where pairs of walls swap their order, one path ends as another with the same image begins: a gap of a sample between
@@ -169,13 +169,13 @@ def visibility_query(
     return VisibilityQuery(room.walls, ends, medium, np.zeros(len(last)), last, fine), longest
 
 
-def mesh_paths(scene: Scene, room: MeshRoom, search: PathSearch) -> Chain:
+def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
     """Return every path of a mesh up to an order, a row for every interval in which it is heard."""
     order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
     mesh = MeshSearch(order, search.finder, search.resolution, search.path_limit, search.engine, search.device)
     count = len(scene.sources)
     found = [
-        mesh.paths(scene, room, source, partial(report, search.progress, i / count, (i + 1) / count))
+        mesh.paths(scene, room, source, partial(report, search.tell, i / count, (i + 1) / count))
         for i, source in enumerate(scene.sources)
     ]
     walls = np.concatenate([f.walls for f in found])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,10 +13,18 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
-from clsim.paths.family import NONE, SCATTERING, SPECULAR
+from clsim.paths.family import ends_at
+from clsim.paths.legs.events import find_events
+from clsim.paths.legs.mirrors import Mirrors
+from clsim.paths.legs.moving import moving_paths
 from clsim.paths.legs.static import StaticLeg, direct_paths
+<<<<<<< HEAD
 from clsim.paths.propagation import medium_of, straight
 from clsim.paths.support import check_support
+=======
+from clsim.paths.links import met_in_order
+from clsim.paths.propagation import mean_medium_of, medium_of, straight
+>>>>>>> eb0a23b (Options of find_paths are one checked value; one search by pairing for scatterers, one for edges)
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scene import Scene
@@ -26,64 +35,95 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.options import PathSearch
     from clsim.paths.propagation import Medium
     from clsim.scene.body import Body
+    from clsim.scene.ends import End
     from clsim.scene.motion.motion import Motion
+    from clsim.scene.scatterer import Scatterer
 
-LARGEST_SCATTERING_ORDER = 3
+    Ends = tuple[int, int, int]  # source, scatterer, receiver
+
+
 _PROBES = 10.0  # Hz, at which distances from scatterers are looked at
 _TOGETHER = 1000  # instants at which they are
 _RINGING = 10.0  # s for which transducers and filters may sound on
-_STEPS = 100
+_AT_A_TIME = 20_000  # legs and times
+_STEPS = 100  # of a travel time
 _FOUND = 1e-13  # s
+_MOVING_STEPS, _MOVING_FOUND = 30, 1e-12  # the same by mirrors that move
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
-    """Paths from one source by one scatterer to one receiver: rows (n,) of both sides, and when they are heard, s."""
+class Side:
+    """Paths between endpoints and scatterers, n of them.
 
-    before: NDArray[np.int64]
-    after: NDArray[np.int64]
-    start: Floats
-    end: Floats
-
-
-def scattered_paths(scene: Scene, search: PathSearch, before: Chain, after: Chain) -> Chain:
-    """Return every path by one scatterer with up to `scattering_order` reflections before it and as many after it.
-
-    Both sides are paths by walls with the scatterer's centre as an end: which walls are in the way, and when, is asked
-    of the centre. A side that comes or goes when sound meets the scatterer is heard to come or go when that sound is
-    received.
+    Attributes
+    ----------
+    leg : StaticLeg or None
+        Their images; None where bodies are among their surfaces.
+    by_body : ndarray (n,) bool
+        Whether any surface is a face of a body.
     """
-    most = len(before) * len(after) // max(len(scene.scatterers), 1)
-    rows: list[dict[str, Any]] = []
-    count = 0
-    for source in range(len(scene.sources)):
-        for receiver in range(len(scene.receivers)):
-            for which in range(len(scene.scatterers)):
-                pairs = _pairs(scene, before, after, (source, which, receiver))
-                count += len(pairs.start)
-                if count > search.path_limit:
-                    raise InputError(
-                        "scattering_order",
-                        f"must give at most {search.path_limit} paths by scatterers (path_limit), but "
-                        f"{search.scattering_order} gives about {most}",
-                    )
-                rows.append(_columns(before, after, pairs, (source, which, receiver)))
-    return _family(scene, rows)
+
+    surfaces: NDArray[np.int32]  # (n, N) from where sound comes, -1 behind the last
+    source: NDArray[np.int32]  # (n,) between which
+    receiver: NDArray[np.int32]  # likewise
+    start: Floats  # (n,) interval of reception, s
+    end: Floats  # likewise
+    by_body: NDArray[np.bool_]
+    leg: StaticLeg | None
+
+    @staticmethod
+    def of(walls: Chain, faces: Chain | None = None) -> Side:
+        """Take the paths by walls, together with those by bodies if there are any."""
+        chains = [walls] if faces is None else [walls, faces]
+        met = [walls.objects.astype(np.int32), *(chain.legs[0].surfaces for chain in chains[1:])]
+        width = max(each.shape[1] for each in met)
+        met = [np.pad(each, ((0, 0), (0, width - each.shape[1])), constant_values=-1) for each in met]
+        names = ("source", "receiver", "start", "end")
+        columns = (np.concatenate([getattr(chain, name) for chain in chains]) for name in names)
+        by_body = np.repeat(np.arange(len(chains)) > 0, [len(chain) for chain in chains])
+        return Side(np.concatenate(met), *columns, by_body=by_body, leg=walls.legs[0] if faces is None else None)
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+
+def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: int) -> Chain:
+    """Find every path by one scatterer with up to `order` reflections before it and as many after it.
+
+    Both sides are paths with the scatterer's centre as an end: what is in the way, and when, is asked of the centre. A
+    side that comes or goes when sound meets the scatterer is heard to come or go when that sound is received. Where the
+    sides have no images, one of them meets a body.
+    """
+    found: list[dict[str, Any]] = []
+    count, most = 0, len(before) * len(after) // max(len(scene.scatterers), 1)
+    for source, receiver, which in product(
+        *(range(len(x)) for x in (scene.sources, scene.receivers, scene.scatterers))
+    ):
+        found.append(_pairs(scene, before, after, (source, which, receiver)))
+        count += len(found[-1]["start"])
+        if count > limit:
+            raise InputError(
+                "scattering_order",
+                f"must give at most {limit} paths by scatterers (path_limit), but {order} gives about {most}",
+            )
+    columns = {name: read_only(np.concatenate([each[name] for each in found])) for name in found[0]}
+    vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
+    if before.leg is None:
+        family = moving_paths(scene, Mirrors.of(scene), columns, ("before", "after"), vertex)
+        return replace(family, vertex=replace(vertex, nearest=read_only(_nearest_moving(family))))
+    kinds, objects = met_in_order(scene, columns["before"], vertex, columns["after"], of_bodies=False)
+    always: dict[str, Any] = {name: columns[name] for name in ("source", "receiver", "order", "start", "end")}
+    legs = tuple(StaticLeg(columns[f"{side}_matrix"], columns[f"{side}_offset"]) for side in ("before", "after"))
+    family = Chain(scene=scene, **always, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
+    return replace(family, vertex=replace(vertex, nearest=read_only(_nearest_static(family))))
 
 
 def direct_ways(scene: Scene) -> Chain:
-    """Return the paths by no wall by every scatterer, whatever is in the way."""
-    before, after = (direct_paths(side) for side in sides(scene))
-    rows = [
-        _columns(before, after, _pairs(scene, before, after, (source, which, receiver)), (source, which, receiver))
-        for source in range(len(scene.sources))
-        for receiver in range(len(scene.receivers))
-        for which in range(len(scene.scatterers))
-    ]
-    return _family(scene, rows)
+    """Make the paths by no wall by every scatterer, whatever is in the way."""
+    before, after = (Side.of(direct_paths(side)) for side in sides(scene))
+    return scattered_paths(scene, before, after, 0, len(before) * len(after))
 
 
 def sides(scene: Scene, bodies: Sequence[Body] = ()) -> tuple[Scene, Scene]:
@@ -100,29 +140,58 @@ def sides(scene: Scene, bodies: Sequence[Body] = ()) -> tuple[Scene, Scene]:
         )
 
 
-def _pairs(scene: Scene, before: Chain, after: Chain, ends: tuple[int, int, int]) -> _Pairs:
-    """Return the pairs of sides by a scatterer that are there at the same time."""
+def _pairs(scene: Scene, before: Side, after: Side, ends: Ends) -> dict[str, Any]:
+    """Columns of the paths from a source by a scatterer to a receiver: pairs of sides that are there together."""
     source, which, receiver = ends
     first = np.flatnonzero((before.source == source) & (before.receiver == which))
     second = np.flatnonzero((after.source == which) & (after.receiver == receiver))
     i, j = np.divmod(np.arange(len(first) * len(second)), max(len(second), 1))
     one, two = first[i], second[j]
+    if before.leg is None:
+        some = before.by_body[one] | after.by_body[two]
+        one, two = one[some], two[some]
     bounds = [_heard(scene, after, two, times[one], ends) for times in (before.start, before.end)]
     start, end = np.maximum(bounds[0], after.start[two]), np.minimum(bounds[1], after.end[two])
-    order = np.lexsort((before.order[one] + after.order[two],))
-    order = order[start[order] < end[order]]
-    return _Pairs(one[order], two[order], start[order], end[order])
+    met = np.sum(before.surfaces[one] >= 0, axis=1) + np.sum(after.surfaces[two] >= 0, axis=1)
+    rank = np.lexsort((met,))
+    rank = rank[start[rank] < end[rank]]
+    one, two, count = one[rank], two[rank], len(rank)
+    columns = {
+        "source": np.full(count, source, dtype=np.int32), "receiver": np.full(count, receiver, dtype=np.int32),
+        "order": (met[rank] + 1).astype(np.int32), "start": start[rank], "end": end[rank],
+        "before": before.surfaces[one], "after": after.surfaces[two],
+        "scatterer": np.full(count, which, dtype=np.int32),
+    }  # fmt: skip
+    if before.leg is None or after.leg is None:
+        return columns
+    to, onwards = before.leg.part(one), after.leg.part(two)
+    back = onwards.matrix.transpose(0, 2, 1)  # the image of the receiver, as the scatterer sees it
+    return columns | {
+        "before_matrix": to.matrix, "before_offset": to.offset,
+        "after_matrix": back, "after_offset": -np.einsum("pij,pj->pi", back, onwards.offset),
+    }  # fmt: skip
 
 
-def _heard(scene: Scene, after: Chain, rows: NDArray[np.int64], events: Floats, ends: tuple[int, int, int]) -> Floats:
-    """Return when the receiver hears (n,) what the scatterer sends at times (n,) by paths after it, s."""
+def _heard(scene: Scene, after: Side, rows: NDArray[np.int64], events: Floats, ends: Ends) -> Floats:
+    """Find the times (n,) at which the receiver hears what the scatterer sends at times (n,) by paths after it, s."""
     heard, known = np.array(events), np.flatnonzero(np.isfinite(events))
-    if len(known):
-        sent = scene.scatterers[ends[1]].trajectory.position(events[known])
-        leg = after.legs[0].part(rows[known])
+    if not len(known):
+        return heard
+    frequency = scene.sources[ends[0]].emitted.centre_frequency
+    motions = scene.scatterers[ends[1]].trajectory, scene.receivers[ends[2]].trajectory
+    if after.leg is not None:
+        sent, leg = motions[0].position(events[known]), after.leg.part(rows[known])
         images = np.einsum("pij,pj->pi", leg.matrix, sent) + leg.offset
-        medium = medium_of(scene.air, scene.sources[ends[0]].emitted.centre_frequency)
-        heard[known] += _flight(medium, (sent, images), scene.receivers[ends[2]].trajectory, events[known])
+        heard[known] += _flight(medium_of(scene.air, frequency), (sent, images), motions[1], events[known])
+        return heard
+    mirrors, medium, times = Mirrors.of(scene), mean_medium_of(scene.air, frequency), heard[known, None]
+    for _ in range(_MOVING_STEPS):
+        found = find_events(mirrors, after.surfaces[rows[known]], motions, medium, times)
+        step = (times - found.delay - events[known, None]) / (1.0 - found.rate)
+        times = times - step
+        if np.abs(step).max() <= _MOVING_FOUND:
+            break
+    heard[known] = times[:, 0]
     return heard
 
 
@@ -141,43 +210,7 @@ def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, tim
     return flight
 
 
-def _columns(before: Chain, after: Chain, pairs: _Pairs, ends: tuple[int, int, int]) -> dict[str, Any]:
-    """Return the columns of the paths of some pairs of sides."""
-    one, two = pairs.before, pairs.after
-    width = before.objects.shape[1] + after.objects.shape[1] + 1
-    objects = np.full((len(one), width), -1, dtype=np.int32)
-    kinds = np.full((len(one), width), NONE, dtype=np.int8)
-    n, m = before.order[one], after.order[two]
-    step = np.arange(width)
-    for walls, first, number in ((before.objects[one], 0 * n, n), (after.objects[two], n + 1, m)):
-        row, place = np.nonzero((step >= first[:, None]) & (step < (first + number)[:, None]))
-        objects[row, place] = walls[row, place - first[row]]
-        kinds[row, place] = SPECULAR
-    everyone = np.arange(len(one))
-    objects[everyone, n], kinds[everyone, n] = ends[1], SCATTERING
-    to, onwards = before.legs[0].part(one), after.legs[0].part(two)
-    back = onwards.matrix.transpose(0, 2, 1)  # the image of the receiver, as the scatterer sees it
-    return {
-        "source": np.full(len(one), ends[0], dtype=np.int32), "receiver": np.full(len(one), ends[2], dtype=np.int32),
-        "order": (n + m + 1).astype(np.int32), "start": pairs.start, "end": pairs.end, "interactions": kinds,
-        "objects": objects, "before_matrix": to.matrix, "before_offset": to.offset,
-        "after_matrix": back, "after_offset": -np.einsum("pij,pj->pi", back, onwards.offset),
-        "scatterer": np.full(len(one), ends[1], dtype=np.int32),
-    }  # fmt: skip
-
-
-def _family(scene: Scene, rows: list[dict[str, Any]]) -> Chain:
-    """Return paths as columns."""
-    columns = {name: read_only(np.concatenate([row[name] for row in rows])) for name in rows[0]}
-    names = ("source", "receiver", "order", "start", "end", "interactions", "objects")
-    always: dict[str, Any] = {name: columns[name] for name in names}
-    legs = tuple(StaticLeg(columns[f"{side}_matrix"], columns[f"{side}_offset"]) for side in ("before", "after"))
-    vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
-    family = Chain(scene=scene, **always, legs=legs, vertex=vertex)
-    return replace(family, vertex=replace(vertex, nearest=read_only(_nearest(family))))
-
-
-def _nearest(family: Chain) -> Floats:
+def _nearest_static(family: Chain) -> Floats:
     """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m.
 
     They hold for all that is emitted: motions that go on for days after the sound ended take no time.
@@ -215,3 +248,32 @@ def _apart(family: Chain, leg: StaticLeg, ends: tuple[Source | Receiver, int], u
         under_way = float(times[-1]) < until + flight
     # Sound takes d / c from one to the other, in which either moves on.
     return (least - 0.5 * speed / _PROBES) / (1.0 + speed / c), max(float(times[-1]), until + flight)
+
+
+def _nearest_moving(family: Chain) -> Floats:
+    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the lengths of both legs, m.
+
+    They are looked at now and then: meanwhile, and while sound is on its way, all moves on.
+    """
+    scene, c = family.scene, family.speed_range.slowest
+    speed = 2.0 * family.speeds + _fastest(scene.sources) + _fastest(scene.receivers)
+    ends: list[End | Body | Scatterer] = [*scene.sources, *scene.receivers, *scene.bodies, *scene.scatterers]
+    last = max((thing.trajectory.end for thing in ends if math.isfinite(thing.trajectory.end)), default=0.0)
+    times = np.arange(0.0, last + 1.0 / _PROBES, 1.0 / _PROBES)
+    radius = np.array([scatterer.shape.radius for scatterer in scene.scatterers])[family.vertex.scatterer]
+    least = np.full((2, len(family)), np.inf)
+    for some in np.array_split(np.arange(len(family)), -(-len(family) * len(times) // _AT_A_TIME) or 1):
+        rows, now = np.repeat(some, len(times)), np.tile(times, len(some))
+        places = ends_at(scene.sources, family.source[rows], now), ends_at(scene.receivers, family.receiver[rows], now)
+        links = family.links(rows)
+        for leg, length in enumerate(links.vertex.leg_lengths(links, places, now)):
+            least[leg, some] = length.reshape(len(some), len(times)).min(axis=1)
+    nearest = (least - 0.5 * speed / _PROBES) / (1.0 + speed / c) - radius
+    first, second = np.maximum(nearest, scene.min_distance)
+    return np.asarray(1.0 / (1.0 / first + 1.0 / second))
+
+
+def _fastest(ends: Sequence[Source] | Sequence[Receiver]) -> float:
+    """Return the largest speed of any end, sampled and 2 % larger, m/s."""
+    moving = [end.trajectory for end in ends if not end.trajectory.is_static]
+    return max((1.02 * motion.peak_speed(0.0, motion.end)[0] for motion in moving), default=0.0)

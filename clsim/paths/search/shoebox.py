@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.options import PathSearch
+    from clsim.paths.options import PathOptions
     from clsim.scene.room.shoebox import Shoebox
     from clsim.scene.scene import Scene
 
@@ -33,7 +33,7 @@ class Images:
     offset: Floats  # (images, 3) offset b, m
 
 
-def shoebox_paths(scene: Scene, room: Shoebox, search: PathSearch) -> Chain:
+def shoebox_paths(scene: Scene, room: Shoebox, search: PathOptions) -> Chain:
     """Return every path of a shoebox up to an order: each image is heard all the time."""
     order = as_count("max_order", search.max_order, at_most=LARGEST_ORDER)
     pairs, images = len(scene.sources) * len(scene.receivers), shoebox_image_count(order)

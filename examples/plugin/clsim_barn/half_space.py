@@ -5,7 +5,7 @@ import numpy as np
 import clsim
 from clsim.paths.chain import Chain
 from clsim.paths.legs.static import image_columns
-from clsim.paths.options import PathSearch
+from clsim.paths.options import PathOptions
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
 
@@ -51,7 +51,7 @@ class HalfSpace:
         return ["room: all that is above a floor"]
 
     @staticmethod
-    def find_paths(scene: clsim.Scene, room: "HalfSpace", search: PathSearch) -> Chain:
+    def find_paths(scene: clsim.Scene, room: "HalfSpace", search: PathOptions) -> Chain:
         """Find the direct sound and its reflection by the floor, for each source and receiver."""
         orders = min(search.max_order, 1) + 1
         pairs = len(scene.sources) * len(scene.receivers)

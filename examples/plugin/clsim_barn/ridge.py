@@ -12,7 +12,7 @@ import clsim
 from clsim.arrays import Floats
 from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
 from clsim.paths.family import DIFFRACTION, PathFamily, Rows
-from clsim.paths.options import PathSearch
+from clsim.paths.options import PathOptions
 from clsim.paths.propagation import arrivals_by, straight
 from clsim.paths.response import SceneResponse
 
@@ -97,7 +97,7 @@ class WaysOver:
         raise NotImplementedError  # and still
 
 
-def find_ridge(scene: clsim.Scene, search: PathSearch) -> RidgePaths:
+def find_ridge(scene: clsim.Scene, search: PathOptions) -> RidgePaths:
     """Find one path over the ridge for every source and receiver, in rooms that hold the ridge."""
     pairs = len(scene.sources) * len(scene.receivers) if scene.room.contains(POINT[None])[0] else 0
     source, receiver = np.divmod(np.arange(pairs), len(scene.receivers))

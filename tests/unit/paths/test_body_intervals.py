@@ -9,7 +9,7 @@ from exhaustive import few
 import clsim
 from clsim.paths.find_paths import ROOM_FINDERS
 from clsim.paths.legs.events import find_events
-from clsim.paths.options import PathSearch
+from clsim.paths.options import PathOptions
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.visibility import rates, subdivision
 from clsim.paths.visibility.hidden import polylines
@@ -118,9 +118,7 @@ def drawn(seed: int) -> clsim.Scene:
 
 def searched(scene: clsim.Scene, order: int) -> BodySearch:
     """Return what `find_paths` asks by default."""
-    return BodySearch(
-        scene, PathSearch(order, 0, "utd", 0, None, 1.0, 10**7, "auto", None, "reference", None, lambda share: None)
-    )
+    return BodySearch(scene, PathOptions(order, body_step=1.0, engine="reference"))
 
 
 def assert_every_sample(
