@@ -1,6 +1,7 @@
 """The search for paths over edges on the device against its NumPy twin, and with one thing wrong at a time."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from same_intervals import same
 
 import clsim
 from clsim.paths.propagation import UniformAir
-from clsim.paths.search.edges import _candidates, _double_candidates, _sequences
+from clsim.paths.search.edges import _candidates, _sequences
 from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch
@@ -73,7 +74,7 @@ def candidates(name: str) -> list[EdgeCandidates]:
     spheres = BoundingSpheres(0.5 * (EDGES.start + EDGES.stop), 0.5 * EDGES.length)
     sent = _sequences(ROOM.walls, ends.sphere(0, -0.1), EDGES, spheres, ORDER)
     heard = [_sequences(ROOM.walls, ends.sphere(1 + r), EDGES, spheres, ORDER) for r in range(len(CASES[name][1]))]
-    kinds = (_candidates, _double_candidates)
+    kinds = (partial(_candidates, pairs=False), partial(_candidates, pairs=True))
     return [c for kind in kinds for _, c in kind(ROOM.walls, sent, heard, EDGES, ORDER)]
 
 
