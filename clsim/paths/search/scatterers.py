@@ -81,9 +81,10 @@ class Side:
         width = max(each.shape[1] for each in met)
         met = [np.pad(each, ((0, 0), (0, width - each.shape[1])), constant_values=-1) for each in met]
         names = ("source", "receiver", "start", "end")
-        columns = (np.concatenate([getattr(chain, name) for chain in chains]) for name in names)
+        columns: dict[str, Any] = {name: np.concatenate([getattr(chain, name) for chain in chains]) for name in names}
         by_body = np.repeat(np.arange(len(chains)) > 0, [len(chain) for chain in chains])
-        return Side(np.concatenate(met), *columns, by_body=by_body, leg=walls.legs[0] if faces is None else None)
+        leg = walls.legs[0] if faces is None else None
+        return Side(surfaces=np.concatenate(met), **columns, by_body=by_body, leg=leg)
 
     def __len__(self) -> int:
         return len(self.source)
