@@ -245,7 +245,7 @@ def test_angles_go_on_where_an_end_passes_the_plane_of_a_sheet() -> None:
     passing = np.flatnonzero(
         (np.abs(family.start - 0.105) < 0.02) & (family.vertex.over_end < 0) & np.isfinite(family.start)
     )
-    passing = np.array([row for row in passing if np.any(family.beside[row] != family.beside[row - 1])])
+    passing = np.array([row for row in passing if np.any(family.vertex.beside[row] != family.vertex.beside[row - 1])])
     apart = []
     for row in passing:
         around = family.start[row] + np.linspace(-2e-3, 2e-3, 9)

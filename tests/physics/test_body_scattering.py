@@ -151,10 +151,10 @@ def emitted_last(scene: clsim.Scene, body: clsim.Scatterer, walls: tuple[Any, An
 
     def way(unknown: Any) -> Any:
         place = np.tile(scene.receivers[0].trajectory.position(time), (len(unknown), 1))
-        heard = by_mirrors(events.second, after, unknown[:, count:], (np.full(len(unknown), time), place), time)
+        heard = by_mirrors(events.last, after, unknown[:, count:], (np.full(len(unknown), time), place), time)
         when = float(events.time[0, 0])
         own = unknown[:, -2:] if body.shape.radius else np.zeros((len(unknown), 2))
-        heard = back(on_body(body, own, events.second.place[0, 0, 0], when), heard)
+        heard = back(on_body(body, own, events.last.place[0, 0, 0], when), heard)
         heard = by_mirrors(events.first, before, unknown, heard, when)
         return C * (time - back(scene.sources[0].trajectory.position, heard)[0])
 
@@ -179,9 +179,9 @@ def test_what_is_heard_was_emitted_last() -> None:
         found = find_scattered(flat, legs, body, ends, UniformAir(C), np.array([time]))
         start = random.uniform(-0.02, 0.02, 2 * (len(before) + len(after) + (name != "point")))
         exact = earliest(emitted_last(scene, body, (before, after), time, found), start)
-        shares = np.concatenate([leg.share.ravel() for leg in (found.first, found.second)])
+        shares = np.concatenate([leg.share.ravel() for leg in (found.first, found.last)])
         assert np.all((shares > 0.0) & (shares < 1.0))
-        assert C * (found.first.delay + found.second.delay)[0, 0] == pytest.approx(exact, abs=1e-7), name
+        assert C * (found.first.delay + found.last.delay)[0, 0] == pytest.approx(exact, abs=1e-7), name
 
 
 @pytest.mark.exhaustive

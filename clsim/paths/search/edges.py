@@ -65,14 +65,8 @@ def double_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamil
     others: paths without edges and over one: where a path over two edges takes over from one of them, that one's time
     is taken.
     """
-<<<<<<< HEAD
     check_support("static edge pair", scene.air)
-    rows, order, within = _rows_of(scene, search, others, _double_candidates)
-=======
-    if scene.air.layers or scene.air.fluctuation is not None:
-        raise InputError("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
     rows, order, within = _rows_of(scene, search, others, pairs=True)
->>>>>>> eb0a23b (Options of find_paths are one checked value; one search by pairing for scatterers, one for edges)
     return with_swaps(edge_pair_chain(scene, order, rows), within)
 
 

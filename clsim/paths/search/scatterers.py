@@ -18,13 +18,9 @@ from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.legs.static import StaticLeg, direct_paths
-<<<<<<< HEAD
-from clsim.paths.propagation import medium_of, straight
-from clsim.paths.support import check_support
-=======
 from clsim.paths.links import met_in_order
 from clsim.paths.propagation import mean_medium_of, medium_of, straight
->>>>>>> eb0a23b (Options of find_paths are one checked value; one search by pairing for scatterers, one for edges)
+from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scene import Scene
