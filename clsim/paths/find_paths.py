@@ -97,7 +97,7 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
             by_bodies.append(Side.of(walls, bodies.paths()))
         by_walls.append(Side.of(walls))
     both = (by_walls, by_bodies) if scene.bodies else (by_walls,)
-    return [scattered_paths(scene, *each, search.scattering_order, search.path_limit) for each in both]
+    return [scattered_paths(scene, before, after, search.scattering_order, search.path_limit) for before, after in both]
 
 
 def _parts(search: PathOptions, count: int) -> Iterator[PathOptions]:
