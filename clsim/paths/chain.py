@@ -81,6 +81,11 @@ class Chain(PathFamily):
             yield "level", self.level
 
     @property
+    def is_specular(self) -> bool:
+        """Whether paths are images: reflected by surfaces at rest, and nothing else."""
+        return self.kind == "static"
+
+    @property
     def moves(self) -> bool:
         """Whether paths change though both ends rest."""
         bodies = self.legs[0].moving and not all(body.is_static for body in self.scene.bodies)
@@ -215,8 +220,3 @@ class Chain(PathFamily):
             if part is not None and len(part) != len(self):
                 name = type(part).__name__
                 raise InputError("legs", f"must have one row per path, {len(self)}, but {name} has {len(part)}")
-
-
-def is_specular(family: PathFamily) -> bool:
-    """Test if paths are images: reflected by surfaces at rest, and nothing else."""
-    return isinstance(family, Chain) and family.kind == "static"

@@ -132,6 +132,11 @@ class PathFamily(ABC):
         return is_complex(self.scene)
 
     @property
+    def is_specular(self) -> bool:
+        """Whether paths are images of `Chain`."""
+        return False
+
+    @property
     def costly(self) -> bool:
         """Whether responses cost so much that they are taken at few instants where they change slowly."""
         return False

@@ -18,7 +18,6 @@ from late import installed
 from scipy.spatial import cKDTree
 
 import clsim
-from clsim.paths.chain import is_specular
 
 pra = installed("pyroomacoustics", "pyroomacoustics is not installed")
 
@@ -97,7 +96,7 @@ def their_shoebox() -> Any:
 
 def image_places(paths: clsim.PathSet, source: Any) -> np.ndarray:
     (images,) = paths.families
-    assert is_specular(images)
+    assert images.is_specular
     return np.asarray(images.legs[0].matrix @ np.asarray(source) + images.legs[0].offset)
 
 

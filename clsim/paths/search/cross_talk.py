@@ -10,7 +10,6 @@ import numpy as np
 
 from clsim.arrays import as_number, read_only
 from clsim.errors import InputError
-from clsim.paths.chain import is_specular
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
@@ -47,7 +46,7 @@ def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathF
     leaks = [
         _leaking(f, level)
         for f, level in zip(families, each, strict=True)
-        if is_specular(f) and np.any((level != 0.0) & (level != 1.0))
+        if f.is_specular and np.any((level != 0.0) & (level != 1.0))
     ]
     return (*free, *leaks)
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import read_only
-from clsim.paths.chain import is_specular
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.places import path_vertices
 from clsim.paths.propagation import mean_medium_of
@@ -47,7 +46,7 @@ def behind_bodies(search: BodySearch, family: PathFamily, progress: Progress = l
         part = partial(report, progress, number / len(pairs), (number + 1) / len(pairs))
         query = search.pair(pair.source, pair.receiver)
         status = _Status(pair, search)
-        if is_specular(family):
+        if family.is_specular:
             look = _Look(status, search.obstacles, query)
             every = np.arange(len(pair.index))
             spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
@@ -81,7 +80,7 @@ class _Status:
     def __call__(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
         free = np.ones(times.shape, dtype=bool)
         shared = np.zeros(len(rows), dtype=np.int64)
-        if not is_specular(self._family):  # those looked at at the same times are so together
+        if not self._family.is_specular:  # those looked at at the same times are so together
             shared = np.unique(times[:, [0, -1]], axis=0, return_inverse=True)[1].ravel()
         for group in range(int(shared.max(initial=-1)) + 1):
             some = np.flatnonzero(shared == group)
@@ -189,7 +188,7 @@ def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -
     """
     count, every = times.shape
     source, receiver = (end.trajectory for end in family.ends(rows))
-    if is_specular(family):  # whatever the order of walls, their image is one and the same
+    if family.is_specular:  # whatever the order of walls, their image is one and the same
         medium = mean_medium_of(family.scene.air, family.ends(rows)[0].emitted.centre_frequency)
         delay = find_events(mirrors, family.objects[rows], (source, receiver), medium, times, rounds=ROUNDS).delay
         faces, walls = family.scene.room.faces, np.repeat(family.objects[rows], every, axis=0)
