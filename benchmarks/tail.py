@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import firwin
 
 import clsim
-from clsim.render.diffuse_tail import diffuse_tail
+from clsim.render.diffuse_tail import DiffuseTail
 
 RATE, SIZE, SOURCE, EAR = 48e3, (12.0, 9.0, 5.0), (2.0, 2.0, 1.5), np.array([7.0, 5.0, 1.5])
 
@@ -62,7 +62,7 @@ def main() -> None:
         plan = clsim.plan_render(paths, RATE, duration=seconds, chunk=4 * 18432, tail="auto", tail_error_db=1.0)
         rays = (time.process_time() - planned) - (planned - begun)
         images = [spent(c.begin(), plain) for c in plain.contributions]
-        first, others = spent(diffuse_tail(plan).begin(), plan)
+        first, others = spent(DiffuseTail(plan).begin(), plan)
         of_images = sum(late for _, late in images)
         print(
             f"{kind:12} images {of_images:6.2f} s, tail {others:6.2f} s: {others / of_images:5.2f} times; "

@@ -18,13 +18,15 @@ PARITY_DB = -120.0  # compilers may fuse products and sums otherwise: measured -
 PREFIXES = [Path(os.environ.get("CLSIM_DRIVERS", "")), Path(sys.prefix), Path("/usr"), Path("/usr/local")]
 EVERYTHING = bool(os.environ.get("CLSIM_ALL_DRIVERS"))
 FEW_ON_GPUS = ("plain", "pulses", "baseband", "waves")
+# Programs that run in no scene of the drivers' tests: tests of their own compare them with NumPy on the default device.
+ELSEWHERE = {"rays", "scatter"}
 # Constants by which code is chosen, and their values.
 OPTIONS = {
     "LANES": {"1", "8"}, "SPARSE": {"0", "1"}, "FINE": {"0", "1"}, "OVERSAMPLING": {"1", "2"}, "PARTS": {"1", "2"},
     "RETARDED": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}, "MACH_EXPONENT": {"0", "1", "2"}, "DELAY_TERMS": {"4", "8"},
     "SOURCE_DIRECTIVITY": {"0", "1", "2"}, "RECEIVER_DIRECTIVITY": {"0", "1", "2"}, "NODES_AT_ONCE": {"1", "4"},
     "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "GROUPED": {"0", "1"}, "ORDER": {"0", "1"},
-    "EDGES": {"0", "1"}, "SCATTERERS": {"0", "1"}, "BODIES": {"0", "2"}, "MORE": {"0", "6", "8"},
+    "LEG": {"0", "1"}, "VERTEX": {"0", "1", "2"}, "MIRRORS": {"0", "2"},
     "FREQUENCIES": {"1", "8"}, "WORKERS": {"1", "32"},
 }  # fmt: skip
 

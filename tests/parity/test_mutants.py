@@ -11,6 +11,7 @@ from mutants import KeptEngines, Mutants
 from scipy.spatial.transform import Rotation, Slerp
 
 import clsim
+from clsim.paths.legs.static import StaticLeg
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine
 from clsim.render.plan import Plan
@@ -82,7 +83,7 @@ def _paths(kind: str) -> PathSet:
     one = clsim.find_paths(scene, 0)
     matrix = Rotation.from_rotvec([0.2, 0.1, -0.3]).as_matrix()
     offset = (0.3, 0.2, -0.1) + (shift - matrix @ shift)
-    turned = replace(one.families[0], image_matrix=matrix[None], image_offset=offset[None])
+    turned = replace(one.families[0], legs=(StaticLeg(matrix[None], offset[None]),))
     return PathSet(scene, (turned,))
 
 

@@ -46,6 +46,7 @@ OWN = {
     "end_coefficients": "derived: a quadrature of end_transition at Chebyshev nodes",
     "end_detour": "derived: differences of lengths without cancellation",
     "fit_delay": "derived: least squares of phases of neighbours' products",
+    "is_clipped": "what the name says",
     "largest_hole": "a maximum",
     "lit_share": "the choice that ellipsoid_strength tells of",
     "merged": "a mean",

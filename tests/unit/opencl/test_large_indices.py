@@ -133,28 +133,28 @@ def coarse_delays(told: dict, constants: dict, offset: list[int]) -> dict[str, i
     groups = FAR // (2 * constants["slots"] * constants["NODES_AT_ONCE"]) + 1
     ends = groups * constants["NODES_AT_ONCE"]
     offset[1] = groups
-    told["start"] -= ends * told["walk_time"]
+    told["start"] -= ends * told["segment_time"]
     return {"delays": 2 * ends * constants["slots"]}
 
 
 def tracks(told: dict, constants: dict, offset: list[int]) -> dict[str, int]:
     """Receivers are at rest here, so that they have one row."""
     slots = constants["slots"]
-    offset[1] = FAR // (slots * told["walk_blocks"]) + 1
-    blocks = offset[1] * told["walk_blocks"]
+    offset[1] = FAR // (slots * told["segment_blocks"]) + 1
+    blocks = offset[1] * told["segment_blocks"]
     samples = blocks * told["block_samples"]
     assert samples < 2**30
-    told["heard_from"], told["heard_until"] = (np.clip(x.astype(np.int64) + samples, -(2**30), 2**31 - 1).astype(np.int32)
-                                               for x in (told["heard_from"], told["heard_until"]))  # fmt: skip
+    told["active_from"], told["active_until"] = (np.clip(x.astype(np.int64) + samples, -(2**30), 2**31 - 1).astype(np.int32)
+                                               for x in (told["active_from"], told["active_until"]))  # fmt: skip
     told["start"] -= samples / told["sampling_rate"]
     told["origin"] -= samples
-    told["first_walk"] -= offset[1]
+    told["first_segment"] -= offset[1]
     told["blocks"] += blocks
-    of_blocks, of_walks = blocks * slots, offset[1] * slots
+    of_blocks, of_segments = blocks * slots, offset[1] * slots
     terms = constants["DELAY_TERMS"] + 4 * told["function_count"]
     return {
-        "delay": of_blocks, "activity": of_blocks, "polynomials": of_blocks * terms, "found": of_walks,
-        "unheld": of_walks,
+        "delay": of_blocks, "activity": of_blocks, "polynomials": of_blocks * terms, "found": of_segments,
+        "residual": of_segments,
     }  # fmt: skip
 
 
@@ -234,9 +234,9 @@ def test_what_is_heard_does_not_depend_on_where_rows_stand(make: Callable, movin
     assert moved.keys() == RENDERED[make]
     for program, buffers in moved.items():
         written = {n for n, a in PROGRAMS[program].arguments.items() if "out" in a.access} - {
-            "unheld",
+            "residual",
             "activity",
-            "more",
+            "states",
         }
         assert written <= buffers, program
     assert np.any(whole)
@@ -249,8 +249,9 @@ def test_paths_do_not_depend_on_where_rows_stand(moving: Callable) -> None:
     moved = moving()
     far = SCENES["crowd"](None).tracks.of_scene.pair_paths[0].family
     assert {"crossings", "meetings"} <= moved.keys()
-    for name in ("objects", "start", "end", "image_offset"):
+    for name in ("objects", "start", "end"):
         np.testing.assert_array_equal(getattr(far, name), getattr(whole, name))
+    np.testing.assert_array_equal(far.legs[0].offset, whole.legs[0].offset)
 
 
 # What there is no bound of but memory: places are counted by them in 64 bits. Compilers may widen what overflows, or not.

@@ -19,7 +19,7 @@ RESONANCE = Transducer.resonance(40e3, 2.4e3, 0.007)
 def recorded(samples: np.ndarray, name: str = "r", transducer: Transducer | None = None, **electronics) -> np.ndarray:
     """Return what a receiver records of pressure (n,), in one piece."""
     receiver = clsim.Receiver(name, PLACE, transducer=transducer, electronics=Electronics(**electronics))
-    return ReceiverEnd(receiver, RATE)(0, samples)
+    return ReceiverEnd(receiver, name, RATE)(0, samples)
 
 
 def silence() -> np.ndarray:
@@ -57,7 +57,7 @@ def test_all_stages_are_the_same_however_they_are_cut(rng: np.random.Generator) 
         adc_bits=12, adc_full_scale=1.0,
     )  # fmt: skip
     receiver = clsim.Receiver("r", PLACE, transducer=RESONANCE, electronics=electronics)
-    whole, pieces = ReceiverEnd(receiver, RATE), ReceiverEnd(receiver, RATE)
+    whole, pieces = ReceiverEnd(receiver, "r", RATE), ReceiverEnd(receiver, "r", RATE)
     wanted = whole(0, samples)
     starts = [0, 2 * SEGMENT, 3 * SEGMENT]
     got = [pieces(a, samples[a:b]) for a, b in zip(starts, [*starts[1:], COUNT], strict=True)]
@@ -72,7 +72,7 @@ def test_another_one_goes_on_from_a_state(rng: np.random.Generator) -> None:
         adc_bits=12, adc_full_scale=1.0,
     )  # fmt: skip
     receiver = clsim.Receiver("r", PLACE, transducer=RESONANCE, electronics=electronics)
-    whole, first, second = (ReceiverEnd(receiver, RATE) for _ in range(3))
+    whole, first, second = (ReceiverEnd(receiver, "r", RATE) for _ in range(3))
     wanted = whole(0, samples)
     first(0, samples[: 2 * SEGMENT])
     second.restore({name: value.copy() for name, value in first.state().items()})
@@ -81,7 +81,7 @@ def test_another_one_goes_on_from_a_state(rng: np.random.Generator) -> None:
     # Each part of the state counts.
     for name in first.state():
         if name != "clipped":
-            other = ReceiverEnd(receiver, RATE)
+            other = ReceiverEnd(receiver, "r", RATE)
             other.restore(first.state() | {name: 0.0 * first.state()[name]})
             assert np.any(other(2 * SEGMENT, samples[2 * SEGMENT :]) != wanted[2 * SEGMENT :]), name
 
@@ -164,7 +164,7 @@ def test_converter_rounds_to_whole_steps_and_clips() -> None:
     bits, step = 4, 0.125  # codes -8 to 7, full scale 1
     ramp = np.linspace(-2.0, 2.0, 4001)
     receiver = clsim.Receiver("r", PLACE, electronics=Electronics(adc_bits=bits, adc_full_scale=1.0))
-    end = ReceiverEnd(receiver, RATE)
+    end = ReceiverEnd(receiver, "r", RATE)
     got = end(0, ramp)
     assert set((got / step).tolist()) == set(range(-8, 8))
     inside = (ramp > -1.0) & (ramp < 0.9)
