@@ -25,6 +25,7 @@ from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module
 from clsim.render.opencl import engine as engine_module
+from clsim.render.opencl import layout as layout_module
 from clsim.render.opencl import limits as limits_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
@@ -261,11 +262,11 @@ def without_float64(wanted: str | None) -> tuple[device_module.DeviceInfo, Any]:
 
 
 # Where signals pause, eight gains of neighbouring functions are read at once, whether or not there are as many.
-EIGHT_GAINS = "g[i] = *(__global const loose_gains*)(c + DELAY_TERMS + i * functions + first);"
+EIGHT_GAINS = "g[i] = *(__global const loose_gains*)(c + DELAY_TERMS + i * functions + first + first_beside);"
 EACH_GAIN = """{
     g[i] = 0.0f;
-    for (int k = 0; k < FUNCTIONS && first + k < functions; k++) {
-        ((float*)(g + i))[k] = c[DELAY_TERMS + i * functions + first + k];
+    for (int k = 0; k < beside && first + first_beside + k < functions; k++) {
+        ((float*)(g + i))[k] = c[DELAY_TERMS + i * functions + first + first_beside + k];
     }
 }"""
 
@@ -323,7 +324,7 @@ def mutated(mutant: str) -> Iterator[None]:
 @contextmanager
 def filled_up_to(paths: int) -> Iterator[None]:
     """Have paths filled up to batches of so many, and work-groups of no more: what fills them up sounds of nothing."""
-    modules, defaults = (plan_module, limits_module, engine_module), work.__kwdefaults__
+    modules, defaults = (plan_module, limits_module, layout_module, engine_module), work.__kwdefaults__
     before, group = plan_module.BATCH, defaults["group"]
     for module in modules:
         module.BATCH = paths
