@@ -74,7 +74,7 @@ def test_pieces_go_on_smoothly_beyond_the_plane(moving: str, engine: str) -> Non
     pieces = paths.families[0]
     assert len(pieces) == 2
     mine = int(moving == "receiver")
-    assert pieces.beside[:, mine].tolist() in ([1, -1], [-1, 1])
+    assert pieces.vertex.beside[:, mine].tolist() in ([1, -1], [-1, 1])
     cut = float(pieces.end[0])
     assert cut == pieces.start[1]
     at = SceneResponse(paths.scene, 0, np.array([TONE]))
