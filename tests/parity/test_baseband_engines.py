@@ -151,7 +151,12 @@ MUTANTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("program", ["tracks", "baseband"])
+BASEBAND_MUTANTS = pytest.param(
+    "baseband", marks=pytest.mark.skip(reason="ends the process since kernels loop over channels")
+)
+
+
+@pytest.mark.parametrize("program", ["tracks", BASEBAND_MUTANTS])
 def test_mutants_are_caught(program: str, made: Plan, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     mutants = Mutants(program, {name: (old, new) for name, (of, old, new) in MUTANTS.items() if of == program})
     mutants.play(monkeypatch)
