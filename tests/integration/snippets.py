@@ -32,6 +32,22 @@ ELSEWHERE = re.compile(
     r"^(make|pip|python -m (pip|pytest)|sudo|apt|dask|tail|ls|clinfo|export|git|cd)\b|--scheduler|docker|ssh"
 )
 
+ROOM = """
+format = 1
+room = { kind = "shoebox", size = [6.0, 4.5, 3.0], walls = { reflection = 0.85 } }
+[[sources]]
+name = "talker"
+signal = { kind = "tone", frequency = 1e3, duration = 0.1, sampling_rate = 16e3, fade = 0.01 }
+trajectory = { kind = "fixed", position = [1, 1, 1.2] }
+[[receivers]]
+name = "seat"
+trajectory = { kind = "fixed", position = [4.4, 3.3, 1.9] }
+[paths]
+max_order = 1
+[render]
+sampling_rate = 16e3
+"""
+
 
 def snippets(page: Path) -> list[tuple[str, str]]:
     """Return kind and text of each of a page's snippets."""
@@ -70,6 +86,8 @@ def prelude(text: str) -> dict[str, Any]:
         write_beams()
     if "clsim new scene.toml" not in text:
         shutil.copy("examples/circle.toml", "scene.toml")
+    if "measured.wav" in text:
+        write_measured()
     for folder, opened in (("out", 'load_recording("out/'), ("FOLDER", 'open_store("FOLDER')):
         if opened in text:
             run_commands(f"clsim run examples/circle.toml -o {folder} --no-plots --store zarr")
@@ -92,6 +110,15 @@ def write_beams() -> None:
     np.savez("beam.npz", angles=angles, frequencies=frequencies, values=values)
     struct = {"a": np.radians(angles), "f": frequencies, "X": values}
     savemat("beam.mat", {"theta": angles, "f": frequencies, "H": values, "L10R": struct})
+
+
+def write_measured() -> None:
+    """Write the scene of a talker and a seat, and a response of 0.4 s that somebody may have measured there."""
+    import soundfile
+
+    Path("scene.toml").write_text(ROOM, "utf-8")
+    decay = np.random.default_rng(0).standard_normal(6400) * np.exp(-np.arange(6400) / 1000.0)
+    soundfile.write("measured.wav", np.append(np.zeros(200), 0.1 * decay), 16000)
 
 
 def run_page(page: str, folder: str, told: Any) -> None:
@@ -135,6 +162,8 @@ def run_commands(text: str) -> None:
 
 def check_tables(text: str) -> None:
     """Read a part of a scene file, or of a study file, in the place of the same part of an example."""
+    from clsim.measured.rooms import _File
+    from clsim.scene_file.rooms import PolygonsFile
     from clsim.scene_file.scene import SceneModel
     from clsim.study.file import _StudyModel
 
@@ -145,6 +174,12 @@ def check_tables(text: str) -> None:
     for part in parts:
         if "vary" in part:
             _StudyModel.model_validate(part)
+            continue
+        if "polygons" in part:
+            PolygonsFile.model_validate(part)
+            continue
+        if "states" in part:
+            _File.model_validate(part)
             continue
         scene = tomllib.loads(Path("examples/circle.toml").read_text("utf-8"))
         ear = scene["receivers"][0] | {

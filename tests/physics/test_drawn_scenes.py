@@ -33,9 +33,9 @@ pytestmark = [
 def test_errors_are_within_what_is_promised_or_stated(seed: int, measured: Callable[..., float]) -> None:
     try:
         found = outcome(drawn(seed))
-    except InputError as error:  # what is held worse than -40 dB is refused, with the best that is reached
+    except InputError as error:  # what is held worse than -40 dB is refused, with the best that is reached, in whole dB
         assert "so near to 0 Hz" in str(error)
-        assert float(str(error).split(" dB is the best")[0].split()[-1]) > REFUSED_DB
+        assert float(str(error).split(" dB is the best")[0].split()[-1]) >= REFUSED_DB
         one = drawn(seed)  # only where a reactance is held down to 0 Hz, which no real wall has
         assert any(isinstance(wall, Impedance) for wall in one.walls)
         return
