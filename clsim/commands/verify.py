@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from clsim.commands.arguments import as_path
 from clsim.errors import InputError
-from clsim.output.record import changed_results, load_record
-from clsim.study.member import STORE, changed_arrays
+from clsim.output import record as runs
+from clsim.study import member as studies
 
 if TYPE_CHECKING:
     import argparse
@@ -21,11 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Print the results that have changed; return the exit status, 1 if there are any."""
     folder = options.folder
-    record = load_record(folder, "folder")
+    record = runs.load_record(folder, "folder")
     if record.files:
-        changed, count = changed_results(folder, record), len(record.files)
-    elif (folder / STORE).is_dir():
-        changed, count = changed_arrays(folder / STORE)
+        changed, count = runs.changed_results(folder, record), len(record.files)
+    elif (folder / studies.STORE).is_dir():
+        changed, count = studies.changed_results(folder / studies.STORE)
     else:
         raise InputError("folder", f"must hold results of clsim run or clsim study, but {folder} does not")
     for name in changed:

@@ -17,6 +17,7 @@ from clsim.errors import ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, consolidate, write_zarr
 from clsim.output.zarr_chunks import arrays_with_missing_chunks
+from clsim.output.zarr_seal import is_sealed, seal
 from clsim.packages import check_packages
 from clsim.study.content import computed, metrics_function
 from clsim.study.file import Member, Study
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from clsim.cluster.dispatch import Call, Row
 
 STORE = "study.zarr"
+INDEX = "index.jsonl"
 SETTINGS = "study.json"
 PARTIAL = ".partial"
 DONE = ("finished", "failed")
@@ -106,10 +108,8 @@ def row_of_group(group: Path) -> dict[str, Any] | None:
     """Return the row that a finished member wrote beside its results; None if they are not there or broken."""
     try:
         metadata = json.loads((group / "zarr.json").read_bytes())
-        arrays = metadata["consolidated_metadata"]["metadata"]
         row = as_row(metadata["attributes"]["study_row"])
-        whole = all((group / name / "zarr.json").exists() for name in arrays)
-        whole = whole and not arrays_with_missing_chunks(group, metadata)
+        whole = is_sealed(group) and not arrays_with_missing_chunks(group, metadata)
     except (FileNotFoundError, NotADirectoryError, AttributeError, ValueError, KeyError, TypeError, RecursionError):
         return None
     good = whole and row is not None and row["status"] == "finished" and f"m{row['member']:06d}" == group.name
@@ -194,6 +194,7 @@ def _finish(content: Any, group: Path, target: Path) -> None:
     """Write all but the sound into a group, and give it its name when all is on the disk."""
     write_zarr(content, group, "a")
     consolidate(group)
+    seal(group)
     tree_to_disk(group)
     if row_of_group(target) is None:
         discard(target)  # what is there is broken
@@ -219,26 +220,41 @@ def root_attributes() -> dict[str, Any]:
     return {"clsim_store_format": STORE_FORMAT, "clsim_version": __version__}
 
 
-def changed_arrays(store: Path) -> tuple[list[str], int]:
-    """List arrays of a store whose chunks are missing, unreadable or fail their checksum, and count all arrays."""
+def changed_results(store: Path) -> tuple[list[str], int]:
+    """List groups whose metadata and arrays whose chunks have changed or are missing, and count all of both.
+
+    Members that the index beside the store calls finished are among them. Arrays of a group whose metadata has changed
+    are not read.
+    """
     check_packages("folder", "zarr", "store", "zarr")
+    members = {store / f"m{number:06d}" for number in _finished(store.parent / INDEX)}
+    groups = {store, *members, *(path for path in store.iterdir() if path.is_dir())}
+    sealed = {group for group in groups if is_sealed(group)}
+    arrays = {path.parent for group in sealed - {store} for path in group.glob("*/zarr.json")}
+    missing = {group / name for group in sealed for name in arrays_with_missing_chunks(group)}
+    changed = (groups - sealed) | missing | {path for path in arrays - missing if not _is_readable(path)}
+    names = [path.relative_to(store.parent).as_posix() for path in sorted(changed)]
+    return names, len(groups | arrays)
+
+
+def _finished(index: Path) -> list[int]:
+    """Numbers of the members that an index calls finished."""
+    lines = index.read_bytes().splitlines() if index.is_file() else []
+    rows = [row for row in map(as_row, lines) if row is not None]
+    return [row["member"] for row in rows if row["status"] == "finished"]
+
+
+def _is_readable(path: Path) -> bool:
+    """Test whether all chunks of an array that are there can be read."""
     import zarr
 
-    paths = sorted(path.parent for path in store.rglob("zarr.json") if path.parent != store)
-    changed, count = set(), 0
-    for path in paths:
-        try:
-            found = zarr.open(path, mode="r")
-            if isinstance(found, zarr.Group):
-                changed |= {path / name for name in arrays_with_missing_chunks(path)}
-                continue
-            count += 1
-            for part in range(found.nchunks):
-                found.get_block_selection(_block(found.cdata_shape, part))
-        except (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError):
-            changed.add(path)
-    names = [f"{store.name}/{path.relative_to(store).as_posix()}" for path in sorted(changed)]
-    return names, max(count, len(names))
+    try:
+        found = zarr.open_array(path, mode="r")
+        for part in range(found.nchunks):
+            found.get_block_selection(_block(found.cdata_shape, part))
+    except (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError):
+        return False
+    return True
 
 
 def _block(shape: tuple[int, ...], number: int) -> tuple[int, ...]:

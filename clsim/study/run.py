@@ -19,9 +19,11 @@ from clsim.cluster.workers import Workers
 from clsim.errors import InputError, in_one_line, warn
 from clsim.files.atomic import locked, safe_path, uninterrupted
 from clsim.output.stores import consolidate, write_zarr
+from clsim.output.zarr_seal import is_sealed, seal
 from clsim.study.content import metrics_function
 from clsim.study.file import DEFAULT_LIMIT, Study, checked, load_study
 from clsim.study.member import (
+    INDEX,
     PARTIAL,
     SETTINGS,
     STORE,
@@ -38,8 +40,6 @@ from clsim.workflow.console import no_progress
 if TYPE_CHECKING:
     from clsim.study.file import Member
     from clsim.workflow.console import Progress
-
-INDEX = "index.jsonl"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,14 +126,11 @@ def create_store(folder: Path) -> None:
     """Create the store of a study without members, or repair its root."""
     import zarr
 
-    root = folder / STORE / "zarr.json"
-    try:
-        good = isinstance(json.loads(root.read_bytes()), dict)
-    except (FileNotFoundError, ValueError, RecursionError):
-        good = False
-    if not good:
-        root.unlink(missing_ok=True)
-        uninterrupted(zarr.open_group, folder / STORE, mode="a", zarr_format=3, attributes=root_attributes())
+    store = folder / STORE
+    if not is_sealed(store):
+        (store / "zarr.json").unlink(missing_ok=True)
+        uninterrupted(zarr.open_group, store, mode="a", zarr_format=3, attributes=root_attributes())
+        seal(store)
 
 
 def write_summary(folder: Path, index: Index) -> None:
@@ -166,6 +163,7 @@ def write_summary(folder: Path, index: Index) -> None:
     shutil.rmtree(partial, ignore_errors=True)
     write_zarr(summary, partial, "w-")
     consolidate(partial)
+    seal(partial)
     shutil.rmtree(final, ignore_errors=True)
     partial.replace(final)
 

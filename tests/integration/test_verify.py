@@ -13,7 +13,7 @@ from exhaustive import few
 import clsim
 from clsim.cli import main
 from clsim.study.file import load_study
-from clsim.study.member import changed_arrays, row_of_group, run_member, study_to_settings
+from clsim.study.member import STORE, changed_results, row_of_group, run_member, study_to_settings
 from clsim.study.run import create_store
 
 pytestmark = [pytest.mark.usefixtures("device")]
@@ -156,12 +156,41 @@ def test_a_chunk_that_is_missing_in_a_study(study_made: Path) -> None:
     sound = study_made / "study.zarr" / "m000001" / "sound"
     whole = clsim.open_store(sound.parent).sound.values
     next(path for path in sorted((sound / "c").rglob("*")) if path.is_file()).unlink()
-    assert changed_arrays(study_made / "study.zarr")[0] == ["study.zarr/m000001/sound"]
+    assert changed_results(study_made / STORE)[0] == ["study.zarr/m000001/sound"]
     with pytest.raises(clsim.InputError, match=r"chunks of .* are missing"):
         clsim.open_store(sound.parent)
     assert row_of_group(sound.parent) is None  # so that it is run again
     assert row_of_group(sound.parents[1] / "m000000") is not None
     assert whole.any()
+
+
+def test_changed_metadata_of_a_study(study_made: Path, capsys: Any) -> None:
+    """Of the store, a member and an array: a bit that leaves JSON, white space, and metadata or a member that is gone."""
+    store = study_made / STORE
+    assert main(["verify", str(study_made)]) == 0
+    for path, old, new in (
+        (store / "zarr.json", b'"0.', b'"1.'),
+        (store / "zarr.json", b"}", b"} "),
+        (store / "m000001" / "zarr.json", b"amplitude = 2.0", b"amplitude = 3.0"),
+        (store / "m000001" / "zarr.json", b"sha256", b"sha257"),
+        (store / "m000001" / "sound" / "zarr.json", b"float32", b"int32"),
+    ):
+        whole = path.read_bytes()
+        assert old in whole
+        path.write_bytes(whole.replace(old, new, 1))
+        capsys.readouterr()
+        assert main(["verify", str(study_made)]) == 1
+        group = "study.zarr" if path.parent == store else "study.zarr/m000001"
+        assert capsys.readouterr().out.startswith(f"{study_made / group}: has changed since it was written")
+        assert group == "study.zarr" or row_of_group(store / "m000001") is None  # it is run again
+        path.unlink()
+        assert main(["verify", str(study_made)]) == 1
+        path.write_bytes(whole)
+    assert main(["verify", str(study_made)]) == 0
+    (study_made / "index.jsonl").write_text('{"member": 1, "status": "finished"}\n', "utf-8")
+    (store / "m000001").rename(store.parent / "moved")
+    assert main(["verify", str(study_made)]) == 1
+    assert "m000001: has changed since it was written, or is missing" in capsys.readouterr().out
 
 
 @pytest.fixture
