@@ -2,7 +2,7 @@
 
 A mutant is a fragment of the text and what replaces it. What differs is found by tokens and widened to the expression
 that holds it, and the expression becomes a choice between both, by a number that every launch gives as the global
-offset of its third dimension, which kernels do not use. The kernel alone asks for it, and hands it to every function:
+offset of its third dimension; kernels that use this dimension get its index without the offset. The kernel alone asks for it, and hands it to every function:
 runtimes inline what asks where a work-item is into each of their ways of launching. Mutants of preprocessor lines are
 texts of their own.
 """
@@ -30,6 +30,7 @@ _TOKEN = re.compile(
 )  # fmt: skip
 # Of these a test runs so little that optimising takes longer.
 _LONG = {"tracks", "pair_tracks", "intervals", "edge_intervals"}
+_WITHOUT_OFFSET = "get_global_id(2)", "(get_global_id(2) - get_global_offset(2))"
 _CHOICE = """size_t __attribute__((overloadable, const)) get_global_offset(uint);
 #define MUTANT(number) (mutant == number)
 """
@@ -70,7 +71,7 @@ class Mutants:
     """
 
     def __init__(self, program: str, mutants: Mapping[str, tuple[str, str]], *, optimised: bool = False) -> None:
-        self.program, self._text = program, compiler_module.kernel_source(program)
+        self.program, self._text = program, compiler_module.kernel_source(program).replace(*_WITHOUT_OFFSET)
         self._optimised = optimised
         lost = [name for name, (old, _) in mutants.items() if self._text.count(old) != 1]
         if lost:

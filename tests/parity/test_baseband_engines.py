@@ -151,12 +151,7 @@ MUTANTS = {
 }  # fmt: skip
 
 
-BASEBAND_MUTANTS = pytest.param(
-    "baseband", marks=pytest.mark.skip(reason="ends the process since kernels loop over channels")
-)
-
-
-@pytest.mark.parametrize("program", ["tracks", BASEBAND_MUTANTS])
+@pytest.mark.parametrize("program", ["tracks", "baseband"])
 def test_mutants_are_caught(program: str, made: Plan, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     mutants = Mutants(program, {name: (old, new) for name, (of, old, new) in MUTANTS.items() if of == program})
     mutants.play(monkeypatch)
