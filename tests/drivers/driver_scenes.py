@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from made_rays import box, run_in, traced, with_a_sheet
 from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 
 import clsim
@@ -24,19 +25,22 @@ from clsim.opencl import device as device_module
 from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module
+from clsim.render.opencl import channel_engine as channel_module
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl import layout as layout_module
 from clsim.render.opencl import limits as limits_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.channel_engine import ChannelEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.plane_waves import DeviceWaves
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
+from clsim.tail.device_rays import GROUP, DeviceRays
 from clsim.tail.interpolation import NODE, Between, Motion
 
 RATE = 192e3
 SAMPLES = 192
-SCENES: dict[str, Callable[[str], Any]] = {}  # plans, and `Streams`
+SCENES: dict[str, Callable[[str], Any]] = {}  # plans, and what has a method `heard`
 FIXED, LINE = clsim.Trajectory.fixed, clsim.Trajectory.line
 REAL = [clsim.Material.from_reflection(f) for f in (0.9, -0.8, 0.7, 0.6, -0.5, 0.8)]
 CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0.2, 0.4, 0.5, 0.5])
@@ -241,6 +245,44 @@ def waves(device: str) -> Streams:
     return Streams(device)
 
 
+@dataclasses.dataclass(frozen=True)
+class Rays:
+    """Energies of rays in a convex room, and in one with a corner and a sheet where walls scatter by their size."""
+
+    device: str
+
+    def heard(self, lanes: int) -> np.ndarray:
+        engine, tables = DeviceRays(device_module.find_device(self.device), min(lanes, GROUP)), []
+        for make, sized in ((box, False), (with_a_sheet, True)):
+            found = traced(engine, *run_in(make(), sized=sized, each=1))
+            tables += [getattr(found, name).ravel() for name in found.TABLES]
+        return np.concatenate(tables).astype(float)
+
+
+@scene
+def rays(device: str) -> Rays:
+    """A diffuse tail's rays."""
+    return Rays(device)
+
+
+@dataclasses.dataclass(frozen=True)
+class Channels:
+    """Sound by the impulse responses of nodes, for several functions of frequency."""
+
+    plan: Plan
+
+    def heard(self, lanes: int) -> np.ndarray:
+        pressure = np.zeros((1, self.plan.samples))
+        ChannelEngine(self.plan, 64).add(pressure, 0)
+        return pressure
+
+
+@scene
+def channels(device: str) -> Channels:
+    """Impulse responses of a receiver at nodes."""
+    return Channels(plan(world(walls=[CURTAIN, *REAL[1:]]), device))
+
+
 # The last ones, as their tables are large: after every launch Oclgrind clears notes of all memory that there is.
 @scene
 def lopsided(device: str) -> Plan:
@@ -324,7 +366,7 @@ def mutated(mutant: str) -> Iterator[None]:
 @contextmanager
 def filled_up_to(paths: int) -> Iterator[None]:
     """Have paths filled up to batches of so many, and work-groups of no more: what fills them up sounds of nothing."""
-    modules, defaults = (plan_module, limits_module, layout_module, engine_module), work.__kwdefaults__
+    modules, defaults = (plan_module, limits_module, layout_module, engine_module, channel_module), work.__kwdefaults__
     before, group = plan_module.BATCH, defaults["group"]
     for module in modules:
         module.BATCH = paths
@@ -343,7 +385,7 @@ def rendered(device: str, name: str) -> np.ndarray:
     with mutated(mutant), filled_up_to(max(FEWEST, BATCHES.get(name, 0))), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual
         made = SCENES[scene_name](device)
-        if isinstance(made, Streams):
+        if not isinstance(made, Plan):
             return made.heard(LAYOUTS[layout].lanes)
         engine = OpenclEngine if made.baseband is None else BasebandEngine
         return engine(made, LAYOUTS[layout]).render(0, made.samples)

@@ -18,8 +18,6 @@ PARITY_DB = -120.0  # compilers may fuse products and sums otherwise: measured -
 PREFIXES = [Path(os.environ.get("CLSIM_DRIVERS", "")), Path(sys.prefix), Path("/usr"), Path("/usr/local")]
 EVERYTHING = bool(os.environ.get("CLSIM_ALL_DRIVERS"))
 FEW_ON_GPUS = ("plain", "pulses", "baseband", "waves")
-# Programs that run in no scene of the drivers' tests: tests of their own compare them with NumPy on the default device.
-ELSEWHERE = {"rays", "scatter"}
 # Constants by which code is chosen, and their values.
 OPTIONS = {
     "LANES": {"1", "8"}, "SPARSE": {"0", "1"}, "FINE": {"0", "1"}, "OVERSAMPLING": {"1", "2"}, "PARTS": {"1", "2"},
@@ -27,7 +25,7 @@ OPTIONS = {
     "SOURCE_DIRECTIVITY": {"0", "1", "2"}, "RECEIVER_DIRECTIVITY": {"0", "1", "2"}, "NODES_AT_ONCE": {"1", "4"},
     "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "GROUPED": {"0", "1"}, "ORDER": {"0", "1"},
     "LEG": {"0", "1"}, "VERTEX": {"0", "1", "2"}, "MIRRORS": {"0", "2"},
-    "FREQUENCIES": {"1", "8"}, "WORKERS": {"1", "32"},
+    "FREQUENCIES": {"1", "8"}, "WORKERS": {"1", "32"}, "CONVEX": {"0", "1"}, "SIZED": {"0", "1"},
 }  # fmt: skip
 
 
@@ -79,7 +77,7 @@ OCLGRIND = Driver(
 
 def environment(driver: Driver, folder: Path, **more: str) -> dict[str, str]:
     """Return the environment in which a process has a driver, and writes what it reports to FOLDER/log."""
-    paths = [str(HERE.parents[1]), str(HERE), str(HERE.parent / "physics"), *sys.path]
+    paths = [str(HERE.parents[1]), str(HERE), *(str(HERE.parent / name) for name in ("physics", "parity")), *sys.path]
     found = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYOPENCL_NO_CACHE": "1"} | driver.settings | more
     if driver is not POCL:
         library = driver.found()

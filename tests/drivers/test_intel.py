@@ -10,11 +10,20 @@ from pathlib import Path
 
 import pytest
 from driver_scenes import SCENES
-from drivers import ELSEWHERE, EVERYTHING, INTEL, OPTIONS, PARITY_DB, Driver, apart_db, launched, render
+from drivers import EVERYTHING, INTEL, OPTIONS, PARITY_DB, Driver, apart_db, launched, render
 
 from clsim.opencl.kernels import PROGRAMS
 
-AS_USERS = ["crowd.cpu", "waves.cpu", "doubled.cpu", "baseband_pulses.cpu", "pairs.cpu", "plain.gpu"]
+AS_USERS = [
+    "crowd.cpu",
+    "waves.cpu",
+    "rays.cpu",
+    "channels.cpu",
+    "doubled.cpu",
+    "baseband_pulses.cpu",
+    "pairs.cpu",
+    "plain.gpu",
+]
 SCALAR = [
     "functions.cpu", "phased.cpu", "fine.cpu", "pulses.cpu", "mesh.cpu", "bend.cpu", "swinging.cpu", "sonar.cpu",
     "pairs_pulses.cpu", "lopsided.cpu", "baseband.gpu", "waves.gpu",
@@ -42,9 +51,7 @@ def test_scenes_run_every_kernel_with_every_option(by_pocl: Callable[..., Path])
     ran = {name: launched(by, name) for name in [*AS_USERS, *SCALAR]}
     assert branches(ran.values()) == branches(launched(by, file.stem) for file in by.glob("*.npz"))
     as_users = {program for name in AS_USERS for program, _ in ran[name]}
-    assert (
-        set(PROGRAMS) - as_users == {"edge_intervals"} | ELSEWHERE
-    )  # edge_intervals are `intervals` with another option
+    assert set(PROGRAMS) - as_users == {"edge_intervals"}  # they are `intervals` with another option
 
 
 def branches(scenes: Iterable[list[tuple[str, dict[str, str]]]]) -> set[tuple[str, str, str]]:
