@@ -75,6 +75,24 @@ def boundary_layer_admittance(frequency: ArrayLike, cosine: ArrayLike, speed_of_
     return np.asarray((0.5 + 0.5j) * (2.0 * np.pi * f / speed_of_sound) * depth * layers)
 
 
+def limp_transmission(
+    surface_mass: float, frequency: ArrayLike, cosine: ArrayLike, speed_of_sound: float
+) -> NDArray[np.complex128]:
+    """Return the transmission factor of sound pressure of a thin limp panel, by the mass law.
+
+    ``T = 1 / (1 + j ω m cos θ / (2 ρ c))`` with the surface mass m in kg/m²: F. Fahy and P. Gardonio, "Sound and
+    Structural Vibration", 2nd ed. 2007, section 5.3. Its reflection factor is ``1 - T``, so that a limp panel absorbs
+    nothing. It holds for plates far below their coincidence frequency, and without their resonances.
+
+    Examples
+    --------
+    >>> abs(limp_transmission(10.0, 500.0, 1.0, 343.2)).round(4).item()
+    0.0263
+    """
+    f, cosine = np.asarray(frequency, dtype=np.float64), np.asarray(cosine, dtype=np.float64)
+    return np.asarray(1.0 / (1.0 + 1j * np.pi * f * surface_mass * cosine / (AIR_DENSITY * speed_of_sound)))
+
+
 def coherent_share(rms: float, frequency: ArrayLike, cosine: ArrayLike, speed_of_sound: float) -> Floats:
     """Return the factor of sound pressure by which roughness weakens the specular reflection.
 

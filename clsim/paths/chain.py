@@ -11,7 +11,7 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import RETARDED
-from clsim.paths.family import PathFamily, ends_at
+from clsim.paths.family import DIFFRACTION, TRANSMISSION, PathFamily, ends_at
 from clsim.paths.propagation import delay_bounds
 from clsim.paths.support import program_of
 
@@ -31,6 +31,7 @@ _IDENTITIES = {
     "static exact edge": "diffraction.exact.ExactEdgePaths",
     "static edge pair": "diffraction.double.DoubleEdgePaths",
     "static scatterer": "scattering.family.ScatteredPaths",
+    "static scatterer pair": "vertices.scatterer_pair.ScattererPairPaths",
     "moving": "moving.family.BodyPaths",
     "moving edge": "moving.edge_family.MovingEdgePaths",
     "moving exact edge": "moving.edge_family.MovingEdgePaths",
@@ -111,6 +112,8 @@ class Chain(PathFamily):
         """Program that makes nodes of these paths on a device; None for the host."""
         if self.level is not None or (self.vertex is not None and not self.vertex.on_device):
             return None
+        if self.scene.panels and self.vertex is not None and self.vertex.interaction == DIFFRACTION:
+            return None  # the program does not know sheets that let sound pass
         return program_of(self.kind, self.scene.air)
 
     @property
@@ -123,7 +126,19 @@ class Chain(PathFamily):
     @property
     def walls(self) -> Integers:
         """Walls (paths, N) from the source's side, -1 for what is none."""
-        return self.objects if self.kind == "static" else super().walls
+        return self.objects if self.kind == "static" and not self.passes else super().walls
+
+    @cached_property
+    def passes(self) -> bool:
+        """Whether any path goes straight through a panel."""
+        return bool(self.scene.panels) and bool(np.any(self.interactions == TRANSMISSION))
+
+    @cached_property
+    def surfaces(self) -> Integers:
+        """Walls (paths, N) as numbers of the scene's materials, the latter half of which are for sound that passes."""
+        if not self.passes:
+            return self.walls
+        return np.where(self.interactions == TRANSMISSION, self.objects + len(self.scene.materials) // 2, self.walls)
 
     def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
         """Return delays, directions and lengths of paths between one source and one receiver."""

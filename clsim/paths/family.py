@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 Rows = slice | NDArray[np.int64]  # of a kind of paths
-NONE, SPECULAR, DIFFRACTION, SCATTERING, BODY = -1, 0, 1, 2, 3  # kinds of interaction
+NONE, SPECULAR, DIFFRACTION, SCATTERING, BODY, TRANSMISSION = -1, 0, 1, 2, 3, 4  # kinds of interaction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,10 +42,10 @@ class PathFamily(ABC):
     Attributes
     ----------
     interactions : ndarray (paths, N) int
-        What happens on the way from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`; filled up with
-        `NONE`.
+        What happens on the way from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`, `TRANSMISSION`;
+        filled up with `NONE`.
     objects : ndarray (paths, N) int
-        To which wall that happens (specular) or to which of `object_names`; filled up with -1.
+        To which wall that happens (specular, transmission) or to which of `object_names`; filled up with -1.
     object_names : tuple of str
         Of things that are no walls.
     """

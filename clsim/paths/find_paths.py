@@ -15,6 +15,7 @@ from clsim.paths.search.body_edges import moving_edge_paths
 from clsim.paths.search.cross_talk import direct_levels, with_direct
 from clsim.paths.search.edges import double_edge_paths, edge_paths
 from clsim.paths.search.mesh import mesh_paths, report
+from clsim.paths.search.scatterer_pairs import scatterer_pair_paths
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.search.shoebox import shoebox_paths
 from clsim.paths.visibility.hidden import behind_bodies
@@ -97,7 +98,19 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
             by_bodies.append(Side.of(walls, bodies.paths()))
         by_walls.append(Side.of(walls))
     both = (by_walls, by_bodies) if scene.bodies else (by_walls,)
-    return [scattered_paths(scene, before, after, search.scattering_order, search.path_limit) for before, after in both]
+    found = [
+        scattered_paths(scene, before, after, search.scattering_order, search.path_limit) for before, after in both
+    ]
+    if search.scatterers_in_row > 1:
+        straight_on = partial(_unreflected, search=given)
+        found.append(scatterer_pair_paths(scene, (by_walls[0], by_walls[1]), straight_on, search.path_limit))
+    return found
+
+
+def _unreflected(scene: Scene, search: PathOptions) -> Side:
+    """Find the paths that nothing reflects, where no body is in the way."""
+    paths: Any = _specular_paths(scene, replace(search, max_order=0))
+    return Side.of(behind_bodies(BodySearch(scene, search), paths) if scene.bodies else paths)
 
 
 def _parts(search: PathOptions, count: int) -> Iterator[PathOptions]:

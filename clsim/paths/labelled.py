@@ -32,7 +32,7 @@ ATTRIBUTES: dict[str, dict[str, str]] = {
     "line_of_sight": {"long_name": "whether the direct sound is received"},
     "order": {"long_name": "number of interactions"},
     "objects": {"long_name": "what the path meets, from the source's side"},
-    "interactions": {"long_name": "0 specular reflection, 1 diffraction, 2 scattering"},
+    "interactions": {"long_name": "0 specular reflection, 1 diffraction, 2 scattering, 3 body, 4 transmission"},
 }
 
 

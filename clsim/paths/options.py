@@ -16,6 +16,7 @@ DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 DIFFRACTION_MODELS = ("utd", "btm")
 LARGEST_DIFFRACTION = 2
 LARGEST_SCATTERING_ORDER = 3
+LARGEST_ROW = 2
 FINDERS = ("auto", "beam-tree", "shooting")
 ENGINES = ("opencl", "reference")
 
@@ -40,6 +41,9 @@ class PathOptions:
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3. An echo of N
         walls has the shadow of a sphere if it is at least N.
+    scatterers_in_row : int
+        Largest number of scatterers that a path meets one after another, 1 or 2. Paths by two go straight from the
+        first to the second, with up to `scattering_order` reflections by walls before and after them.
     body_order : int, optional
         Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
     body_step : float
@@ -76,6 +80,7 @@ class PathOptions:
     diffraction: int = 0
     diffraction_model: str = "utd"
     scattering_order: int = 0
+    scatterers_in_row: int = 1
     body_order: int | None = None
     body_step: float = 0.01
     direct: DirectSound = True
@@ -97,6 +102,8 @@ class PathOptions:
         checked["diffraction"] = as_count("diffraction", self.diffraction, at_most=LARGEST_DIFFRACTION)
         most = LARGEST_SCATTERING_ORDER
         checked["scattering_order"] = as_count("scattering_order", self.scattering_order, at_most=most)
+        most = LARGEST_ROW
+        checked["scatterers_in_row"] = as_count("scatterers_in_row", self.scatterers_in_row, at_least=1, at_most=most)
         if self.body_order is not None:
             checked["body_order"] = as_count("body_order", self.body_order)
         checked["body_step"] = as_number("body_step", self.body_step, at_least=1e-5, at_most=1.0, unit="m")

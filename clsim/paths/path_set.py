@@ -20,7 +20,7 @@ from clsim.paths.channel import (
     channel_paths,
     channel_taps,
 )
-from clsim.paths.family import SPECULAR, PathFamily
+from clsim.paths.family import SPECULAR, TRANSMISSION, PathFamily
 from clsim.paths.path_table import PathTable
 from clsim.paths.view import paths_page
 from clsim.pictures.notebook import html_table, inline_page
@@ -56,7 +56,7 @@ class PathSet:
         Interval of reception in which the path is heard, s.
     interactions : ndarray (paths, N) int
         What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
-        reflection by a body; filled up with -1.
+        reflection by a body, 4 transmission through a wall; filled up with -1.
     objects : ndarray (paths, N) int
         Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
     walls : ndarray (paths, N) int
@@ -120,7 +120,8 @@ class PathSet:
         """Where that happens: rows of `object_names`."""
         found, first = [], len(self.scene.room.faces.names)
         for family in self.families:
-            other = (family.interactions != SPECULAR) & (family.objects >= 0)
+            of_wall = (family.interactions == SPECULAR) | (family.interactions == TRANSMISSION)
+            other = ~of_wall & (family.objects >= 0)
             found.append(family.objects + first * other if other.any() else family.objects)
             first += len(family.object_names)
         return _stacked(found)

@@ -35,7 +35,7 @@ class PathTable:
         Indices in the scene, and number of interactions.
     interactions : ndarray (P, N) int
         What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
-        reflection by a body; filled up with -1.
+        reflection by a body, 4 transmission through a wall; filled up with -1.
     objects : ndarray (P, N) int
         Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
     direct : ndarray (P,) bool

@@ -57,12 +57,18 @@ class SceneResponse:
         Of walls and transducers: float64, or complex128 where one of the scene is complex.
     disperses : bool
         Whether the air gives phases.
+    surfaces : int
+        Number of walls and faces, at which begin the numbers of those that let sound pass, see `Scene.materials`.
+    panels : ndarray (surfaces,) bool
+        Walls that let sound pass.
     """
 
     def __init__(self, scene: Scene, source: int, frequencies: Floats) -> None:
         self._scene, self.frequencies, self.disperses = scene, frequencies, scene.air.dispersion
         self._centre, self._layers = scene.sources[source].emitted.centre_frequency, scene.air.layers
         materials = self._materials = scene.materials
+        self.surfaces = len(materials) // (2 if scene.panels else 1)
+        self.panels: NDArray[np.bool_] = np.isin(np.arange(self.surfaces), scene.panels)
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
         layers = [layer.absorption_at(frequencies) * NEPERS for layer in scene.air.layers]
         self.least_nepers, self.most_nepers = self.nepers, self.nepers
@@ -133,7 +139,9 @@ class SceneResponse:
         met = self.angular[walls]
         if not met.any():
             return []
-        normals = unfolded_normals(self._scene.room.faces.normals, walls)
+        through = walls >= self.surfaces
+        own = np.where(through, walls - self.surfaces, walls)
+        normals = unfolded_normals(self._scene.room.faces.normals, own, through)
         return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
 
     def apply_angular_walls(self, response: Floats | Complexes, walls: Walls, directions: Floats) -> None:
@@ -205,19 +213,22 @@ def is_complex(scene: Scene) -> bool:
     return any(m.is_complex for m in scene.materials) or any(d.is_complex for d in directivities)
 
 
-def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]]) -> Floats:
+def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]], through: NDArray[np.bool_]) -> Floats:
     """Return the normals of a path's walls as seen from the source's own room.
 
-    Shapes: normals (W, 3); walls (P, N).
+    Shapes: normals (W, 3); walls, through (P, N).
+
+    through: walls that mirror nothing, as paths pass straight through them.
 
     result: each mirrored by the walls before it, the last of them first; zero where there is no wall.
     """
     met = np.concatenate([normals, np.zeros((1, 3))])[walls]
+    mirrors = np.where(through[..., None], 0.0, met)
     unfolded = met.copy()
     for bounce in range(walls.shape[1]):
         for before in range(bounce - 1, -1, -1):
-            along = np.sum(unfolded[:, bounce] * met[:, before], axis=1, keepdims=True)
-            unfolded[:, bounce] -= 2.0 * along * met[:, before]
+            along = np.sum(unfolded[:, bounce] * mirrors[:, before], axis=1, keepdims=True)
+            unfolded[:, bounce] -= 2.0 * along * mirrors[:, before]
     return np.asarray(unfolded)
 
 

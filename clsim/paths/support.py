@@ -49,13 +49,15 @@ class Support:
 _BODIES = ("bodies", "must be left out where the air depends on the height or fluctuates")
 _SCATTERERS = ("scatterers", "must be left out where the air depends on the height or fluctuates")
 _TWO_EDGES = ("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
+_TWO_SCATTERERS = ("scatterers_in_row", "must be 1 where the air moves, depends on the height or fluctuates, but is 2")
 _BEHIND_BODIES = HOST, HOST, REFUSED, REFUSED
 SUPPORT = {  # by `Chain.kind`
-    "static": Support("reflections", (DEVICE, DEVICE, HOST, HOST), "images"),
+    "static": Support("reflections, straight through panels too", (DEVICE, DEVICE, HOST, HOST), "images"),
     "static edge": Support("one edge", (DEVICE, HOST, HOST, HOST), "edges"),
     "static exact edge": Support('one edge, `diffraction_model="btm"`', (HOST, HOST, HOST, HOST)),
     "static edge pair": Support("two edges of one face", _BEHIND_BODIES, refusal=_TWO_EDGES),
     "static scatterer": Support("a scatterer", (DEVICE, DEVICE, REFUSED, REFUSED), "scatterers", _SCATTERERS),
+    "static scatterer pair": Support("two scatterers", (HOST, REFUSED, REFUSED, REFUSED), refusal=_TWO_SCATTERERS),
     "moving": Support("bodies", (DEVICE, DEVICE, REFUSED, REFUSED), "bodies", _BODIES),
     "moving edge": Support("bodies and an edge", _BEHIND_BODIES, refusal=_BODIES),
     "moving exact edge": Support('bodies and an edge, `diffraction_model="btm"`', _BEHIND_BODIES, refusal=_BODIES),

@@ -249,7 +249,7 @@ class Scatterer:
     """A thing that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
     It ends no path: behind a sphere, what it scatters takes the sound away that goes on there. Other shapes cast no
-    shadow, and what one scatterer sends to another is left out.
+    shadow. What one scatterer sends to another is found with ``scatterers_in_row=2``.
 
     Parameters
     ----------

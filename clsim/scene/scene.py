@@ -230,8 +230,21 @@ class Scene:
 
     @property
     def materials(self) -> tuple[Material, ...]:
-        """Materials of the walls of the room, and then of the faces of bodies."""
-        return (*self.room.faces.materials, *(m for body in self.bodies for m in body.mesh.faces.materials))
+        """Materials of the walls of the room, and then of the faces of bodies.
+
+        Where any wall lets sound pass, all follow once more as what they are for sound that passes: a wall's number
+        there is its own and half of the length.
+        """
+        own = (*self.room.faces.materials, *(m for body in self.bodies for m in body.mesh.faces.materials))
+        if not self.panels:
+            return own
+        passing = {m: m.passing if m.transmission else m for m in dict.fromkeys(own)}
+        return (*own, *(passing[m] for m in own))
+
+    @property
+    def panels(self) -> tuple[int, ...]:
+        """Walls of the room through which sound passes."""
+        return tuple(i for i, m in enumerate(self.room.faces.materials) if m.transmission is not None)
 
     def show(self, frames: int = 120, height: int = 600) -> Any:
         """Return the viewer page of the room and of what moves in it, for a notebook.

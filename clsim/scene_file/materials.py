@@ -93,8 +93,14 @@ class _Scattering(Model):
     values: list[float]
 
 
+class _Transmission(Model):
+    surface_mass: float | None = None
+    frequencies: list[float] | None = None
+    losses_db: list[float] | None = None
+
+
 class MaterialModel(Model):
-    """One description of a wall's material, its roughness (m), and its scattering coefficient."""
+    """One description of a wall's material, its roughness (m), its scattering coefficient, and what passes it."""
 
     reflection: Complex | None = None
     named: str | None = None
@@ -107,10 +113,11 @@ class MaterialModel(Model):
     porous: _Porous | None = None
     roughness: float = 0.0
     scattering: float | _Scattering | None = None
+    transmission: _Transmission | None = None
 
     def build(self, base: Path) -> Material:
         """Return the material; paths are relative to `base`."""
-        ways = [name for name in type(self).model_fields if name not in ("roughness", "scattering")]
+        ways = [name for name in type(self).model_fields if name not in ("roughness", "scattering", "transmission")]
         given = [name for name in ways if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError("", f"must have one of {', '.join(ways)}, but has {' and '.join(given) or 'none of them'}")
@@ -119,6 +126,8 @@ class MaterialModel(Model):
             told = self.scattering
             coefficients = told if isinstance(told, float) else (told.frequencies, told.values)
             material = replace(material, scattering=as_scattering(coefficients))
+        if self.transmission is not None:
+            material = within("transmission", partial(_transmitting, material, self.transmission))
         try:
             return material.rough(self.roughness) if self.roughness else material
         except InputError as error:
@@ -148,6 +157,13 @@ def is_material(value: Any) -> bool:
         not isinstance(entry, dict) or (key in MaterialModel.model_fields and not entry.keys() & _WORDS)
         for key, entry in value.items()
     )
+
+
+def _transmitting(material: Material, given: _Transmission) -> Material:
+    try:
+        return material.transmitting(**given.arguments())
+    except InputError as error:  # the field is named by the caller
+        raise InputError("" if error.field == "transmission" else error.field, error.problem) from error
 
 
 def _number(field: str, value: float | list[float]) -> float | complex:

@@ -220,6 +220,7 @@ class _Paths(Model):
     max_order: int
     diffraction: int = 0
     diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
+    scatterers_in_row: int | None = None
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
     body_order: int | None = None  # max_order where left out
     body_step: float | None = None  # 0.01 m where left out
@@ -233,7 +234,8 @@ class _Paths(Model):
         given = {
             name: value
             for name, value in super().arguments().items()
-            if name not in ("diffraction_model", "scattering_order", "body_order", "body_step", "direct")
+            if name
+            not in ("diffraction_model", "scattering_order", "scatterers_in_row", "body_order", "body_step", "direct")
             or value is not None
         }
         if isinstance(self.direct, list):

@@ -75,6 +75,11 @@ IN_TABLE = {
     "_Segment": {"start": "Name of the joint at which it begins.", "end": "Name of the joint at which it ends.", "radius": "Of its cross-section, m."},
     "_Direct": {"source": "Name of the source.", "receiver": "Name of the receiver.", "level_db": "Of the direct sound, dB."},
     "_Scattering": {"frequencies": "Increasing, Hz.", "values": "Scattering coefficients there, 0 to 1."},
+    "_Transmission": {
+        "surface_mass": "Of a limp panel, 1e-3 to 1e5 kg/m²: the mass law.",
+        "frequencies": "In its place, a table: increasing, Hz.",
+        "losses_db": "Transmission losses there, 0 to 300 dB.",
+    },
     "_Waypoints": {"positions": "Where it is at these times: three coordinates for each, m."},
     "_File": {
         "format": "Of the file: lines of `t x y z qx qy qz qw` (TUM), the CSV of EuRoC, CSV with a header, or a ROS bag.",

@@ -83,6 +83,7 @@ static int passes(const room* walls, __global const int* sequence, double reach,
         for (int box = 0; box < walls->tree.count;) {
             const int wall = next_wall(&walls->tree, &box, a, b, walls->tolerance);
             if (wall < 0 || same_plane(walls, sequence, leg, wall) || !blocks(walls, wall, a, b)) continue;
+            if (walls->same[wall] < 0) continue;  // a panel that lets sound pass
             if (ends && fabs(height(walls->plane[wall], b)) <= TOUCHING * walls->tolerance) continue;
             valid = 0;
             const double before = height(walls->plane[wall], from), behind = height(walls->plane[wall], to);

@@ -9,7 +9,7 @@ typedef struct {
     double thickness;                // m, how far edges lie from the planes of their walls
     __global const double4* plane;   // unit normal and offset
     __global const double4* sphere;  // centre and radius
-    __global const int* same;        // equal for walls in one plane
+    __global const int* same;        // equal for walls in one plane; below 0 for those that hide nothing
     __global const int* first_edge;  // where the edges, pieces and twins of a wall begin, and the lines of a piece
     __global const int* first_piece;
     __global const int* first_line;

@@ -17,11 +17,17 @@ _ROUNDING = 1e-9  # of shares of a path
 
 
 def path_vertices(
-    planes: tuple[Floats, Floats], walls: NDArray[np.signedinteger[Any]], source: Floats, receiver: Floats
+    planes: tuple[Floats, Floats],
+    walls: NDArray[np.signedinteger[Any]],
+    source: Floats,
+    receiver: Floats,
+    through: NDArray[np.bool_] | None = None,
 ) -> Floats:
     """Return the corners of paths from their sources by their walls to a receiver.
 
-    Shapes: walls (P, N); source, receiver (P, 3) m.
+    Shapes: walls, through (P, N); source, receiver (P, 3) m.
+
+    through: which walls paths pass straight through; all are then in the order in which they are met.
 
     walls: walls of each path from the source's side, filled up with -1; those at right angles to each other, as in a
     shoebox, may stand in another order than they are met in.
@@ -29,14 +35,16 @@ def path_vertices(
     result: source, points of reflection, receiver, and NaN where a path has fewer walls.
     """
     normal, offset = planes
-    walls = _in_order(planes, walls, source, receiver)
+    if through is None:
+        walls = _in_order(planes, walls, source, receiver)
+    mirrors = walls >= 0 if through is None else (walls >= 0) & ~through
     count, most = walls.shape
     image = np.empty((count, most + 1, 3))
     image[:, 0] = source
     for k in range(most):
         wall = walls[:, k]
         height = np.einsum("pi,pi->p", image[:, k], normal[wall]) - offset[wall]
-        image[:, k + 1] = image[:, k] - 2.0 * np.where(wall >= 0, height, 0.0)[:, None] * normal[wall]
+        image[:, k + 1] = image[:, k] - 2.0 * np.where(mirrors[:, k], height, 0.0)[:, None] * normal[wall]
     vertices = np.full((count, most + 2, 3), np.nan)
     order = np.sum(walls >= 0, axis=1)
     vertices[:, 0] = source

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.paths.chain import Chain
-from clsim.paths.family import NONE, SPECULAR
+from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
 from clsim.paths.legs.places import path_vertices
 from clsim.paths.links import Links
 from clsim.paths.propagation import Folds, arrivals_by, straight
@@ -37,7 +37,8 @@ class StaticLinks(Links):
             found: Arrivals = self.vertex.on_static_legs(self, times, kinematics)
             return found
         faces, layered = self.chain.scene.room.faces, self.chain.scene.air.layers
-        folds = Folds((faces.normals, faces.offsets), self.all_surfaces) if layered else None
+        walls = self.chain.walls[self.rows] if layered else None
+        folds = None if walls is None else Folds((faces.normals, faces.offsets), walls)
         return arrivals_by(partial(_Images, self.legs[0], folds), self.medium, self.motions, times, kinematics)
 
     def places(self, time: float, kinematics: Kinematics) -> Floats:
@@ -52,7 +53,8 @@ class StaticLinks(Links):
             emitted_at = source.position(found.emission_time[:, 0])
         heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
         if self.vertex is None:
-            return path_vertices(planes, self.all_surfaces, emitted_at, heard_at)
+            through = self.chain.interactions[self.rows] == TRANSMISSION if self.chain.passes else None
+            return path_vertices(planes, self.chain.objects[self.rows], emitted_at, heard_at, through)
         before, after = self.surfaces
         places = self.vertex.places(self, (emitted_at, heard_at), now, kinematics)
         there = path_vertices(planes, before, emitted_at, places[0])
@@ -87,8 +89,8 @@ class StaticLinks(Links):
 
     @property
     def all_surfaces(self) -> Integers:
-        """Walls (P, N) from the source's side, -1 for what is none."""
-        return np.asarray(self.chain.walls[self.rows])
+        """Walls (P, N) from the source's side, those that let sound pass among them, -1 for what is none."""
+        return np.asarray(self.chain.surfaces[self.rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

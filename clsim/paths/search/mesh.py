@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +13,12 @@ from clsim.arrays import as_count, read_only
 from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import find_device
 from clsim.paths.chain import Chain
+from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
 from clsim.paths.legs.static import image_columns
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, Candidates, TooManyBeamsError
+from clsim.paths.search.found_paths import FoundPaths
+from clsim.paths.search.panels import THROUGH, divided, see_through
 from clsim.paths.search.ray_shooting import ShotRays
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
@@ -54,29 +57,6 @@ _BATCH = 16_384  # candidates searched at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundPaths:
-    """Paths of one source, sorted by receiver, order, walls and time."""
-
-    receiver: NDArray[np.int64]  # (P,) which, and number of reflections
-    order: NDArray[np.int64]  # likewise
-    walls: NDArray[np.int32]  # (P, max_order) from the source's side, filled up with -1
-    begin: Floats  # (P,) interval in which it is heard, s; infinite where it reaches an end of what matters
-    end: Floats  # likewise
-
-    @staticmethod
-    def none(max_order: int) -> FoundPaths:
-        """Return no paths."""
-        no = np.empty(0, dtype=np.int64)
-        return FoundPaths(no, no, np.empty((0, max_order), dtype=np.int32), np.empty(0), np.empty(0))
-
-    @staticmethod
-    def joined(parts: list[FoundPaths]) -> FoundPaths:
-        """Return the paths of several parts."""
-        names = ("receiver", "order", "walls", "begin", "end")
-        return FoundPaths(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class MeshSearch:
     """How paths are looked for in a room of any shape; see `find_paths`."""
 
@@ -90,10 +70,13 @@ class MeshSearch:
     def paths(self, scene: Scene, room: MeshRoom, source: Source, progress: Progress) -> FoundPaths:
         """Return every path from one source to all receivers."""
         query, longest = visibility_query(scene, room, source, self.max_order, self.resolution)
+        query = replace(query, walls=see_through(room.walls, scene.panels))
         ends, last = query.trajectory_tables, query.last
         device = float64_device(self.engine, self.device)
-        plant = _planter(room.walls, ends, device)
+        plant = _planter(query.walls, ends, device)
         shoot = self._shoots(plant, room.walls.size, ends)
+        if shoot and scene.panels:
+            raise InputError("finder", 'must be "beam-tree" where walls let sound pass; or lower max_order')
         parts: list[FoundPaths] = []
         cells = [(0.0, float(last.max()))]
         while cells:
@@ -115,7 +98,8 @@ class MeshSearch:
                 if radius < _SMALLEST_CELL * room.walls.size:
                     raise InputError("max_order", str(error)) from error
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
-        return _sorted(parts, last)
+        found = _sorted(parts, last)
+        return divided(query, found, scene.panels) if scene.panels else found
 
     def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> str:
         """Return why rays are shot, because of a tree that would be far too large or as asked; else nothing."""
@@ -188,7 +172,19 @@ def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
     )
     begin, end = (read_only(np.concatenate([getattr(f, name) for f in found])) for name in ("begin", "end"))
     columns: Any = (read_only(x) for x in (walls, matrix, offset))
-    return Chain(scene, source, receiver, orders, begin, end, **image_columns(*columns))
+    images = image_columns(*columns)
+    if scene.panels:
+        images |= _met(found)
+    return Chain(scene, source, receiver, orders, begin, end, **images)
+
+
+def _met(found: list[FoundPaths]) -> dict[str, Any]:
+    """Columns of what paths of each source meet, with the panels that they pass through."""
+    rows: list[Any] = [each.met for each in found]
+    width = max(row.shape[1] for row in rows)
+    met = np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1])), constant_values=-1) for row in rows])
+    kinds = np.select([met <= THROUGH, met >= 0], [TRANSMISSION, SPECULAR], NONE).astype(np.int8)
+    return {"interactions": read_only(kinds), "objects": read_only(np.where(met <= THROUGH, THROUGH - met, met))}
 
 
 def image_isometries(walls: Walls, sequence: NDArray[np.int32]) -> tuple[Floats, Floats]:

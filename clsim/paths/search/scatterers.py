@@ -13,7 +13,7 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
-from clsim.paths.family import ends_at
+from clsim.paths.family import TRANSMISSION, ends_at
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
@@ -71,7 +71,9 @@ class Side:
 
     @staticmethod
     def of(walls: Chain, faces: Chain | None = None) -> Side:
-        """Take the paths by walls, together with those by bodies if there are any."""
+        """Take the paths by walls, together with those by bodies if there are any; through panels there are none."""
+        if walls.passes:
+            walls = walls.part(np.flatnonzero(~np.any(walls.interactions == TRANSMISSION, axis=1)))
         chains = [walls] if faces is None else [walls, faces]
         met = [walls.objects.astype(np.int32), *(chain.legs[0].surfaces for chain in chains[1:])]
         width = max(each.shape[1] for each in met)
@@ -147,7 +149,9 @@ def _pairs(scene: Scene, before: Side, after: Side, ends: Ends) -> dict[str, Any
     if before.leg is None:
         some = before.by_body[one] | after.by_body[two]
         one, two = one[some], two[some]
-    bounds = [_heard(scene, after, two, times[one], ends) for times in (before.start, before.end)]
+    frequency = scene.sources[source].emitted.centre_frequency
+    motions = scene.scatterers[which].trajectory, scene.receivers[receiver].trajectory
+    bounds = [heard_after(scene, frequency, motions, after, two, times[one]) for times in (before.start, before.end)]
     start, end = np.maximum(bounds[0], after.start[two]), np.minimum(bounds[1], after.end[two])
     met = np.sum(before.surfaces[one] >= 0, axis=1) + np.sum(after.surfaces[two] >= 0, axis=1)
     rank = np.lexsort((met,))
@@ -161,21 +165,26 @@ def _pairs(scene: Scene, before: Side, after: Side, ends: Ends) -> dict[str, Any
     }  # fmt: skip
     if before.leg is None or after.leg is None:
         return columns
-    to, onwards = before.leg.part(one), after.leg.part(two)
-    back = onwards.matrix.transpose(0, 2, 1)  # the image of the receiver, as the scatterer sees it
+    to, back = before.leg.part(one), as_heard(after.leg.part(two))
     return columns | {
-        "before_matrix": to.matrix, "before_offset": to.offset,
-        "after_matrix": back, "after_offset": -np.einsum("pij,pj->pi", back, onwards.offset),
+        "before_matrix": to.matrix, "before_offset": to.offset, "after_matrix": back.matrix,
+        "after_offset": back.offset,
     }  # fmt: skip
 
 
-def _heard(scene: Scene, after: Side, rows: NDArray[np.int64], events: Floats, ends: Ends) -> Floats:
-    """Find the times (n,) at which the receiver hears what the scatterer sends at times (n,) by paths after it, s."""
+def as_heard(leg: StaticLeg) -> StaticLeg:
+    """Turn images of scatterers into those of the receiver, as scatterers see it."""
+    back = leg.matrix.transpose(0, 2, 1)
+    return StaticLeg(back, -np.einsum("pij,pj->pi", back, leg.offset))
+
+
+def heard_after(
+    scene: Scene, frequency: float, motions: tuple[Motion, Motion], after: Side, rows: NDArray[np.int64], events: Floats
+) -> Floats:
+    """Find when (n,) the second motion hears what the first one sends at times (n,) by paths of a side, s."""
     heard, known = np.array(events), np.flatnonzero(np.isfinite(events))
     if not len(known):
         return heard
-    frequency = scene.sources[ends[0]].emitted.centre_frequency
-    motions = scene.scatterers[ends[1]].trajectory, scene.receivers[ends[2]].trajectory
     if after.leg is not None:
         sent, leg = motions[0].position(events[known]), after.leg.part(rows[known])
         images = np.einsum("pij,pj->pi", leg.matrix, sent) + leg.offset

@@ -145,9 +145,11 @@ def partner_factors(
     Shapes: n (P,); faces (P, 2); slope (P, T).
 
     Our own derivation: on the boundary of a partner the angle from a face of one leg to the edge gives all angles of
-    incidence, in steps of nπ; elsewhere both ends share what is left to the boundary.
+    incidence, in steps of nπ; elsewhere both ends share what is left to the boundary. Behind a sheet that
+    lets the share T of the pressure pass there is a path of T: the term past its edge stands for the rest, 1 - T.
     """
     (came, went), counts = angles, partner_reflections(n)
+    sheets = np.flatnonzero(at.panels[faces[:, 0]] & (faces[:, 0] == faces[:, 1]))
     found: list[Any] = []
     for term, half in enumerate((0.5 * (went + came),) * 2 + (0.5 * (came - went),) * 2):
         product, count = None, counts[:, term]
@@ -157,6 +159,10 @@ def partner_factors(
             factor = face_factor(wall, np.cos(half + turned[:, None]) * slope, at)
             factor[bounce >= count] = 1.0
             product = factor if product is None else product * factor
+        if len(sheets) and term < 2:
+            product = np.ones((*slope.shape, len(at.frequencies)), dtype=np.complex128) if product is None else product
+            passing = faces[sheets, 0] + at.surfaces
+            product[sheets] -= face_factor(passing, (np.cos(half) * slope)[sheets], at)
         found.append(product)
     return found
 

@@ -125,7 +125,7 @@ class ScattererVertex:
         scatterer at emission, and of what scatters towards the receiver. What casts a shadow is raised by ``1 - M_1``
         with its Mach number off the source, as by a mirror: behind it that is the direct sound's strength.
         """
-        retarded, ends = kinematics.retarded, _PairEnds(links, times)
+        retarded, ends = kinematics.retarded, PairEnds(links, times)
         way, scatterer = _way_of(links, ends, times, retarded), links.vertex.one
         mach, coming, leaving = way.mach, way.coming, way.leaving
         onwards, departing = links.legs[1].turned_back(way.second.direction), ends.leaving(way.first.direction)
@@ -186,7 +186,7 @@ class ScattererVertex:
         place = np.empty((len(self), 3))
         for mine in self.groups():
             some = links.part(mine)
-            place[mine] = _way_of(some, _PairEnds(some, times), times, kinematics.retarded).place[:, 0]
+            place[mine] = _way_of(some, PairEnds(some, times), times, kinematics.retarded).place[:, 0]
         return place, place
 
     def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
@@ -248,11 +248,11 @@ class ScattererVertex:
         return len(self.scatterer)
 
 
-def _way_of(links: Links, ends: _PairEnds, times: Floats, retarded: bool) -> Way:
+def _way_of(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> Way:
     return scattered_way(links.medium, links.vertex.one, ends, times, retarded)
 
 
-class _PairEnds:
+class PairEnds:
     """Both ends of paths between one source and one receiver, as scatterers see them by static legs."""
 
     def __init__(self, links: Links, times: Floats) -> None:

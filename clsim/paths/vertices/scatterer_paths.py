@@ -228,8 +228,8 @@ def _solved(
         event = times - late if retarded else now
         image, real, source_velocity = ends.emitted(event - first_time if retarded else event)
         place, velocity = body.seen(event, *(carried or (image, ends.heard_at)), weight, done >= PATIENCE)
-        second = _leg(medium, place, ends.heard_at, ends.receiver - place)
-        first = _leg(medium, image, place, place - real)
+        second = leg_between(medium, place, ends.heard_at, ends.receiver - place)
+        first = leg_between(medium, image, place, place - real)
         coming, leaving = (leg.sound.growth(leg.direction, velocity) for leg in (first, second))
         mach = np.zeros(shape)
         if source_velocity is not None:
@@ -257,7 +257,7 @@ def _solved(
     return way, _Known(late, first_time, body.glint, weight)
 
 
-def _leg(medium: Medium, start: Floats, stop: Floats, apart: Floats) -> Leg:
+def leg_between(medium: Medium, start: Floats, stop: Floats, apart: Floats) -> Leg:
     """Return the straight way between places (..., 3), whose real ones are so far apart (..., 3), m."""
     length, direction = straight(start, stop)
     return Leg(length, direction, medium.passage(length, apart))

@@ -213,9 +213,9 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
         a, b = paths.along(leg, paths.tau[:, leg]), paths.along(leg, paths.tau[:, leg + 1])
         first = paths.tau[:, leg] + paths.slack[:, leg]
         last = paths.tau[:, leg + 1] - paths.slack[:, leg + 1]
-        for wall in range(len(walls)):
+        for wall in np.flatnonzero(walls.plane >= 0).tolist():  # of others panels let sound pass
             rows = np.flatnonzero(~_same_plane(walls, sequence, leg, wall))
-            rows = rows[_blocks(walls, wall, a[rows], b[rows])]
+            rows = rows[blocks(walls, wall, a[rows], b[rows])]
             if at_edge and leg == order:
                 rows = rows[np.abs(b[rows] @ walls.normal[wall] - walls.offset[wall]) > TOUCHING * INSIDE * walls.size]
             if not len(rows):
@@ -251,7 +251,7 @@ def _same_plane(walls: Walls, sequence: Ints, leg: int, wall: int) -> Bools:
     return same
 
 
-def _blocks(walls: Walls, wall: int, a: Floats, b: Floats) -> Bools:
+def blocks(walls: Walls, wall: int, a: Floats, b: Floats) -> Bools:
     """Mask of segments that a wall crosses strictly between their endpoints."""
     first, last = (x @ walls.normal[wall] - walls.offset[wall] for x in (a, b))
     crosses = first * last < 0.0

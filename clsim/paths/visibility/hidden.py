@@ -190,8 +190,10 @@ def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -
     source, receiver = (end.trajectory for end in family.ends(rows))
     if family.is_specular:  # whatever the order of walls, their image is one and the same
         medium = mean_medium_of(family.scene.air, family.ends(rows)[0].emitted.centre_frequency)
-        delay = find_events(mirrors, family.objects[rows], (source, receiver), medium, times, rounds=ROUNDS).delay
-        faces, walls = family.scene.room.faces, np.repeat(family.objects[rows], every, axis=0)
+        met = family.walls[rows]
+        met = np.take_along_axis(met, np.argsort(met < 0, axis=1, kind="stable"), axis=1)
+        delay = find_events(mirrors, met, (source, receiver), medium, times, rounds=ROUNDS).delay
+        faces, walls = family.scene.room.faces, np.repeat(met, every, axis=0)
         ends = source.position((times - delay).ravel()), receiver.position(times.ravel())
         corners = path_vertices((faces.normals, faces.offsets), walls, *ends).reshape(count, every, -1, 3)
     else:

@@ -137,6 +137,15 @@ def evaluate(
     query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64], time: Floats, half: Floats
 ) -> tuple[NDArray[np.bool_], Floats, Floats]:
     """Return validity, clearance and how far the ends can move within `half` of a time, each (n,)."""
+    source, at, reach = ends_about(query, sequence, receiver, time, half)
+    valid, clear = path_status(query.walls, sequence, source, at, reach)
+    return valid, clear, reach.most
+
+
+def ends_about(
+    query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64], time: Floats, half: Floats
+) -> tuple[Floats, Floats, Reach]:
+    """Locate the ends of paths (n, 3), m, as validity takes them, and bound how they move within `half` of a time."""
     walls, ends = query.walls, query.trajectory_tables
     row, source = receiver + 1, np.zeros(len(receiver), dtype=np.int64)
     at = ends.position(row, time)
@@ -152,8 +161,7 @@ def evaluate(
         ends.mounts[row, :3],
     )
     origin = ends.lifted(source, ends.position(source, emission_time) + PERTURBATIONS[0])
-    valid, clear = path_status(walls, sequence, origin, ends.lifted(row, at + PERTURBATIONS[1]), reach)
-    return valid, clear, reach.most
+    return origin, ends.lifted(row, at + PERTURBATIONS[1]), reach
 
 
 def merged(path: NDArray[np.int64], begin: Floats, end: Floats, evaluations: int) -> Intervals:

@@ -254,7 +254,7 @@ def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Fl
     beyond = np.einsum("nki,ni->nk", views.ring[row], normal).min(axis=1) - offset > clearly
     beyond &= np.einsum("nki,ni->nk", views.window[row], normal).max(axis=1) - offset < -clearly
     beyond &= np.einsum("ni,ni->n", views.centre[row], normal) - offset < -clearly - views.radius
-    beyond &= walls.plane[other] != walls.plane[views.wall[row]]
+    beyond &= (walls.plane[other] != walls.plane[views.wall[row]]) & (walls.plane[other] >= 0)
     beyond &= (views.last[row] < 0) | (walls.plane[other] != walls.plane[views.last[row]])
     row, piece, normal, offset = row[beyond], piece[beyond], normal[beyond], offset[beyond]
     of, line = spread(walls.first_line, piece)

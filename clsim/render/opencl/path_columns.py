@@ -110,7 +110,7 @@ class StaticColumns:
 
     def met(self, rows: Rows) -> Walls:
         """Reflecting walls of paths, as rows of the scene's materials (P, N), -1 for none."""
-        return np.asarray(self._family.walls[rows])
+        return np.asarray(self._family.surfaces[rows])
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Images of paths (slots,) and what their leg and vertex add, as arguments of programs."""

@@ -176,6 +176,8 @@ class Material(ReflectingSurface):
     scattering : float or (frequencies, values), optional
         Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz; of every
         constructor a keyword.
+    transmission : TransmissionModel, optional
+        What gives the factor of the pressure behind the wall: see `transmitting`.
 
     Examples
     --------

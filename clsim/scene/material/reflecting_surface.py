@@ -13,6 +13,7 @@ from clsim.acoustics.reflection import coherent_share
 from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError, warn
 from clsim.scene.material.tabulated import checked_frequencies, over_octaves
+from clsim.scene.material.transmission import LossTable, MassLaw, TransmissionModel, as_transmission
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,7 +63,8 @@ def as_scattering(value: Any) -> Scattering | None:
 
 
 _FREQUENCIES = 1e-6, 1e9  # Hz, between which no formula overflows
-_ROUNDING = 1e-9  # by which a cosine may exceed 1, and a frequency the ends of a table
+_ROUNDING = 1e-9  # by which a cosine may exceed 1, a frequency the ends of a table, and energies their sum
+_COSINES = np.array([1.0, 0.7, 0.4, 0.1])  # at which energies are checked where they depend on the angle
 
 
 @runtime_checkable
@@ -128,12 +130,15 @@ class ReflectingSurface:
         Root mean square of the wall's heights, m: see `rough`.
     scattering : float or (frequencies, values), optional
         Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
+    transmission : TransmissionModel, optional
+        What gives the factor of the pressure behind the wall: see `transmitting`. Nothing passes when left out.
     """
 
     model: SurfaceModel
     name: str = ""
     roughness: float = 0.0
     scattering: Scattering | None = None
+    transmission: TransmissionModel | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, SurfaceModel):
@@ -143,16 +148,23 @@ class ReflectingSurface:
         rms = as_number("roughness", self.roughness, at_least=0.0, at_most=0.1, unit="m")
         object.__setattr__(self, "roughness", rms)
         object.__setattr__(self, "scattering", as_scattering(self.scattering))
+        if isinstance(self.transmission, LossTable):
+            self._check_energy(self.transmission)
 
     @property
     def is_complex(self) -> bool:
         """Whether `reflection_at` returns complex factors."""
-        return self.model.is_complex
+        return self.model.is_complex or self._limp
 
     @property
     def depends_on_angle(self) -> bool:
         """Whether factors depend on the angle of incidence."""
-        return self.model.depends_on_angle or self.roughness > 0.0
+        return self.model.depends_on_angle or self.roughness > 0.0 or self._limp
+
+    @property
+    def _limp(self) -> bool:
+        """Whether the reflection is weakened by what passes."""
+        return isinstance(self.transmission, MassLaw)
 
     @property
     def band(self) -> tuple[float, float]:
@@ -162,7 +174,8 @@ class ReflectingSurface:
     def describe(self) -> str:
         """Return a short description."""
         rough = f", {1e3 * self.roughness:g} mm rough" if self.roughness else ""
-        return self.model.describe() + rough + (", scatters" if self.scattering else "")
+        passes = f", lets sound pass ({self.transmission.describe()})" if self.transmission else ""
+        return self.model.describe() + rough + (", scatters" if self.scattering else "") + passes
 
     def rough(self, rms: float) -> Self:
         """Return the material with a rough surface, which sends less sound back specularly.
@@ -191,6 +204,62 @@ class ReflectingSurface:
         """
         rms = as_number("rms", rms, at_least=0.0, at_most=0.1, unit="m")
         return replace(self, roughness=math.hypot(self.roughness, rms))
+
+    def transmitting(
+        self,
+        *,
+        surface_mass: float | None = None,
+        frequencies: ArrayLike | None = None,
+        losses_db: ArrayLike | None = None,
+    ) -> Self:
+        """Return the material as a thin panel through which sound passes straight on.
+
+        Parameters
+        ----------
+        surface_mass : float, optional
+            Of a limp panel, 1e-3 to 1e5 kg/m²: the mass law.
+        frequencies, losses_db : array_like (n,), optional
+            In its place, transmission losses, 0 to 300 dB, at positive, increasing frequencies, Hz.
+
+        Raises
+        ------
+        InputError
+            If a value is out of bounds, not one of both is given, or reflected and transmitted energy by a table would
+            be more than 1 together.
+
+        Notes
+        -----
+        By the mass law ``T = 1 / (1 + j ω m cos θ / (2 ρ c))``, and the reflection factor is multiplied by ``1 - T``:
+        the material absorbs its share of what does not pass, and nothing if it is rigid. By a table
+        ``T = 10^(-loss / 20)`` at all angles, in phase, and the reflection factor stays as it is.
+
+        Examples
+        --------
+        >>> from clsim.scene.material.material import Material
+        >>> board = Material.from_reflection(1.0).transmitting(surface_mass=10.0)
+        >>> abs(board.passing.reflection_at(500.0)).round(4).item()
+        0.0263
+        """
+        return replace(self, transmission=as_transmission(surface_mass, frequencies, losses_db))
+
+    @property
+    def passing(self) -> Self:
+        """Surface whose factors are those of the pressure behind the wall."""
+        assert self.transmission is not None
+        return type(self)(self.transmission, f"transmission of {self.name}" if self.name else "")
+
+    def _check_energy(self, transmission: LossTable) -> None:
+        """Refuse a table that sends on more energy than the reflection leaves."""
+        own = getattr(self.model, "frequencies", np.empty(0))
+        frequencies = np.concatenate([transmission.frequencies, np.clip(own, *transmission.band)])[:, None]
+        sent_back = np.abs(self._smooth_factor(np.clip(frequencies, *self.model.band), _COSINES, 343.2)) ** 2
+        total = np.max(sent_back + transmission.factor(frequencies, _COSINES, 343.2) ** 2, axis=1)
+        for i in np.flatnonzero(total > 1.0 + _ROUNDING)[:1]:
+            raise InputError(
+                "transmission",
+                "must leave reflected, absorbed and transmitted energy 1 together, but what is reflected and "
+                f"transmitted at {frequencies[i, 0]:.6g} Hz is {total[i]:.4g}; lower one of both",
+            )
 
     def reflection_at(
         self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2
@@ -327,7 +396,10 @@ class ReflectingSurface:
     def _smooth_factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
         """Return the model's factor, with frequencies outside its band held at the ends."""
         self.check_coverage(frequency)
-        return self.model.factor(np.clip(frequency, *self.model.band), cosine, speed_of_sound)
+        factor = self.model.factor(np.clip(frequency, *self.model.band), cosine, speed_of_sound)
+        if isinstance(self.transmission, MassLaw):
+            factor = factor * (1.0 - self.transmission.factor(frequency, cosine, speed_of_sound))
+        return factor
 
     def check_coverage(self, frequency: ArrayLike) -> None:
         """Check that the material covers frequencies.

@@ -180,7 +180,7 @@ class Walls:
     size: float  # diagonal of the bounding box, m
     normal: Floats  # (W, 3) plane ``normal @ x = offset``; the normal's sign means nothing
     offset: Floats  # likewise
-    plane: NDArray[np.int64]  # (W,) equal for walls that lie in one plane
+    plane: NDArray[np.int64]  # (W,) equal for walls that lie in one plane; below 0 for those that hide nothing
     centre: Floats  # (W, 3) a ball that holds the wall, m
     radius: Floats  # likewise
     of_triangle: NDArray[np.int64]  # (T,) wall of each triangle

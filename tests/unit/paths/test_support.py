@@ -25,6 +25,7 @@ FOUND = {
     "static exact edge": ({"diffraction": 1, "diffraction_model": "btm"}, ""),
     "static edge pair": ({"diffraction": 2}, ""),
     "static scatterer": ({"scattering_order": 0}, "scatterers"),
+    "static scatterer pair": ({"scatterers_in_row": 2}, "scatterers twice"),
     "moving": ({}, "bodies"),
     "moving edge": ({"diffraction": 1}, "bodies"),
     "moving scatterer": ({"scattering_order": 0}, "bodies scatterers"),
@@ -47,6 +48,8 @@ def scene(air: clsim.Air, more: str = "") -> clsim.Scene:
         things["bodies"] = [clsim.Body.box("crate", (0.6, 0.1, 0.6), WALL, line)]
     if "scatterers" in more:
         things["scatterers"] = [clsim.Scatterer.sphere("ball", 0.05, clsim.Trajectory.fixed((3.0, 1.6, 1.4)))]
+    if "twice" in more:
+        things["scatterers"].append(clsim.Scatterer.sphere("one more", 0.05, clsim.Trajectory.fixed((3.5, 1.0, 1.4))))
     return clsim.Scene(room, air, [ends[0]], [ends[1]], **things)
 
 

@@ -99,6 +99,8 @@ def test_a_complex_number_is_a_pair(folder):
         ({"reflection": "0.9"}, r"room\.walls\.reflection: must be a number"),
         ({"reflection": 0.9, "roughness": 0.2}, r"room\.walls\.roughness: must be at most 0.1 m, but is 0.2 m"),
         ({"reflection": 0.9, "roughness": -1.0}, r"room\.walls\.roughness: must be at least 0 m"),
+        ({"reflection": 0.9, "transmission": {}}, r"room\.walls\.transmission: must have surface_mass, or"),
+        ({"reflection": 0.9, "transmission": {"surface_mass": 0.0}}, r"transmission\.surface_mass: must be at least"),
         ({"reflection": 0.9, "scattering": 2.0}, r"room\.walls\.scattering: must be at most 1, but is 2"),
         ({"named": "plywod"}, r'room\.walls\.named: must be one of 31 names, .*; did you mean "plywood"'),
         ({"default": {"named": "wood"}}, r'room\.walls\.default\.named: must be one of 31 names'),
@@ -155,7 +157,7 @@ def test_groups_of_a_mesh_may_be_called_like_a_constructor(group, tmp_path):
 
 def test_the_schema_knows_every_way():
     properties = scene_schema()["$defs"]["MaterialModel"]["properties"]
-    assert set(properties) == {*WAYS, "roughness", "scattering"}
+    assert set(properties) == {*WAYS, "roughness", "scattering", "transmission"}
 
 
 def test_all_ways_pass_through_the_checks_of_a_scene_without_warnings(folder):

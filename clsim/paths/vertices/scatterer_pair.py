@@ -1,0 +1,210 @@
+"""Two scatterers in a row as vertices: three delay equations, the last one first, and the product of both fields.
+
+The first scatterer sends to the specular point of the second, which is met as if by a source at that of the first.
+Either is far enough from the other for its far field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.paths.family import ends_at
+from clsim.paths.vertices.scatterer import PairEnds, ScattererVertex
+from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, leg_between
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.arrivals import Arrivals, Kinematics
+    from clsim.paths.family import Instant, Rows
+    from clsim.paths.links import Columns, Links, Pair
+    from clsim.paths.response import SceneResponse
+    from clsim.paths.vertices.scatterer_paths import Leg
+    from clsim.scene.scatterer import Scatterer
+
+_ROUNDS, _CLOSE, _SETTLED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScattererPairVertex(ScattererVertex):
+    """First and second scatterers (P, 2) that P paths between static legs meet; `nearest` holds for both."""
+
+    kind: ClassVar[str] = "scatterer pair"
+
+    @property
+    def on_device(self) -> bool:
+        """Whether a program of nodes knows these: none."""
+        return False
+
+    def part(self, rows: Rows) -> ScattererPairVertex:
+        """Return some of the vertices."""
+        return replace(self, scatterer=self.scatterer[rows], nearest=self.nearest[rows])
+
+    @property
+    def objects(self) -> NDArray[np.int32]:
+        """Number of each first scatterer among the names, (P,)."""
+        return self.scatterer[:, 0]
+
+    @property
+    def swiftest(self) -> float:
+        """Bound of the speeds of both surfaces of a path together, m/s."""
+        return 2.0 * float(self.fastest[:, 1].max())
+
+    @property
+    def radius(self) -> Floats:
+        """Radii (P,) of both together, m."""
+        radii = np.array([scatterer.shape.radius for scatterer in self.scatterers])
+        return np.asarray(radii[self.scatterer].sum(axis=1))
+
+    def speeds(self, moving: bool) -> Floats:
+        """Bounds (P,) of the speeds of both together, m/s."""
+        return np.asarray(self.fastest[self.scatterer, int(moving)].sum(axis=1))
+
+    def groups(self) -> list[NDArray[np.int64]]:
+        """Vertices that are solved together: those of the same two."""
+        return [np.flatnonzero(np.all(self.scatterer == two, axis=1)) for two in np.unique(self.scatterer, axis=0)]
+
+    @property
+    def two(self) -> tuple[Scatterer, ...]:
+        """The scatterers of vertices that are all of the same two."""
+        return tuple(self.scatterers[which] for which in self.scatterer[0].tolist())
+
+    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> Pair:
+        """Points (P, 3), m, where sound that is received at a time (1,) is scattered first and last."""
+        found = np.empty((2, len(self), 3))
+        for mine in self.groups():
+            some = links.part(mine)
+            way = _solved(some, PairEnds(some, times), times, kinematics.retarded)
+            found[:, mine] = np.stack(way.places)[:, :, 0]
+        return found[0], found[1]
+
+    def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
+        """Lengths (P,) by the centres at times, between images of endpoints (P, 3), m."""
+        first, second = (ends_at(self.scatterers, which, times) for which in self.scatterer.T)
+        legs = images[0] - first, first - second, images[1] - second
+        return np.asarray(sum(np.linalg.norm(leg, axis=1) for leg in legs))
+
+    def _columns(self, kinematics: Kinematics, links: Links, times: Floats) -> Columns:
+        """Arrivals (P, T) by two scatterers: the law is that of three points of the wave equation in a row.
+
+        A second of reception is, at emission, the product of what each event makes of it by its Mach numbers: off where
+        the sound comes from, and towards where it goes.
+        """
+        ends, retarded = PairEnds(links, times), kinematics.retarded
+        way = _solved(links, ends, times, retarded)
+        onwards, departing = links.legs[1].turned_back(way.legs[2].direction), ends.leaving(way.legs[0].direction)
+        receding = way.legs[2].sound.growth(onwards, links.motions[1].velocity(times))
+        slower, faster = (receding, *way.coming), (way.mach, *way.leaving)
+        rate, factor, ratio = sum(slower) - sum(faster), np.ones_like(way.mach), np.ones_like(way.mach)
+        delay, late = np.sum(way.delays, axis=0), way.delays[2]
+        if retarded:  # not 1 less a number near 1: that would leave fewer digits
+            rate = -np.expm1(sum(np.log1p(-x) for x in slower) - sum(np.log1p(-x) for x in faster))
+            factor, ratio = np.prod([1.0 - x for x in faster], axis=0), 1.0 / (1.0 - way.mach)
+            for scatterer, coming in zip(self.two, way.coming, strict=True):
+                factor = factor / (1.0 - coming) if scatterer.shape.shadows else factor
+            factor = factor**-kinematics.exponent
+        else:
+            late = np.zeros_like(late)
+        lengths = [leg.length for leg in way.legs]
+        first_late = late + (way.delays[1] if retarded else 0.0)
+        return {
+            "delay": delay, "delay_rate": rate, "departure": way.legs[0].sound.normal(departing),
+            "arrival": -way.legs[2].sound.normal(onwards), "length": sum(lengths),
+            "through": sum(leg.sound.through for leg in way.legs),
+            "emission_time": times - delay if retarded else np.broadcast_to(times, delay.shape),
+            "mach_factor": factor, "frequency_ratio": ratio,
+            "strength": np.prod(way.strengths, axis=0) / np.prod(lengths, axis=0),
+            "aspects": np.stack([self._padded(aspects) for aspects in way.aspects], axis=-1),
+            "event_times": np.stack([times - first_late, times - late], axis=-1),
+        }  # fmt: skip
+
+    def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
+        """Responses (P, T, F) by the fields of both, and by what air and legs let pass, (P, T, F)."""
+        response = passing.astype(np.complex128, copy=False) if links.chain.is_complex else passing
+        response *= (found.mach_factor * found.more["strength"])[..., None]
+        wave = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
+        for mine in self.groups():
+            for i, scatterer in enumerate(self.part(mine).two):
+                field = scatterer.shape.field(wave, found.more["aspects"][mine, :, : scatterer.shape.aspects, i])
+                if field is not None:
+                    response[mine] *= field
+                if scatterer.fluctuation is not None:
+                    response[mine] *= scatterer.fluctuation.at(found.more["event_times"][mine, :, i])[..., None]
+        return response
+
+    def largest(self, links: Links, at: SceneResponse) -> Floats:
+        """Bounds (P, F) of what both send on, times the lengths of the paths.
+
+        With the lengths d1, d2, d3 of the legs ``(d1 + d2) (d2 + d3)`` is at least ``d2 (d1 + d2 + d3)``, so that the
+        product of the bounds of both is one.
+        """
+        c = links.chain.scene.air.speed_of_sound
+        bound, wave = np.ones((len(self), len(at.frequencies))), 2.0 * np.pi * at.frequencies / c
+        for mine in self.groups():
+            for scatterer in self.part(mine).two:
+                most = 1.0 if scatterer.fluctuation is None else scatterer.fluctuation.most
+                bound[mine] *= most * scatterer.shape.largest(wave, self.nearest[mine])
+        return np.asarray(bound / np.prod(1.0 - self.fastest[self.scatterer, 1] / c, axis=1)[:, None] ** 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """Sound by two scatterers (P, T); of Mach numbers, places and fields, those of the first one and of the second."""
+
+    legs: tuple[Leg, ...]
+    delays: Floats  # (3, P, T) of the legs, s
+    mach: Floats  # number of the source towards the first one
+    coming: tuple[Floats, ...]  # off where sound comes from
+    leaving: tuple[Floats, ...]  # towards where it goes
+    places: tuple[Floats, ...]  # (P, T, 3) m
+    strengths: tuple[Floats, ...]
+    aspects: tuple[Floats, ...]
+
+
+def _solved(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> _Way:
+    """Find the events (P, T) of sound that is received at times (T,), s, by Newton's method, the last one first.
+
+    Each step solves what is linear in the travel times of the legs; specular points follow, each as seen from what was
+    found of the other. As the way is the shortest, that they move on the surfaces changes no time.
+    """
+    scatterers, shape = links.vertex.two, ends.heard_at.shape[:2]
+    bodies, now = [Body(scatterer) for scatterer in scatterers], np.broadcast_to(times, shape)
+    delays = np.zeros((3, *shape))  # of the legs from the source on
+    second = np.broadcast_to(scatterers[1].trajectory.position(times), (*shape, 3))
+    weights: list[Any] = [1.0, 1.0]
+    for done in range(_ROUNDS):
+        events = now - np.cumsum(delays[::-1], axis=0)[::-1] if retarded else np.broadcast_to(now, delays.shape)
+        image, real, source_velocity = ends.emitted(events[0])
+        first, velocity = bodies[0].seen(events[1], image, second, weights[0], done >= PATIENCE)
+        second, after = bodies[1].seen(events[2], first, ends.heard_at, weights[1], done >= PATIENCE)
+        stops = (image, first, first - real), (first, second, second - first)
+        last = second, ends.heard_at, ends.receiver - second
+        legs = tuple(leg_between(links.medium, *leg) for leg in (*stops, last))
+        coming, leaving = (
+            tuple(leg.sound.growth(leg.direction, v) for leg, v in zip(some, (velocity, after), strict=True))
+            for some in (legs[:2], legs[1:])
+        )
+        mach = np.zeros(shape)
+        if source_velocity is not None:
+            mach = legs[0].sound.growth(ends.leaving(legs[0].direction), source_velocity)
+        change = np.stack([leg.sound.time for leg in legs]) - delays
+        if retarded:
+            weights = [(1.0 - came) / (1.0 - went) for came, went in zip(coming, leaving, strict=True)]
+            change[2] = change[2] / (1.0 - leaving[1])
+            change[1] = (change[1] + change[2] * (leaving[0] - coming[1])) / (1.0 - leaving[0])
+            change[0] = (change[0] + (change[1] + change[2]) * (mach - coming[0])) / (1.0 - mach)
+        delays = delays + change
+        settled = max(body.change for body in bodies) <= _SETTLED
+        if settled and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
+            fields = zip(*(body.strength(shape) for body in bodies), strict=True)
+            return _Way(legs, delays, mach, coming, leaving, (first, second), *fields)
+    names = " and ".join(repr(scatterer.name) for scatterer in scatterers)
+    during = f"from {times[0]:.6g} to {times[-1]:.6g} s"
+    raise InputError(
+        "scatterers", f"must be seen from each other and both ends, but no path by {names} was found {during}"
+    )
