@@ -98,19 +98,20 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
             by_bodies.append(Side.of(walls, bodies.paths()))
         by_walls.append(Side.of(walls))
     both = (by_walls, by_bodies) if scene.bodies else (by_walls,)
-    found = [
-        scattered_paths(scene, before, after, search.scattering_order, search.path_limit) for before, after in both
-    ]
+    order, limit = search.scattering_order, search.path_limit
+    found: list[PathFamily] = [scattered_paths(scene, before, after, order, limit) for before, after in both]
     if search.scatterers_in_row > 1:
         straight_on = partial(_unreflected, search=given)
-        found.append(scatterer_pair_paths(scene, (by_walls[0], by_walls[1]), straight_on, search.path_limit))
+        found.append(scatterer_pair_paths(scene, (by_walls[0], by_walls[1]), straight_on, limit))
     return found
 
 
 def _unreflected(scene: Scene, search: PathOptions) -> Side:
     """Find the paths that nothing reflects, where no body is in the way."""
     paths: Any = _specular_paths(scene, replace(search, max_order=0))
-    return Side.of(behind_bodies(BodySearch(scene, search), paths) if scene.bodies else paths)
+    if scene.bodies:
+        paths = behind_bodies(BodySearch(scene, search), paths)
+    return Side.of(paths)
 
 
 def _parts(search: PathOptions, count: int) -> Iterator[PathOptions]:

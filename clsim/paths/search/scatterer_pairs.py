@@ -47,7 +47,7 @@ def scatterer_pair_paths(
     which = columns.pop("scatterer")
     nearest = read_only(np.full(len(which), _WIDE * scene.min_distance))
     speeds = np.array([scatterer.peak_speeds() for scatterer in scene.scatterers])
-    vertex = ScattererPairVertex(which, nearest, speeds, scene.scatterers)
+    vertex = ScattererPairVertex(which, nearest, speeds, tuple(scene.scatterers))
     legs = sides[0].leg, sides[1].leg
     assert legs[0] is not None
     assert legs[1] is not None
@@ -81,7 +81,12 @@ def _columns(
     kept = np.flatnonzero(start < end)
     i, k, count = i[kept], k[kept], len(kept)
     met = np.concatenate(
-        [before.surfaces[i], np.tile(np.int32([[-2 - first, -2 - second]]), (count, 1)), after.surfaces[k]], axis=1
+        [
+            before.surfaces[i],
+            np.tile(np.array([-2 - first, -2 - second], dtype=np.int32), (count, 1)),
+            after.surfaces[k],
+        ],
+        axis=1,
     )
     met = np.take_along_axis(met, np.argsort(met == -1, axis=1, kind="stable"), axis=1)
     return {
@@ -89,7 +94,7 @@ def _columns(
         "order": np.sum(met != -1, axis=1).astype(np.int32), "start": start[kept], "end": end[kept],
         "interactions": np.select([met < -1, met >= 0], [SCATTERING, SPECULAR], NONE).astype(np.int8),
         "objects": np.where(met < -1, -2 - met, met), "before": i, "after": k,
-        "scatterer": np.tile(np.int32([pair]), (count, 1)),
+        "scatterer": np.tile(np.array(pair, dtype=np.int32), (count, 1)),
     }  # fmt: skip
 
 
