@@ -12,7 +12,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.paths.response import covered
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
-from clsim.tail.design import at_middles, band_shares, with_middles
+from clsim.tail.bands import band_shares, joined_bands
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -158,9 +158,9 @@ def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.
     times, streams, _ = energy.shape
     length = math.ceil(times * tail.time_step * rate)
     size = _SLOWEST * next_fast_len(-(-(length + _RINGING) // _SLOWEST), real=True)
-    centres = with_middles(tail.centres)
+    centres, energy = joined_bands(tail.centres, energy)
     shares = band_shares(np.arange(size // 2 + 1) * (rate / size), centres).astype(np.float32)
-    level = np.sqrt(at_middles(energy) / (tail.time_step * rate)).astype(np.float32)
+    level = np.sqrt(energy / (tail.time_step * rate)).astype(np.float32)
     slowness = _slowness(centres, rate)
     groups = [(n, *_envelope_places(length, n, tail.time_step * rate, times)) for n in np.unique(slowness).tolist()]
     taps = np.zeros((streams, length), np.float32)

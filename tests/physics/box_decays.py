@@ -64,17 +64,22 @@ def coherent(
     return spectrum, f, times
 
 
-def butterworth(f: np.ndarray, centre: float) -> np.ndarray:
-    """Return the energy that an octave filter of order 3 at either edge passes."""
-    off = (f / centre - centre / f) / (2.0**0.5 - 2.0**-0.5)
+def butterworth(f: np.ndarray, centre: float, parts: int = 1) -> np.ndarray:
+    """Return the energy that a filter of order 3 at either edge passes, of an octave or one of its equal parts."""
+    half = 2.0 ** (0.5 / parts)
+    off = (f / centre - centre / f) / (half - 1.0 / half)
     return np.asarray(1.0 / (1.0 + off**6))
+
+
+def energy(by_order: np.ndarray, table: tuple[float, ...], f: np.ndarray) -> np.ndarray:
+    """Return the energy (T, F) of images of order 1 on, in air without loss."""
+    return np.asarray(by_order[:, 1:] @ (returned(table, f) ** np.arange(1.0, by_order.shape[1])[:, None]))
 
 
 def octave_decay(by_order: np.ndarray, table: tuple[float, ...], centre: float) -> np.ndarray:
     """Return the energy (T,) in an octave of images of order 1 on, of white noise in air without loss."""
     f = np.geomspace(centre / 4.0, centre * 4.0, 61)
-    back = returned(table, f) ** np.arange(1.0, by_order.shape[1])[:, None]
-    return np.asarray(by_order[:, 1:] @ (back @ (butterworth(f, centre) * f)))
+    return np.asarray(energy(by_order, table, f) @ (butterworth(f, centre) * f))
 
 
 def decay_times(energy: np.ndarray, step: float) -> tuple[float, float]:

@@ -58,10 +58,10 @@ class Edge:
 
 @dataclass(frozen=True)
 class Face:
-    """A rectangle: a corner, two sides, and the normal out of it; a sheet has air on both sides."""
+    """A parallelogram: a corner, two sides, and the normal out of it; a sheet has air on both sides."""
 
     corner: np.ndarray
-    sides: np.ndarray  # (2, 3), at right angles
+    sides: np.ndarray  # (2, 3)
     normal: np.ndarray
     sheet: bool
 
@@ -70,7 +70,7 @@ class Face:
         if heights[0] * heights[1] >= 0.0:
             return False
         met = one + (other - one) * heights[0] / (heights[0] - heights[1])
-        share = self.sides @ (met - self.corner) / np.sum(self.sides**2, axis=1)
+        share = np.linalg.solve(self.sides @ self.sides.T, self.sides @ (met - self.corner))
         return bool(np.all((share > 0.0) & (share < 1.0)))
 
     def mirrored(self, place: np.ndarray) -> np.ndarray:
@@ -98,15 +98,22 @@ def total(edges: list[Edge], faces: list[Face], source: np.ndarray, receiver: np
     return found
 
 
-def plate(width: float, height: float) -> tuple[list[Edge], list[Face]]:
-    """Return a plate at z = 0 from (-width, -height) to the corner at (0, 0)."""
-    corners = [np.array(c, dtype=float) for c in ((0, 0, 0), (-width, 0, 0), (-width, -height, 0), (0, -height, 0))]
-    edges = []
-    for start, stop, other in zip(corners, corners[1:] + corners[:1], corners[2:] + corners[:2], strict=True):
-        along, across = (x / np.linalg.norm(x) for x in (stop - start, other - stop))
+def plate(width: float, height: float, corner: float = 90.0) -> tuple[list[Edge], list[Face]]:
+    """Return a plate at z = 0 with a corner at (0, 0), degrees, between sides towards -x and, at 90 degrees, -y."""
+    sides = np.array([[-width, 0.0, 0.0], turned(-height, corner)])
+    corners = [np.zeros(3), sides[0], sides.sum(axis=0), sides[1]]
+    middle, up, edges = sides.sum(axis=0) / 2.0, np.array([0.0, 0.0, 1.0]), []
+    for start, stop in zip(corners, corners[1:] + corners[:1], strict=True):
+        along = (stop - start) / np.linalg.norm(stop - start)
+        across = middle - start - ((middle - start) @ along) * along
+        across /= np.linalg.norm(across)
         edges.append(Edge(start, stop, across, np.cross(along, across), 2.0 * np.pi))
-    sides = np.array([[-width, 0.0, 0.0], [0.0, -height, 0.0]])
-    return edges, [Face(corners[0], sides, np.array([0.0, 0.0, 1.0]), True)]
+    return edges, [Face(corners[0], sides, up, True)]
+
+
+def turned(length: float, angle: float) -> np.ndarray:
+    """Return a vector of a length in z = 0, turned by an angle in degrees from x."""
+    return length * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
 
 
 def box(size: tuple[float, float, float]) -> tuple[list[Edge], list[Face]]:

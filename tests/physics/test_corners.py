@@ -5,11 +5,13 @@ The whole pressure against sums of line integrals over the edges. Required are -
 """
 
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from corner_oracle import Edge, Face, box, plate, total
+from corner_oracle import Edge, Face, box, plate, total, turned
 from edge_fields import field, jumps
+from exhaustive import exhaustive
 
 import clsim
 from clsim.paths.path_set import PathSet
@@ -41,9 +43,10 @@ def solid(kind: str) -> tuple[clsim.MeshRoom, tuple[list[Edge], list[Face]]]:
         faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
         triangles = [t for a, b, c, d in faces for t in ((a, c, b), (a, d, c))]
         return clsim.MeshRoom(corners, triangles, HARD), box(BOX)
-    width, height = PLATE
-    corners = [OFFSET - corner for corner in ((0, 0, 0), (width, 0, 0), (width, height, 0), (0, height, 0))]
-    return clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], HARD), plate(*PLATE)
+    angle = float(kind.split()[1]) if " " in kind else 90.0
+    edges, faces = plate(*PLATE, angle)
+    corners = [OFFSET + edge.start for edge in edges]
+    return clsim.MeshRoom(corners, [(0, 1, 2), (0, 2, 3)], HARD), (edges, faces)
 
 
 def paths_past(kind: str, ends: Ends, duration: float = 1.0) -> PathSet:
@@ -100,9 +103,27 @@ MORE_WALKS = {
 }  # fmt: skip
 
 
+def past(angle: float, beside: float, source: tuple[float, float, float]) -> Ends:
+    """Return a walk of the line of sight across the bisector of a plate's corner, so far before the corner, m."""
+    out, aside = turned(1.0, 0.5 * angle), turned(0.12, 0.5 * angle + 90.0)
+    begin = np.array(source)
+    return walk(source, tuple(beside * out - aside), tuple(beside * out + aside), 1.0 + 0.8 / begin[2], False)
+
+
 @pytest.mark.parametrize("what", WALKS)
 def test_walks_past_corners(what: str) -> None:
     assert check(*WALKS[what], 12) < -66.0
+
+
+@pytest.mark.parametrize("angle", [45.0, 150.0, exhaustive(60.0), exhaustive(120.0)])
+def test_corners_of_other_angles(angle: float, measured: Callable[..., float]) -> None:
+    """Across the corner, 4 mm beside it and 4 mm within the plate, from two sides; 1.2 m before and 0.8 m behind."""
+    worst = max(
+        check(f"plate {angle}", past(angle, beside, source), 12)
+        for source in ((0.03, -0.05, 1.2), (0.3, -0.4, 1.2))
+        for beside in (0.0, 0.004, -0.004)
+    )
+    assert measured("past corners of 45 to 150 degrees", "line integrals over the edges", worst, -55.0) < -55.0
 
 
 @pytest.mark.exhaustive
