@@ -131,6 +131,20 @@ def missing_chunks(path: Path) -> int:
         return wanted - int(sound.id.get_num_chunks())
 
 
+def check_attributes(path: Path) -> None:
+    """Read the attributes of a file: where they are damaged, h5netcdf fails to open it, and once more to close it.
+
+    Raises
+    ------
+    OSError, ValueError, KeyError, RuntimeError, TypeError
+        If they cannot be read.
+    """
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        dict(file.attrs)
+
+
 def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,).
 

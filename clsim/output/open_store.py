@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
-from clsim.output.hdf5_file import missing_chunks
+from clsim.output.hdf5_file import check_attributes, missing_chunks
 from clsim.output.stores import STORE_FORMAT, STORES
 from clsim.output.zarr_chunks import arrays_with_missing_chunks
 from clsim.packages import check_packages
@@ -54,6 +54,8 @@ def open_store(path: str | os.PathLike[str]) -> Any:
     import xarray
 
     try:
+        if kind == "hdf5":
+            check_attributes(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # metadata that are not gathered are only slower
             found = xarray.open_dataset(path, engine="h5netcdf") if kind == "hdf5" else xarray.open_zarr(path)

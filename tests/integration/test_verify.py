@@ -1,7 +1,9 @@
 """Stored sound in which a bit has changed is refused."""
 
+import gc
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +117,20 @@ def test_a_flipped_bit_in_an_hdf5_file_is_refused_without_an_option(
         assert "\n" not in str(error.value)
     path.write_bytes(whole)
     assert main(["verify", str(out)]) == 0
+
+
+def test_damaged_attributes_of_an_hdf5_file_are_one_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its package reports what it cannot close, as a traceback, when the file is collected."""
+    pytest.importorskip("h5netcdf")
+    out = made(tmp_path, "hdf5")
+    path = out / "recording.h5"
+    whole, said = path.read_bytes(), []
+    monkeypatch.setattr(sys, "unraisablehook", said.append)
+    for at in (96, 224, 352, len(whole) // 2):
+        path.write_bytes(whole[:at] + b"\xff" * 16 + whole[at + 16 :])
+        assert refused(out) or at > 352
+        gc.collect()
+        assert said == []
 
 
 def test_an_hdf5_file_of_one_block_is_read(tmp_path: Path) -> None:
