@@ -50,3 +50,11 @@ static int write_delay(const double* delay, const double* rates, int apart, doub
     return (int)whole;
 #endif
 }
+
+// Write all terms of a block without sound, at a delay in samples that stands still; the delay's whole samples are returned.
+static int write_silence(double centre, int functions, int apart, __global float* c)
+{
+    const double whole = (centre + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
+    for (int i = 0; i < DELAY_TERMS + 4 * functions; i++) c[i * apart] = 0.0f;
+    return (int)whole;
+}

@@ -47,7 +47,17 @@ __kernel void tracks(const motion_numbers motion, __global const double* knots, 
     double ends[4], predicted[8];
     predict(coarse_delays + 2 * (run.first_segment + segment) * (long)slots + slot, slots, segment_time, ends, predicted);
     const int from = active_from[slot], until = active_until[slot];
-#if SPARSE
+#if !SPARSE
+    if (from >= last * run.block_samples || until <= first * run.block_samples) {  // fills up a batch, or sounds at another time
+        found[segment * (long)slots + slot] = (float4)(0.0f, 0.0f, 1e30f, -1e30f);
+        residual[segment * (long)slots + slot] = 0.0f;
+        for (int block = first; block < last; block++) {
+            __global float* c = polynomials + place_of(block, slot, run.function_count, slots);
+            delay[block * (long)slots + slot] = write_silence(ends[1] * branch_rate + run.delay_samples, run.function_count, BESIDE, c);
+        }
+        return;
+    }
+#else
     const activity_mask mask = {active_cells, active_cells + run.cells, run.cells, run.origin, run.block_samples, run.subblock_samples};
 #endif
     const pose_table poses_of_path = {poses, pose_cells, motion.pose_count, motion.first_pose, motion.pose_rate};
