@@ -31,6 +31,8 @@ _IDENTITIES = {
     "static exact edge": "diffraction.exact.ExactEdgePaths",
     "static edge pair": "diffraction.double.DoubleEdgePaths",
     "static scatterer": "scattering.family.ScatteredPaths",
+    "static edge scatterer": "vertices.edge_scatterer.EdgeScattererPaths",
+    "static scatterer edge": "vertices.edge_scatterer.ScattererEdgePaths",
     "static scatterer pair": "vertices.scatterer_pair.ScattererPairPaths",
     "moving": "moving.family.BodyPaths",
     "moving edge": "moving.edge_family.MovingEdgePaths",

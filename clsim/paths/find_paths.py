@@ -6,13 +6,16 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from clsim.errors import InputError
+import numpy as np
+
+from clsim.errors import InputError, warn
 from clsim.keywords import keywords_of
 from clsim.paths.options import FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.search.body_edges import moving_edge_paths
 from clsim.paths.search.cross_talk import direct_levels, with_direct
+from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
 from clsim.paths.search.edges import double_edge_paths, edge_paths
 from clsim.paths.search.mesh import mesh_paths, report
 from clsim.paths.search.scatterer_pairs import scatterer_pair_paths
@@ -89,20 +92,31 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
 def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
     """Find the paths by scatterers: by walls alone, and with faces of bodies where there are any."""
     given = replace(search, max_order=search.scattering_order, progress=None)
-    by_walls, by_bodies = [], []
+    by_walls, by_bodies, over_edges, cut_off = [], [], [], False
     for side in sides(scene, scene.bodies):
         walls: Any = _specular_paths(side, given)
+        cut_off |= bool(np.any(np.isfinite(walls.start) | np.isfinite(walls.end)))
+        edges: Any = edge_paths(side, given, (walls,)) if search.edge_scattering else None
         if scene.bodies:
             bodies = BodySearch(side, given)
             walls = behind_bodies(bodies, walls)
+            edges = edges and behind_bodies(bodies, edges)
             by_bodies.append(Side.of(walls, bodies.paths()))
         by_walls.append(Side.of(walls))
+        over_edges.append(edges)
     both = (by_walls, by_bodies) if scene.bodies else (by_walls,)
     order, limit = search.scattering_order, search.path_limit
     found: list[PathFamily] = [scattered_paths(scene, before, after, order, limit) for before, after in both]
+    first, second = by_walls
     if search.scatterers_in_row > 1:
         straight_on = partial(_unreflected, search=given)
-        found.append(scatterer_pair_paths(scene, (by_walls[0], by_walls[1]), straight_on, limit))
+        found.append(scatterer_pair_paths(scene, (first, second), straight_on, limit))
+    if search.edge_scattering:
+        over = edge_scatterer_paths(scene, (first, second), (over_edges[0], over_edges[1]), limit)
+        found[0], *over = as_met([found[0], *over])
+        found += over
+    elif search.diffraction and cut_off:
+        warn("scatterers go behind edges, where their echoes end at once (edge_scattering=True lets them fade)")
     return found
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
 
-from clsim.arrays import as_choice, as_count, as_number
+from clsim.arrays import as_choice, as_count, as_flag, as_number
 
 if TYPE_CHECKING:
     from clsim.paths.family import PathFamily
@@ -44,6 +44,9 @@ class PathOptions:
     scatterers_in_row : int
         Largest number of scatterers that a path meets one after another, 1 or 2. Paths by two go straight from the
         first to the second, with up to `scattering_order` reflections by walls before and after them.
+    edge_scattering : bool
+        Whether paths over one edge of the room and by one scatterer are found, in either order and straight from one to
+        the other, with up to `scattering_order` reflections by walls elsewhere.
     body_order : int, optional
         Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
     body_step : float
@@ -81,6 +84,7 @@ class PathOptions:
     diffraction_model: str = "utd"
     scattering_order: int = 0
     scatterers_in_row: int = 1
+    edge_scattering: bool = False
     body_order: int | None = None
     body_step: float = 0.01
     direct: DirectSound = True
@@ -104,6 +108,7 @@ class PathOptions:
         checked["scattering_order"] = as_count("scattering_order", self.scattering_order, at_most=most)
         most = LARGEST_ROW
         checked["scatterers_in_row"] = as_count("scatterers_in_row", self.scatterers_in_row, at_least=1, at_most=most)
+        checked["edge_scattering"] = as_flag("edge_scattering", self.edge_scattering)
         if self.body_order is not None:
             checked["body_order"] = as_count("body_order", self.body_order)
         checked["body_step"] = as_number("body_step", self.body_step, at_least=1e-5, at_most=1.0, unit="m")

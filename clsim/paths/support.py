@@ -50,6 +50,7 @@ _BODIES = ("bodies", "must be left out where the air depends on the height or fl
 _SCATTERERS = ("scatterers", "must be left out where the air depends on the height or fluctuates")
 _TWO_EDGES = ("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
 _TWO_SCATTERERS = ("scatterers_in_row", "must be 1 where the air moves, depends on the height or fluctuates, but is 2")
+_EDGE_AND_SCATTERER = ("edge_scattering", "must be false where the air moves, depends on the height or fluctuates")
 _BEHIND_BODIES = HOST, HOST, REFUSED, REFUSED
 SUPPORT = {  # by `Chain.kind`
     "static": Support("reflections, straight through panels too", (DEVICE, DEVICE, HOST, HOST), "images"),
@@ -58,6 +59,12 @@ SUPPORT = {  # by `Chain.kind`
     "static edge pair": Support("two edges of one face", _BEHIND_BODIES, refusal=_TWO_EDGES),
     "static scatterer": Support("a scatterer", (DEVICE, DEVICE, REFUSED, REFUSED), "scatterers", _SCATTERERS),
     "static scatterer pair": Support("two scatterers", (HOST, REFUSED, REFUSED, REFUSED), refusal=_TWO_SCATTERERS),
+    "static edge scatterer": Support(
+        "an edge and a scatterer", (HOST, REFUSED, REFUSED, REFUSED), refusal=_EDGE_AND_SCATTERER
+    ),
+    "static scatterer edge": Support(
+        "a scatterer and an edge", (HOST, REFUSED, REFUSED, REFUSED), refusal=_EDGE_AND_SCATTERER
+    ),
     "moving": Support("bodies", (DEVICE, DEVICE, REFUSED, REFUSED), "bodies", _BODIES),
     "moving edge": Support("bodies and an edge", _BEHIND_BODIES, refusal=_BODIES),
     "moving exact edge": Support('bodies and an edge, `diffraction_model="btm"`', _BEHIND_BODIES, refusal=_BODIES),

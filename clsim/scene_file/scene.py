@@ -221,6 +221,7 @@ class _Paths(Model):
     diffraction: int = 0
     diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
     scatterers_in_row: int | None = None
+    edge_scattering: bool | None = None
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
     body_order: int | None = None  # max_order where left out
     body_step: float | None = None  # 0.01 m where left out
@@ -232,11 +233,7 @@ class _Paths(Model):
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `find_paths` that are given or have a default here."""
         given = {
-            name: value
-            for name, value in super().arguments().items()
-            if name
-            not in ("diffraction_model", "scattering_order", "scatterers_in_row", "body_order", "body_step", "direct")
-            or value is not None
+            name: value for name, value in super().arguments().items() if value is not None or name == "resolution"
         }
         if isinstance(self.direct, list):
             levels = [False if pair.level_db is None else pair.level_db for pair in self.direct]

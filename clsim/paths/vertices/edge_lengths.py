@@ -91,7 +91,7 @@ class EdgeLengths:
     def parts(self) -> tuple[Floats, Floats]:
         """Unit vectors (3, P, T) from the source to the edge, and from the receiver to it."""
         ends = zip((self.source, self.receiver), self.places, strict=True)
-        first, last = (_towards(end, place)[0] for end, place in ends)
+        first, last = (towards_edge(end, place)[0] for end, place in ends)
         return first, last
 
 
@@ -121,12 +121,12 @@ def edge_lengths(
     for step_count in range(_NEWTON_LIMIT):
         emitted_at = views[0].places(positions)
         places, length = _met(emitted_at, heard_at, beyond)
-        towards, first = _towards(emitted_at, places[0])
+        towards, first = towards_edge(emitted_at, places[0])
         if len(over_end):
             place = np.array(np.broadcast_to(places[0], shape))
             place[over_end] = end_place[over_end, None]
-            places, (towards, first) = (place, place), _towards(emitted_at, place)
-            length = first + _towards(heard_at, place)[1]
+            places, (towards, first) = (place, place), towards_edge(emitted_at, place)
+            length = first + towards_edge(heard_at, place)[1]
         length = np.broadcast_to(length, shape)
         sound = medium.passage(length, receiver - positions)
         speed = np.einsum("ipt,ipt->pt", towards, np.broadcast_to(views[0].directions(velocities), towards.shape))
@@ -159,7 +159,7 @@ def _met(
     return (way.apex, edge_way(*receiver, *beyond[1](*source)).apex), way.length
 
 
-def _towards(end: Floats, place: Floats) -> tuple[Floats, Floats]:
+def towards_edge(end: Floats, place: Floats) -> tuple[Floats, Floats]:
     """Return unit vectors (3, P, T) from ends (3, P, T) to places on edges (P, T), and the distances (P, T), m."""
     away = np.stack(np.broadcast_arrays(-end[0], -end[1], place - end[2]))
     distance = np.sqrt(np.einsum("ipt,ipt->pt", away, away))

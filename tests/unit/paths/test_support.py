@@ -25,6 +25,8 @@ FOUND = {
     "static exact edge": ({"diffraction": 1, "diffraction_model": "btm"}, ""),
     "static edge pair": ({"diffraction": 2}, ""),
     "static scatterer": ({"scattering_order": 0}, "scatterers"),
+    "static edge scatterer": ({"diffraction": 1, "edge_scattering": True}, "scatterers"),
+    "static scatterer edge": ({"diffraction": 1, "edge_scattering": True}, "scatterers"),
     "static scatterer pair": ({"scatterers_in_row": 2}, "scatterers twice"),
     "moving": ({}, "bodies"),
     "moving edge": ({"diffraction": 1}, "bodies"),

@@ -1,0 +1,301 @@
+"""An edge of the room and a scatterer in either order as vertices between static legs.
+
+From one side the scatterer is reached straight on, from the other over the edge: its centre has the image of that end
+at the length of the path over the edge, in the direction in which the path arrives, with the edge's field there. On a
+shadow boundary this is the end itself, whatever the scatterer's size, so that nothing jumps as the centre passes it.
+Images move with the end and with the scatterer, which Mach numbers take into account.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from clsim.acoustics.diffraction import ON_LINE, edge_way
+from clsim.errors import InputError
+from clsim.paths.family import ends_at
+from clsim.paths.propagation import straight
+from clsim.paths.vertices.edge_lengths import EdgeView, towards_edge
+from clsim.paths.vertices.scatterer import ScattererVertex
+from clsim.paths.vertices.scatterer_paths import PATIENCE, Body
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from clsim.arrays import Floats
+    from clsim.paths.arrivals import Arrivals, Kinematics
+    from clsim.paths.family import Instant, Rows
+    from clsim.paths.links import Columns, Links, Pair
+    from clsim.paths.response import SceneResponse
+    from clsim.paths.vertices.edge import EdgeVertex
+
+_ROUNDS, _CLOSE, _SETTLED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeScattererVertex(ScattererVertex):
+    """Scatterers (P,) that P paths meet straight after an edge."""
+
+    edge: EdgeVertex  # (P,)
+
+    kind: ClassVar[str] = "edge scatterer"
+    edge_first: ClassVar[bool] = True
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether responses have phases: the field of an edge has."""
+        return True
+
+    @property
+    def on_device(self) -> bool:
+        """Whether a program of nodes knows these: none."""
+        return False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of edges and their ends, and of scatterers."""
+        return (*self.edge.names, *(scatterer.name for scatterer in self.scatterers))
+
+    def part(self, rows: Rows) -> EdgeScattererVertex:
+        """Return some of the vertices."""
+        columns: dict[str, Any] = {"scatterer": self.scatterer[rows], "nearest": self.nearest[rows]}
+        return replace(self, **columns, edge=self.edge.part(rows))
+
+    def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
+        """Yield the columns by name."""
+        yield from self.edge.named(moving)
+        yield "model", self.edge.model
+        for name in ("scatterer", "fastest", "nearest"):
+            yield name, getattr(self, name)
+
+    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> Pair:
+        """Points (P, 3), m, where sound that is received at a time (1,) is diffracted and scattered, in their order."""
+        found = np.empty((2, len(self), 3))
+        for mine in self.groups():
+            some = links.part(mine)
+            way = _solved(some, times, kinematics.retarded)
+            frame = some.vertex.edge.frame
+            found[0, mine] = frame[:, 0] + way.over.along * frame[:, 3]
+            found[1, mine] = way.place[:, 0]
+        return (found[0], found[1]) if self.edge_first else (found[1], found[0])
+
+    def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
+        """Lengths (P,) by the centres at times, between images of endpoints (P, 3), m."""
+        centre = ends_at(self.scatterers, self.scatterer, times)
+        beyond, other = images if self.edge_first else images[::-1]
+        view = _from_edges(self.edge)
+        over = _Over.of(self.edge, view.places(beyond[:, None]), view.places(centre[:, None]))
+        return np.asarray(over.length[:, 0] + np.linalg.norm(other - centre, axis=1))
+
+    def _columns(self, kinematics: Kinematics, links: Links, times: Floats) -> Columns:
+        """Arrivals (P, T) over an edge and by one scatterer: rates and amplitudes are those of the scatterer."""
+        retarded = kinematics.retarded
+        way = _solved(links, times, retarded)
+        mach, coming, leaving, receding = way.mach, way.coming, way.leaving, way.receding
+        rate, factor, ratio = receding + coming - leaving - mach, np.ones_like(mach), np.ones_like(mach)
+        at_edge = ratio
+        if retarded:
+            rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) / ((1 - leaving) * (1 - mach))
+            raised = 1.0 - coming if self.one.shape.shadows else 1.0
+            factor = ((1.0 - mach) * (1.0 - leaving) / raised) ** -kinematics.exponent
+            ratio = at_edge = 1.0 / (1.0 - mach)
+            if not self.edge_first:
+                at_edge = ratio * (1.0 - coming) / (1.0 - leaving)
+        first, second = way.lengths
+        delay = np.sum(way.delays, axis=0)
+        return {
+            "delay": delay, "delay_rate": rate, "departure": way.departure, "arrival": way.arrival,
+            "length": first + second, "through": first + second,
+            "emission_time": times - delay if retarded else np.broadcast_to(times, delay.shape),
+            "mach_factor": factor, "frequency_ratio": ratio,
+            "strength": way.strength * way.over.length / (first * second),
+            "aspects": self._padded(way.aspects), "at_edge": at_edge,
+            "beyond": np.moveaxis(way.over.end, 0, -1), "before": np.moveaxis(way.over.seen, 0, -1),
+            "event_time": np.broadcast_to(times - (way.delays[1] if retarded else 0.0), delay.shape),
+        }  # fmt: skip
+
+    def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
+        """Responses (P, T, F) by the fields of edges and scatterers, and by what air and legs let pass, (P, T, F)."""
+        more, wave = found.more, 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
+        ends = np.moveaxis(more["beyond"], -1, 0), np.moveaxis(more["before"], -1, 0)
+        response = self.edge.static_field(
+            *(ends if self.edge_first else ends[::-1]), wave * more["at_edge"][..., None], at
+        )
+        response *= passing * (found.mach_factor * more["strength"])[..., None]
+        for mine in self.groups():
+            scatterer = self.part(mine).one
+            field = scatterer.shape.field(wave, more["aspects"][mine, :, : scatterer.shape.aspects])
+            if field is not None:
+                response[mine] *= field
+            if scatterer.fluctuation is not None:
+                response[mine] *= scatterer.fluctuation.at(more["event_time"][mine])[..., None]
+        return response
+
+    def largest(self, links: Links, at: SceneResponse) -> Floats:
+        """Bounds (P, F) of what edges and scatterers send on, times the lengths of the paths."""
+        return self.edge.loudest * ScattererVertex.largest(self, links, at)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScattererEdgeVertex(EdgeScattererVertex):
+    """Scatterers (P,) that P paths meet, and go straight on to an edge."""
+
+    kind: ClassVar[str] = "scatterer edge"
+    edge_first: ClassVar[bool] = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Over:
+    """Paths over edges between images of ends and centres of scatterers, (P, T), in the frames of the edges."""
+
+    length: Floats  # m
+    along: Floats  # where they meet the edges, m
+    share: Floats  # distance of the end from there over that of the scatterer
+    end: Floats  # (3, P, T) image of the end, m
+    seen: Floats  # (3, P, T) the scatterer, m
+    leaving: Floats  # (3, P, T) direction from the end to the edge
+
+    @staticmethod
+    def of(edge: EdgeVertex, end: Floats, seen: Floats) -> _Over:
+        """Find the shortest ones over edges, or over their ends, between coordinates (3, P, T)."""
+        end, seen = np.broadcast_arrays(end, seen)
+        (r_s, z_s), (r_r, z_r) = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in (end, seen))
+        fixed = edge.end_place[:, None]
+        along = np.where(np.isnan(fixed), edge_way(r_s, z_s, r_r, z_r).apex, fixed)
+        (leaving, one), (_, other) = towards_edge(end, along), towards_edge(seen, along)
+        return _Over(one + other, along, one / np.maximum(other, ON_LINE), end, seen, leaving)
+
+    @property
+    def image(self) -> Floats:
+        """Image (3, P, T) of the end: as far from the scatterer as the path is long, in the edge's direction, m."""
+        return np.asarray(self._at_edge(self.along) * (1.0 + self.share) - self.share * self.seen)
+
+    def image_velocity(self, edge: EdgeVertex, end: Floats, seen: Floats) -> Floats:
+        """Velocity (3, P, T) of the image for those of the end and of the scatterer (3, P, T), m/s."""
+        (r_s, slide_s), (r_r, slide_r) = (
+            (r := np.maximum(np.hypot(x[0], x[1]), ON_LINE), (x[0] * v[0] + x[1] * v[1]) / r)
+            for x, v in ((self.end, end), (self.seen, seen))
+        )
+        across, apart = r_s + r_r, self.seen[2] - self.end[2]
+        slide = end[2] + (seen[2] - end[2]) * r_s / across + apart * (slide_s * r_r - r_s * slide_r) / across**2
+        slide = np.where(np.isnan(edge.end_place)[:, None], slide, 0.0)
+        rates = []
+        for x, v in ((self.end, end), (self.seen, seen)):  # how fast distances from the place on the edge change
+            away, drift = x - self._at_edge(self.along), v - self._at_edge(slide)
+            distance = np.maximum(np.sqrt(np.sum(away**2, axis=0)), ON_LINE)
+            rates.append(np.sum(away * drift, axis=0) / distance**2)
+        change = self.share * (rates[0] - rates[1])
+        return np.asarray(
+            self._at_edge(slide) * (1.0 + self.share)
+            - self.share * seen
+            + change * (self._at_edge(self.along) - self.seen)
+        )
+
+    @staticmethod
+    def _at_edge(along: Floats) -> Floats:
+        return np.stack([np.zeros_like(along), np.zeros_like(along), along])
+
+
+def _from_edges(edge: EdgeVertex) -> EdgeView:
+    """Take the view of the room from edges (P,)."""
+    return EdgeView.of(np.eye(3)[None], np.zeros((1, 3)), edge.frame)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """Sound over an edge and by one scatterer (P, T)."""
+
+    delays: Floats  # (2, P, T) to the scatterer, and from there, s
+    lengths: tuple[Floats, Floats]  # likewise, m
+    over: _Over
+    departure: Floats  # (P, T, 3)
+    arrival: Floats  # likewise
+    place: Floats  # (P, T, 3) of the scatterer, m
+    mach: Floats  # numbers, as in `Way`
+    coming: Floats
+    leaving: Floats
+    receding: Floats  # of the receiver
+    strength: Floats
+    aspects: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Image:
+    """Image of an end (P, T, 3), m, and its velocities by the end's motion and by the scatterer's, m/s."""
+
+    place: Floats
+    by_end: Floats
+    by_scatterer: Floats | float
+
+
+class _Sides:
+    """Both ends as scatterers see them: one by a static leg alone, the other over an edge."""
+
+    def __init__(self, links: Links, times: Floats) -> None:
+        self._edge, self._first = links.vertex.edge, links.vertex.edge_first
+        leg, self._straight = links.legs if self._first else links.legs[::-1]
+        self._here, self._beyond = _from_edges(self._edge), EdgeView.of(leg.matrix, leg.offset, self._edge.frame)
+        self._centre, (self._source, receiver) = links.vertex.one.trajectory, links.motions
+        self._heard_at = receiver.position(times)[None], receiver.velocity(times)[None]
+
+    def images(self, emitted: Floats, events: Floats) -> tuple[_Image, _Image, _Over]:
+        """Images of source and receiver, and the path over the edge, at times (P, T) of emission and scattering, s."""
+        sent = self._source.position(emitted), self._source.velocity(emitted)
+        beyond, other = (sent, self._heard_at) if self._first else (self._heard_at, sent)
+        centre, velocity = self._centre.position(events), self._centre.velocity(events)
+        over = _Over.of(self._edge, self._beyond.places(beyond[0]), self._here.places(centre))
+        moves = self._beyond.directions(beyond[1]), self._here.directions(velocity)
+        by_each = [
+            over.image_velocity(self._edge, *each) for each in ((moves[0], 0 * moves[1]), (0 * moves[0], moves[1]))
+        ]
+        bent = _Image(centre + self._here.back(over.image - over.seen), *map(self._here.back, by_each))
+        plain = _Image(self._straight.image(other[0]), self._straight.turned(other[1]), 0.0)
+        return (bent, plain, over) if self._first else (plain, bent, over)
+
+    def ends(self, over: _Over, coming: Floats, onwards: Floats) -> tuple[Floats, Floats]:
+        """Directions (P, T, 3) in which paths leave the source, and from the receiver back."""
+        by_edge = self._beyond.back(over.leaving)
+        if self._first:
+            return by_edge, -self._straight.turned_back(onwards)
+        return self._straight.turned_back(coming), by_edge
+
+
+def _solved(links: Links, times: Floats, retarded: bool) -> _Way:
+    """Find the events (P, T) of sound that is received at times (T,), s, by Newton's method, the later one first."""
+    scatterer, sides = links.vertex.one, _Sides(links, times)
+    speed = float(links.chain.scene.air.speed_of_sound)
+    body, shape = Body(scatterer), (len(links), len(times))
+    now, delays, weight = np.broadcast_to(times, shape), np.zeros((2, *shape)), 1.0
+    for done in range(_ROUNDS):
+        event = now - delays[1] if retarded else now
+        source, receiver, over = sides.images(event - delays[0] if retarded else now, event)
+        place, velocity = body.seen(event, source.place, receiver.place, weight, done >= PATIENCE)
+        (first, coming_to), (second, onwards) = straight(source.place, place), straight(place, receiver.place)
+        mach, coming, leaving, receding = (
+            np.sum(n * v, axis=-1) / speed
+            for n, v in (
+                (coming_to, source.by_end),
+                (coming_to, velocity - source.by_scatterer),
+                (onwards, velocity - receiver.by_scatterer),
+                (onwards, receiver.by_end),
+            )
+        )
+        change = np.stack([first, second]) / speed - delays
+        if retarded:
+            weight = (1.0 - coming) / (1.0 - leaving)
+            change[1] = change[1] / (1.0 - leaving)
+            change[0] = (change[0] + change[1] * (mach - coming)) / (1.0 - mach)
+        delays = delays + change
+        if done and body.change <= _SETTLED and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
+            departure, arrival = sides.ends(over, coming_to, onwards)
+            return _Way(
+                delays, (first, second), over, departure, arrival, place, mach, coming, leaving, receding,
+                *body.strength(shape),
+            )  # fmt: skip
+    raise InputError(
+        "scatterers",
+        f"must be seen from the edges of its paths, but no path by {scatterer.name!r} was found from {times[0]:.6g} to "
+        f"{times[-1]:.6g} s",
+    )
