@@ -33,6 +33,7 @@ _IDENTITIES = {
     "static scatterer": "scattering.family.ScatteredPaths",
     "static edge scatterer": "vertices.edge_scatterer.EdgeScattererPaths",
     "static scatterer edge": "vertices.edge_scatterer.ScattererEdgePaths",
+    "static edge scatterer edge": "vertices.edge_scatterer.EdgeScattererEdgePaths",
     "static scatterer pair": "vertices.scatterer_pair.ScattererPairPaths",
     "moving": "moving.family.BodyPaths",
     "moving edge": "moving.edge_family.MovingEdgePaths",

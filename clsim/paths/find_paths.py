@@ -112,7 +112,8 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
         straight_on = partial(_unreflected, search=given)
         found.append(scatterer_pair_paths(scene, (first, second), straight_on, limit))
     if search.edge_scattering:
-        over = edge_scatterer_paths(scene, (first, second), (over_edges[0], over_edges[1]), limit)
+        twice = search.diffraction > 1
+        over = edge_scatterer_paths(scene, (first, second), (over_edges[0], over_edges[1]), twice, limit)
         found[0], *over = as_met([found[0], *over])
         found += over
     elif search.diffraction and cut_off:

@@ -122,8 +122,8 @@ class Vertex(Protocol):
         """Compute ``length``, ``mach_factor`` and what else `respond` needs from what `on_moving_legs` found."""
         ...
 
-    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> Pair:
-        """Locate the first and last points (P, 3) of vertices between static legs, m."""
+    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> tuple[Floats, ...]:
+        """Locate the first to last points (P, 3) of vertices between static legs, m; one point counts as both."""
         ...
 
     def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:

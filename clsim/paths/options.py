@@ -46,7 +46,8 @@ class PathOptions:
         first to the second, with up to `scattering_order` reflections by walls before and after them.
     edge_scattering : bool
         Whether paths over one edge of the room and by one scatterer are found, in either order and straight from one to
-        the other, with up to `scattering_order` reflections by walls elsewhere.
+        the other, with up to `scattering_order` reflections by walls elsewhere; with `diffraction` 2 also those with an
+        edge on either side of the scatterer.
     body_order : int, optional
         Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
     body_step : float

@@ -65,6 +65,9 @@ SUPPORT = {  # by `Chain.kind`
     "static scatterer edge": Support(
         "a scatterer and an edge", (HOST, REFUSED, REFUSED, REFUSED), refusal=_EDGE_AND_SCATTERER
     ),
+    "static edge scatterer edge": Support(
+        "an edge, a scatterer and an edge", (HOST, REFUSED, REFUSED, REFUSED), refusal=_EDGE_AND_SCATTERER
+    ),
     "moving": Support("bodies", (DEVICE, DEVICE, REFUSED, REFUSED), "bodies", _BODIES),
     "moving edge": Support("bodies and an edge", _BEHIND_BODIES, refusal=_BODIES),
     "moving exact edge": Support('bodies and an edge, `diffraction_model="btm"`', _BEHIND_BODIES, refusal=_BODIES),

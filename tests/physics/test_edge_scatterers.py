@@ -37,7 +37,7 @@ def found(
 
 def mixed(paths: PathSet, kind: str = "") -> PathSet:
     """Return the paths by an edge and a scatterer alone, of one order of both if it is named."""
-    kinds = [kind] if kind else ["static edge scatterer", "static scatterer edge"]
+    kinds = [kind] if kind else ["static edge scatterer", "static scatterer edge", "static edge scatterer edge"]
     return PathSet(paths.scene, tuple(f for f in paths.families if getattr(f, "kind", "") in kinds))
 
 
@@ -110,7 +110,9 @@ def test_all_that_moves_is_heard_as_two_delays_in_a_row(edge_first: bool, engine
     ways = ways if edge_first else ways[::-1]
     kind = "static edge scatterer" if edge_first else "static scatterer edge"
     paths = mixed(found(SCREEN, (ways[0], ways[2]), [clsim.Scatterer.point("p", 0.0, ways[1])]), kind)
-    row = int(np.argmax(paths.families[0].vertex.edge.frame[:, 0, 0] > -1e-9))  # over the edge along z
+    row = int(
+        np.argmax(paths.families[0].vertex.edges[0 if edge_first else 1].frame[:, 0, 0] > -1e-9)
+    )  # over the edge along z
 
     def emitted(time: float) -> float:
         place = ways[2].position(time)
@@ -173,6 +175,38 @@ def test_what_comes_out_of_a_shadow_makes_no_step(thing: clsim.Scatterer, edge_f
     assert len(row) == 1
     before = np.abs(terms(some, began - 1e-6, TONE)[len(some.families[0]) + row[0], 0])
     assert before / np.abs(field(free, began - 1e-6, TONE)[0]) == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_all_paths_together_make_no_step_with_edges_on_either_side(turned: bool) -> None:
+    """A sphere comes out of the shadow of either end: all paths stay within -60 dB of the strongest, -50 over one edge."""
+    ends = FIXED((-1.0, -1.0, 0.1)), FIXED((0.3, 2.0, 0.0))
+    ball = clsim.Scatterer.sphere("b", 0.05, OUT)
+    largest = []
+    for diffraction in (1, 2):
+        paths = found(SCREEN, ends[:: -1 if turned else 1], [ball], diffraction=diffraction)
+        some = [family for family in paths.families if "scatterer" in family.kind]
+        times = np.concatenate([[*family.start, *family.end] for family in some])
+        events = np.unique(times[np.isfinite(times) & (times < 0.4)])
+        largest.append(max(map(decibels, jumps(paths, events, TONE))))
+    assert largest[1] < -60.0
+    assert largest[1] < largest[0]
+
+
+def test_a_point_between_two_edges_is_a_receiver_and_a_source() -> None:
+    """At rest: the product of both exact fields over edges, to -180 dB; places are those of both edges and the point."""
+    spot, ends = (1.2, 0.8, 0.2), (FIXED((-1.0, -1.0, 0.1)), FIXED((-0.9, 1.0, -0.2)))
+    paths = found(SCREEN, ends, [clsim.Scatterer.point("p", 0.0, FIXED(spot))], diffraction=2)
+    got = field(mixed(paths, "static edge scatterer edge"), np.zeros(1), TONE)[0]
+    parts = [found(SCREEN, way) for way in ((ends[0], FIXED(spot)), (FIXED(spot), ends[1]))]
+    parts = [PathSet(p.scene, tuple(f for f in p.families if f.kind == "static edge")) for p in parts]
+    wanted = np.prod([field(p, np.zeros(1), TONE)[0] for p in parts])
+    assert decibels(abs(got - wanted) / abs(wanted)) < -180.0
+    family = mixed(paths, "static edge scatterer edge").families[0]
+    places = family.vertices(np.arange(1), 0.0)[0]
+    assert np.allclose(places[2], spot, atol=1e-12)
+    legs = np.linalg.norm(np.diff(places[:5], axis=0), axis=1)
+    assert legs.sum() / C == pytest.approx(family.arrivals(np.arange(1), np.zeros(1)).delay[0, 0], rel=1e-12)
 
 
 def test_a_whole_period_later_all_is_the_same() -> None:

@@ -56,14 +56,15 @@ class StaticLinks(Links):
             through = self.chain.interactions[self.rows] == TRANSMISSION if self.chain.passes else None
             return path_vertices(planes, self.chain.objects[self.rows], emitted_at, heard_at, through)
         before, after = self.surfaces
-        places = self.vertex.places(self, (emitted_at, heard_at), now, kinematics)
-        there = path_vertices(planes, before, emitted_at, places[0])
-        back, more = path_vertices(planes, after, heard_at, places[1]), int(places[0] is not places[1])
+        first, *between, last = self.vertex.places(self, (emitted_at, heard_at), now, kinematics)
+        there = path_vertices(planes, before, emitted_at, first)
+        back, more, inner = path_vertices(planes, after, heard_at, last), int(first is not last), len(between)
         vertices = np.full((len(self), self.chain.objects.shape[1] + 2, 3), np.nan)
         for p, (walls, others) in enumerate(zip(before, after, strict=True)):
             n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
             vertices[p, : n + 2] = there[p, : n + 2]
-            vertices[p, n + 2 : n + m + more + 3] = back[p, m + more :: -1]
+            vertices[p, n + 2 : n + 2 + inner] = np.reshape([place[p] for place in between], (inner, 3))
+            vertices[p, n + inner + 2 : n + inner + m + more + 3] = back[p, m + more :: -1]
         return vertices
 
     def lengths(self, source: Floats, receiver: Floats, times: Instant) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,14 +13,16 @@ from clsim.paths.chain import Chain
 from clsim.paths.family import DIFFRACTION, NONE, SCATTERING, SPECULAR
 from clsim.paths.search.scatterers import as_heard, heard_after
 from clsim.paths.support import check_support
-from clsim.paths.vertices.edge_scatterer import EdgeScattererVertex, ScattererEdgeVertex
+from clsim.paths.vertices.edge_scatterer import EdgeScattererVertex
 from clsim.scene.scatterer import Scatterer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.legs.static import StaticLeg
     from clsim.paths.search.scatterers import Side
+    from clsim.paths.vertices.edge import EdgeVertex
     from clsim.scene.scene import Scene
 
     Rows = NDArray[np.int64]
@@ -31,17 +33,21 @@ _TOGETHER = 16  # paths at as many times of which the diagonal is used
 
 
 def edge_scatterer_paths(
-    scene: Scene, sides: tuple[Side, Side], over_edges: tuple[Chain, Chain], limit: int
+    scene: Scene, sides: tuple[Side, Side], over_edges: tuple[Chain, Chain], both: bool, limit: int
 ) -> list[Chain]:
-    """Find the paths that meet the edge first, and those that meet the scatterer first.
+    """Find the paths that meet the edge first, those that meet the scatterer first, and those between two edges.
 
     `sides` and `over_edges` are the paths by walls, and over edges, from sources to scatterers and from there to
-    receivers. Between edge and scatterer sound goes straight.
+    receivers. Between edge and scatterer sound goes straight. The last kind is found with `both` alone.
     """
     check_support("static edge scatterer", scene.air)
-    found = [_chain(scene, over_edges[0], sides[1], True), _chain(scene, over_edges[1], sides[0], False)]
-    if sum(map(len, found)) > limit:
-        raise InputError("edge_scattering", f"must give at most {limit} paths (path_limit), but gives more")
+    plain = _Half.straight(sides[0], True), _Half.straight(sides[1], False)
+    bent = _Half.over(over_edges[0], True), _Half.over(over_edges[1], False)
+    kinds = [(bent[0], plain[1]), (plain[0], bent[1]), *([bent] if both else [])]
+    found = []
+    for halves in kinds:
+        found.append(_chain(scene, halves, limit))
+        limit -= len(found[-1])
     return found
 
 
@@ -96,74 +102,79 @@ def _event_times(chain: Chain, rows: Rows, times: Floats) -> Floats:
     return np.array(np.diagonal(chain.arrivals(rows, times).more["event_time"]))
 
 
-def _chain(scene: Scene, edges: Chain, side: Side, edge_first: bool) -> Chain:
-    """Pair paths over edges with a side of the scatterer's other end."""
-    last = np.maximum(np.sum(edges.interactions != NONE, axis=1) - 1, 0)
-    next_to = last if edge_first else np.zeros(len(edges), dtype=np.int64)  # what is met next to the scatterer
-    straight_on = edges.interactions[np.arange(len(edges)), next_to] == DIFFRACTION
-    rows: list[tuple[Rows, Rows]] = []
-    met = (edges.receiver, side.source) if edge_first else (edges.source, side.receiver)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Half:
+    """Paths between ends and scatterers, n of them, before these or after them."""
+
+    chain: Any  # `Side` or `Chain` with columns source, receiver, start, end
+    kinds: Any  # (n, N) interactions
+    objects: Any  # likewise
+    leg: StaticLeg  # of the end, as what is next to it sees it
+    edge: EdgeVertex | None
+
+    @staticmethod
+    def straight(side: Side, first: bool) -> _Half:
+        """Take those by walls alone."""
+        assert side.leg is not None
+        leg = side.leg if first else as_heard(side.leg)
+        return _Half(side, np.where(side.surfaces >= 0, SPECULAR, NONE), side.surfaces, leg, None)
+
+    @staticmethod
+    def over(edges: Chain, first: bool) -> _Half:
+        """Take those over edges that go straight from there to the scatterer, or from it to there."""
+        last = np.maximum(np.sum(edges.interactions != NONE, axis=1) - 1, 0)
+        beside = last if first else np.zeros(len(edges), dtype=np.int64)
+        edges = edges.part(np.flatnonzero(edges.interactions[np.arange(len(edges)), beside] == DIFFRACTION))
+        return _Half(edges, edges.interactions, edges.objects, edges.legs[0 if first else 1], edges.vertex)
+
+    def heard(self, scene: Scene, frequency: float, motions: tuple[Any, Any], rows: Rows, events: Floats) -> Floats:
+        """Find when (n,) the second motion hears what the first one sends at times (n,), s."""
+        if self.edge is None:
+            return heard_after(scene, frequency, motions, self.chain, rows, events)
+        return _heard_over(self.chain, rows, motions, events)
+
+
+def _chain(scene: Scene, halves: tuple[_Half, _Half], limit: int) -> Chain:
+    """Pair what comes to scatterers with what goes on from them."""
+    first, second = halves
+    rows: list[Any] = [np.empty((2, 0), dtype=np.int64)]
     for thing in range(len(scene.scatterers)):
-        one, two = np.flatnonzero(straight_on & (met[0] == thing)), np.flatnonzero(met[1] == thing)
-        i, j = (each.ravel() for each in np.meshgrid(one, two, indexing="ij"))
-        rows.append((i, j))
-    i, j = (np.concatenate([each[n] for each in rows]) for n in range(2))
-    which = met[0][i]
-    source, receiver = (edges.source[i], side.receiver[j]) if edge_first else (side.source[j], edges.receiver[i])
-    start, end = _times(scene, (edges, side), (i, j), (source, which, receiver), edge_first)
-    order = edges.order[i] + 1 + np.sum(side.surfaces[j] >= 0, axis=1)
+        one, two = np.flatnonzero(first.chain.receiver == thing), np.flatnonzero(second.chain.source == thing)
+        rows.append(np.stack([each.ravel() for each in np.meshgrid(one, two, indexing="ij")]))
+        if sum(each.shape[1] for each in rows) > limit:
+            raise InputError("edge_scattering", f"must give at most {limit} paths (path_limit), but gives more")
+    i, j = np.concatenate(rows, axis=1)
+    source, which, receiver = first.chain.source[i], first.chain.receiver[i], second.chain.receiver[j]
+    start, end = _times(scene, halves, (i, j), np.stack([source, which, receiver]))
+    order = np.sum(first.kinds[i] != NONE, axis=1) + 1 + np.sum(second.kinds[j] != NONE, axis=1)
+    columns = {"source": source, "receiver": receiver, "order": order.astype(np.int32), "start": start, "end": end}
     kept = np.flatnonzero(start < end)
     kept = kept[np.lexsort((order[kept], receiver[kept], source[kept]))]
     i, j, which = i[kept], j[kept], which[kept].astype(np.int32)
-    columns = {"source": source, "receiver": receiver, "order": order.astype(np.int32), "start": start, "end": end}
-    columns = {name: read_only(column[kept]) for name, column in columns.items()}
-    kinds, objects = _interactions(edges, side, (i, j, which), edge_first)
-    speeds = np.array([scatterer.peak_speeds() for scatterer in scene.scatterers])
-    kind = EdgeScattererVertex if edge_first else ScattererEdgeVertex
-    nearest = read_only(np.full(len(which), _WIDE * scene.min_distance))
-    vertex = kind(read_only(which), nearest, speeds, tuple(scene.scatterers), edges.vertex.part(i))
-    assert side.leg is not None
-    other, over = side.leg.part(j), edges.legs[0 if edge_first else 1].part(i)
-    legs = (over, as_heard(other)) if edge_first else (other, over)
-    all_columns: dict[str, Any] = columns
-    return Chain(scene=scene, **all_columns, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
+    edges = [half.edge if half.edge is None else half.edge.part(n) for half, n in zip(halves, (i, j), strict=True)]
+    vertex = EdgeScattererVertex.of(scene.scatterers, read_only(which), edges)
+    vertex = replace(vertex, nearest=read_only(np.full(len(which), _WIDE * scene.min_distance)))
+    numbers = (len(vertex.names) - len(scene.scatterers) + which)[:, None]  # behind edges and their ends
+    kinds = np.concatenate([first.kinds[i], np.full((len(i), 1), SCATTERING), second.kinds[j]], axis=1)
+    objects = np.concatenate([first.objects[i], numbers, second.objects[j]], axis=1)
+    rank = np.argsort(kinds == NONE, axis=1, kind="stable")
+    kinds, objects = (np.take_along_axis(each, rank, axis=1) for each in (kinds, objects))
+    held: dict[str, Any] = {name: read_only(column[kept]) for name, column in columns.items()}
+    held |= {"interactions": read_only(kinds.astype(np.int8)), "objects": read_only(objects.astype(np.int32))}
+    return Chain(scene=scene, **held, legs=(first.leg.part(i), second.leg.part(j)), vertex=vertex)
 
 
-def _interactions(edges: Chain, side: Side, rows: tuple[Any, Any, Any], edge_first: bool) -> tuple[Any, Any]:
-    """Interactions and objects (n, N) of paths; scatterers are numbered behind edges and their ends."""
-    i, j, which = rows
-    surfaces, scatterer = side.surfaces[j], len(edges.vertex.names) + which[:, None]
-    by_walls = np.where(surfaces >= 0, SPECULAR, NONE)
-    parts = [
-        (edges.interactions[i], edges.objects[i]),
-        (np.full((len(i), 1), SCATTERING), scatterer),
-        (by_walls, surfaces),
-    ]
-    kinds, objects = (
-        np.concatenate([part[n] for part in (parts if edge_first else parts[::-1])], axis=1) for n in (0, 1)
-    )
-    order = np.argsort(kinds == NONE, axis=1, kind="stable")
-    kinds, objects = (np.take_along_axis(each, order, axis=1) for each in (kinds, objects))
-    return read_only(kinds.astype(np.int8)), read_only(objects.astype(np.int32))
-
-
-def _times(
-    scene: Scene, sides: tuple[Chain, Side], rows: tuple[Rows, Rows], ends: tuple[Any, Any, Any], edge_first: bool
-) -> tuple[Floats, Floats]:
-    """Find when (n,) paths begin and end to be received, s."""
-    (edges, side), (i, j), found = sides, rows, []
+def _times(scene: Scene, halves: tuple[_Half, _Half], rows: tuple[Rows, Rows], ends: Any) -> tuple[Floats, Floats]:
+    """Find when (n,) paths begin and end to be received, s; ends (3, n) are source, scatterer and receiver."""
+    (first, second), (i, j), found = halves, rows, []
     for name, latest in (("start", np.maximum), ("end", np.minimum)):
-        over, other = getattr(edges, name)[i], getattr(side, name)[j]
-        times = np.array(over if edge_first else other)
-        for met in np.unique(np.stack(ends), axis=1).T.tolist():
-            mine = np.flatnonzero(np.all(np.stack(ends) == np.array(met)[:, None], axis=0))
+        times = np.array(getattr(first.chain, name)[i])
+        for met in np.unique(ends, axis=1).T.tolist():
+            mine = np.flatnonzero(np.all(ends == np.array(met)[:, None], axis=0))
             frequency = scene.sources[met[0]].emitted.centre_frequency
             motions = scene.scatterers[met[1]].trajectory, scene.receivers[met[2]].trajectory
-            if edge_first:
-                times[mine] = heard_after(scene, frequency, motions, side, j[mine], times[mine])
-            else:
-                times[mine] = _heard_over(edges, i[mine], motions, times[mine])
-        found.append(latest(times, other if edge_first else over))
+            times[mine] = second.heard(scene, frequency, motions, j[mine], times[mine])
+        found.append(latest(times, getattr(second.chain, name)[j]))
     return found[0], found[1]
 
 

@@ -22,7 +22,9 @@ from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.paths.vertices.scatterer_paths import PATIENCE, Body
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
@@ -30,18 +32,27 @@ if TYPE_CHECKING:
     from clsim.paths.links import Columns, Links, Pair
     from clsim.paths.response import SceneResponse
     from clsim.paths.vertices.edge import EdgeVertex
+    from clsim.scene.scatterer import Scatterer
 
 _ROUNDS, _CLOSE, _SETTLED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeScattererVertex(ScattererVertex):
-    """Scatterers (P,) that P paths meet straight after an edge."""
+    """Scatterers (P,) that P paths meet straight after an edge, straight before one, or both."""
 
-    edge: EdgeVertex  # (P,)
+    edges: tuple[EdgeVertex | None, EdgeVertex | None]  # (P,) before and after; None for straight legs
 
     kind: ClassVar[str] = "edge scatterer"
-    edge_first: ClassVar[bool] = True
+
+    @staticmethod
+    def of(scatterers: Sequence[Scatterer], which: NDArray[np.int32], edges: Any = (None, None)) -> EdgeScattererVertex:
+        """Make vertices at scatterers (P,) and edges (P,), with no bound of their distances yet."""
+        kinds: dict[Any, Any] = {(False, True): ScattererEdgeVertex, (True, True): EdgeScattererEdgeVertex}
+        kind = kinds.get(tuple(edge is not None for edge in edges), EdgeScattererVertex)
+        speeds = np.array([scatterer.peak_speeds() for scatterer in scatterers])
+        made: EdgeScattererVertex = kind(which, np.zeros(len(which)), speeds, tuple(scatterers), tuple(edges))
+        return made
 
     @property
     def is_complex(self) -> bool:
@@ -56,74 +67,87 @@ class EdgeScattererVertex(ScattererVertex):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of edges and their ends, and of scatterers."""
-        return (*self.edge.names, *(scatterer.name for scatterer in self.scatterers))
+        edge = next(edge for edge in self.edges if edge is not None)
+        return (*edge.names, *(scatterer.name for scatterer in self.scatterers))
 
     def part(self, rows: Rows) -> EdgeScattererVertex:
         """Return some of the vertices."""
-        columns: dict[str, Any] = {"scatterer": self.scatterer[rows], "nearest": self.nearest[rows]}
-        return replace(self, **columns, edge=self.edge.part(rows))
+        edges: Any = tuple(edge if edge is None else edge.part(rows) for edge in self.edges)
+        return replace(self, scatterer=self.scatterer[rows], nearest=self.nearest[rows], edges=edges)
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
-        yield from self.edge.named(moving)
-        yield "model", self.edge.model
+        for edge in self.edges:
+            if edge is not None:
+                yield from edge.named(moving)
+                yield "model", edge.model
         for name in ("scatterer", "fastest", "nearest"):
             yield name, getattr(self, name)
 
-    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> Pair:
+    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> tuple[Floats, ...]:
         """Points (P, 3), m, where sound that is received at a time (1,) is diffracted and scattered, in their order."""
-        found = np.empty((2, len(self), 3))
+        found: dict[int, Floats] = {n: np.empty((len(self), 3)) for n in range(3) if n == 1 or self.edges[n // 2]}
         for mine in self.groups():
             some = links.part(mine)
             way = _solved(some, times, kinematics.retarded)
-            frame = some.vertex.edge.frame
-            found[0, mine] = frame[:, 0] + way.over.along * frame[:, 3]
-            found[1, mine] = way.place[:, 0]
-        return (found[0], found[1]) if self.edge_first else (found[1], found[0])
+            found[1][mine] = way.place[:, 0]
+            for n, (edge, over) in enumerate(zip(some.vertex.edges, way.overs, strict=True)):
+                if over is not None:
+                    found[2 * n][mine] = edge.frame[:, 0] + over.along * edge.frame[:, 3]
+        return tuple(found.values())
 
     def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
         """Lengths (P,) by the centres at times, between images of endpoints (P, 3), m."""
-        centre = ends_at(self.scatterers, self.scatterer, times)
-        beyond, other = images if self.edge_first else images[::-1]
-        view = _from_edges(self.edge)
-        over = _Over.of(self.edge, view.places(beyond[:, None]), view.places(centre[:, None]))
-        return np.asarray(over.length[:, 0] + np.linalg.norm(other - centre, axis=1))
+        centre, found = ends_at(self.scatterers, self.scatterer, times), np.zeros(len(self))
+        for edge, image in zip(self.edges, images, strict=True):
+            if edge is None:
+                found += np.linalg.norm(image - centre, axis=1)
+            else:
+                view = _from_edges(edge)
+                found += _Over.of(edge, view.places(image[:, None]), view.places(centre[:, None])).length[:, 0]
+        return found
 
     def _columns(self, kinematics: Kinematics, links: Links, times: Floats) -> Columns:
-        """Arrivals (P, T) over an edge and by one scatterer: rates and amplitudes are those of the scatterer."""
+        """Arrivals (P, T) over edges and by one scatterer: rates and amplitudes are those of the scatterer.
+
+        At an edge after the scatterer frequencies are those that it sends.
+        """
         retarded = kinematics.retarded
         way = _solved(links, times, retarded)
         mach, coming, leaving, receding = way.mach, way.coming, way.leaving, way.receding
         rate, factor, ratio = receding + coming - leaving - mach, np.ones_like(mach), np.ones_like(mach)
-        at_edge = ratio
+        sent_on = ratio
         if retarded:
             rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) / ((1 - leaving) * (1 - mach))
             raised = 1.0 - coming if self.one.shape.shadows else 1.0
             factor = ((1.0 - mach) * (1.0 - leaving) / raised) ** -kinematics.exponent
-            ratio = at_edge = 1.0 / (1.0 - mach)
-            if not self.edge_first:
-                at_edge = ratio * (1.0 - coming) / (1.0 - leaving)
-        first, second = way.lengths
-        delay = np.sum(way.delays, axis=0)
-        return {
+            ratio = 1.0 / (1.0 - mach)
+            sent_on = ratio * (1.0 - coming) / (1.0 - leaving)
+        strength, delay = way.strength, np.sum(way.delays, axis=0)
+        over_edges: Columns = {}
+        for n, (over, length, at_edge) in enumerate(zip(way.overs, way.lengths, (ratio, sent_on), strict=True)):
+            strength = strength / length
+            if over is not None:
+                strength = strength * over.length
+                ends = np.moveaxis(over.end, 0, -1), np.moveaxis(over.seen, 0, -1)
+                over_edges |= {f"end_{n}": ends[0], f"seen_{n}": ends[1], f"at_edge_{n}": at_edge}
+        return over_edges | {
             "delay": delay, "delay_rate": rate, "departure": way.departure, "arrival": way.arrival,
-            "length": first + second, "through": first + second,
+            "length": sum(way.lengths), "through": sum(way.lengths),
             "emission_time": times - delay if retarded else np.broadcast_to(times, delay.shape),
-            "mach_factor": factor, "frequency_ratio": ratio,
-            "strength": way.strength * way.over.length / (first * second),
-            "aspects": self._padded(way.aspects), "at_edge": at_edge,
-            "beyond": np.moveaxis(way.over.end, 0, -1), "before": np.moveaxis(way.over.seen, 0, -1),
+            "mach_factor": factor, "frequency_ratio": ratio, "strength": strength, "aspects": self._padded(way.aspects),
             "event_time": np.broadcast_to(times - (way.delays[1] if retarded else 0.0), delay.shape),
         }  # fmt: skip
 
     def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
         """Responses (P, T, F) by the fields of edges and scatterers, and by what air and legs let pass, (P, T, F)."""
         more, wave = found.more, 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
-        ends = np.moveaxis(more["beyond"], -1, 0), np.moveaxis(more["before"], -1, 0)
-        response = self.edge.static_field(
-            *(ends if self.edge_first else ends[::-1]), wave * more["at_edge"][..., None], at
-        )
-        response *= passing * (found.mach_factor * more["strength"])[..., None]
+        response = passing * (found.mach_factor * more["strength"])[..., None].astype(np.complex128)
+        for n, edge in enumerate(self.edges):
+            if edge is not None:
+                names = (f"end_{n}", f"seen_{n}") if n == 0 else (f"seen_{n}", f"end_{n}")
+                sent, heard = (np.moveaxis(more[name], -1, 0) for name in names)
+                response *= edge.static_field(sent, heard, wave * more[f"at_edge_{n}"][..., None], at)
         for mine in self.groups():
             scatterer = self.part(mine).one
             field = scatterer.shape.field(wave, more["aspects"][mine, :, : scatterer.shape.aspects])
@@ -135,7 +159,8 @@ class EdgeScattererVertex(ScattererVertex):
 
     def largest(self, links: Links, at: SceneResponse) -> Floats:
         """Bounds (P, F) of what edges and scatterers send on, times the lengths of the paths."""
-        return self.edge.loudest * ScattererVertex.largest(self, links, at)
+        loudest = [edge.loudest for edge in self.edges if edge is not None]
+        return np.asarray(np.prod(loudest) * ScattererVertex.largest(self, links, at))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +168,13 @@ class ScattererEdgeVertex(EdgeScattererVertex):
     """Scatterers (P,) that P paths meet, and go straight on to an edge."""
 
     kind: ClassVar[str] = "scatterer edge"
-    edge_first: ClassVar[bool] = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeScattererEdgeVertex(EdgeScattererVertex):
+    """Scatterers (P,) that P paths meet between two edges."""
+
+    kind: ClassVar[str] = "edge scatterer edge"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,7 +240,7 @@ class _Way:
 
     delays: Floats  # (2, P, T) to the scatterer, and from there, s
     lengths: tuple[Floats, Floats]  # likewise, m
-    over: _Over
+    overs: tuple[_Over | None, _Over | None]
     departure: Floats  # (P, T, 3)
     arrival: Floats  # likewise
     place: Floats  # (P, T, 3) of the scatterer, m
@@ -228,38 +259,45 @@ class _Image:
     place: Floats
     by_end: Floats
     by_scatterer: Floats | float
+    over: _Over | None  # the path over the edge, if any
 
 
 class _Sides:
-    """Both ends as scatterers see them: one by a static leg alone, the other over an edge."""
+    """Both ends as scatterers see them, by a static leg alone or over an edge."""
 
     def __init__(self, links: Links, times: Floats) -> None:
-        self._edge, self._first = links.vertex.edge, links.vertex.edge_first
-        leg, self._straight = links.legs if self._first else links.legs[::-1]
-        self._here, self._beyond = _from_edges(self._edge), EdgeView.of(leg.matrix, leg.offset, self._edge.frame)
+        self._edges, self._legs = links.vertex.edges, links.legs
         self._centre, (self._source, receiver) = links.vertex.one.trajectory, links.motions
         self._heard_at = receiver.position(times)[None], receiver.velocity(times)[None]
-
-    def images(self, emitted: Floats, events: Floats) -> tuple[_Image, _Image, _Over]:
-        """Images of source and receiver, and the path over the edge, at times (P, T) of emission and scattering, s."""
-        sent = self._source.position(emitted), self._source.velocity(emitted)
-        beyond, other = (sent, self._heard_at) if self._first else (self._heard_at, sent)
-        centre, velocity = self._centre.position(events), self._centre.velocity(events)
-        over = _Over.of(self._edge, self._beyond.places(beyond[0]), self._here.places(centre))
-        moves = self._beyond.directions(beyond[1]), self._here.directions(velocity)
-        by_each = [
-            over.image_velocity(self._edge, *each) for each in ((moves[0], 0 * moves[1]), (0 * moves[0], moves[1]))
+        self._views = [
+            edge and (EdgeView.of(leg.matrix, leg.offset, edge.frame), _from_edges(edge))
+            for edge, leg in zip(self._edges, self._legs, strict=True)
         ]
-        bent = _Image(centre + self._here.back(over.image - over.seen), *map(self._here.back, by_each))
-        plain = _Image(self._straight.image(other[0]), self._straight.turned(other[1]), 0.0)
-        return (bent, plain, over) if self._first else (plain, bent, over)
 
-    def ends(self, over: _Over, coming: Floats, onwards: Floats) -> tuple[Floats, Floats]:
-        """Directions (P, T, 3) in which paths leave the source, and from the receiver back."""
-        by_edge = self._beyond.back(over.leaving)
-        if self._first:
-            return by_edge, -self._straight.turned_back(onwards)
-        return self._straight.turned_back(coming), by_edge
+    def images(self, emitted: Floats, events: Floats) -> tuple[_Image, _Image]:
+        """Images of source and receiver at times (P, T) of emission and of scattering, s."""
+        centre = self._centre.position(events), self._centre.velocity(events)
+        sent = self._source.position(emitted), self._source.velocity(emitted)
+        return self._image(0, sent, centre), self._image(1, self._heard_at, centre)
+
+    def _image(self, n: int, end: Pair, centre: Pair) -> _Image:
+        """Image of one end, from places and velocities of it and of the scatterer."""
+        edge, leg = self._edges[n], self._legs[n]
+        if edge is None:
+            return _Image(leg.image(end[0]), leg.turned(end[1]), 0.0, None)
+        beyond, here = self._views[n]
+        over = _Over.of(edge, beyond.places(end[0]), here.places(centre[0]))
+        moves = beyond.directions(end[1]), here.directions(centre[1])
+        by_end = over.image_velocity(edge, moves[0], 0.0 * moves[1])
+        by_centre = over.image_velocity(edge, 0.0 * moves[0], moves[1])
+        place = centre[0] + here.back(over.image - over.seen)
+        return _Image(place, here.back(by_end), here.back(by_centre), over)
+
+    def leaving(self, n: int, image: _Image, direction: Floats) -> Floats:
+        """Directions (P, T, 3) in which paths leave an end, which the scatterer sees in a direction from there."""
+        if image.over is None:
+            return np.asarray(self._legs[n].turned_back(direction))
+        return np.asarray(self._views[n][0].back(image.over.leaving))
 
 
 def _solved(links: Links, times: Floats, retarded: bool) -> _Way:
@@ -270,7 +308,7 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _Way:
     now, delays, weight = np.broadcast_to(times, shape), np.zeros((2, *shape)), 1.0
     for done in range(_ROUNDS):
         event = now - delays[1] if retarded else now
-        source, receiver, over = sides.images(event - delays[0] if retarded else now, event)
+        source, receiver = sides.images(event - delays[0] if retarded else now, event)
         place, velocity = body.seen(event, source.place, receiver.place, weight, done >= PATIENCE)
         (first, coming_to), (second, onwards) = straight(source.place, place), straight(place, receiver.place)
         mach, coming, leaving, receding = (
@@ -289,10 +327,10 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _Way:
             change[0] = (change[0] + change[1] * (mach - coming)) / (1.0 - mach)
         delays = delays + change
         if done and body.change <= _SETTLED and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
-            departure, arrival = sides.ends(over, coming_to, onwards)
+            departure, arrival = sides.leaving(0, source, coming_to), sides.leaving(1, receiver, -onwards)
             return _Way(
-                delays, (first, second), over, departure, arrival, place, mach, coming, leaving, receding,
-                *body.strength(shape),
+                delays, (first, second), (source.over, receiver.over), departure, arrival, place, mach, coming, leaving,
+                receding, *body.strength(shape),
             )  # fmt: skip
     raise InputError(
         "scatterers",

@@ -181,7 +181,7 @@ class ScattererVertex:
             "aspects": self._padded(events.aspects),
         }  # fmt: skip
 
-    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> Pair:
+    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> tuple[Floats, ...]:
         """Points (P, 3), m, where sound that is received at a time (1,) is scattered between static legs."""
         place = np.empty((len(self), 3))
         for mine in self.groups():

@@ -27,6 +27,7 @@ FOUND = {
     "static scatterer": ({"scattering_order": 0}, "scatterers"),
     "static edge scatterer": ({"diffraction": 1, "edge_scattering": True}, "scatterers"),
     "static scatterer edge": ({"diffraction": 1, "edge_scattering": True}, "scatterers"),
+    "static edge scatterer edge": ({"diffraction": 2, "edge_scattering": True}, "scatterers"),
     "static scatterer pair": ({"scatterers_in_row": 2}, "scatterers twice"),
     "moving": ({}, "bodies"),
     "moving edge": ({"diffraction": 1}, "bodies"),
