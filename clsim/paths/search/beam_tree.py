@@ -46,6 +46,47 @@ class Candidates:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FoundPaths:
+    """Paths of one source, sorted by receiver, order, walls and time."""
+
+    receiver: NDArray[np.int64]  # (P,) which, and number of reflections
+    order: NDArray[np.int64]  # likewise
+    walls: NDArray[np.int32]  # (P, max_order) from the source's side, filled up with -1
+    begin: Floats  # (P,) interval in which it is heard, s; infinite where it reaches an end of what matters
+    end: Floats  # likewise
+    met: NDArray[np.int32] | None = None  # (P, N) of walls and panels, see `divided`; None for walls alone
+
+    @staticmethod
+    def none(max_order: int) -> FoundPaths:
+        """Return no paths."""
+        no = np.empty(0, dtype=np.int64)
+        return FoundPaths(no, no, np.empty((0, max_order), dtype=np.int32), np.empty(0), np.empty(0))
+
+    @staticmethod
+    def joined(parts: list[FoundPaths]) -> FoundPaths:
+        """Return the paths of several parts."""
+        names = ("receiver", "order", "walls", "begin", "end")
+        return FoundPaths(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+    @staticmethod
+    def of_cells(parts: list[FoundPaths], last: Floats) -> FoundPaths:
+        """Join paths of all cells, intervals that touch included; sort by receiver, order, walls and time."""
+        found = FoundPaths.joined(parts)
+        keys = [found.begin, *found.walls.T[::-1], found.order, found.receiver]
+        rows = np.lexsort(keys)
+        receiver, order, walls = found.receiver[rows], found.order[rows], found.walls[rows]
+        begin, end = found.begin[rows], found.end[rows]
+        first = np.ones(len(rows), dtype=bool)
+        first[1:] = (receiver[1:] != receiver[:-1]) | np.any(walls[1:] != walls[:-1], axis=1) | (begin[1:] != end[:-1])
+        starts = np.flatnonzero(first)
+        stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
+        begin, end, receiver = begin[starts], end[stops], receiver[starts]
+        begin = np.where(begin <= 0.0, -np.inf, begin)
+        end = np.where(end >= last[receiver], np.inf, end)
+        return FoundPaths(receiver, order[starts], walls[starts], begin, end)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Beams:
     """Beams after the same number of reflections: image of the sphere, aperture on the last wall, sequence."""
 

@@ -16,8 +16,7 @@ from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
 from clsim.paths.legs.static import image_columns
 from clsim.paths.propagation import mean_medium_of
-from clsim.paths.search.beam_tree import BeamTree, Candidates, TooManyBeamsError
-from clsim.paths.search.found_paths import FoundPaths
+from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooManyBeamsError
 from clsim.paths.search.panels import THROUGH, divided, see_through
 from clsim.paths.search.ray_shooting import ShotRays
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
@@ -70,7 +69,8 @@ class MeshSearch:
     def paths(self, scene: Scene, room: MeshRoom, source: Source, progress: Progress) -> FoundPaths:
         """Return every path from one source to all receivers."""
         query, longest = visibility_query(scene, room, source, self.max_order, self.resolution)
-        query = replace(query, walls=see_through(room.walls, scene.panels))
+        if scene.panels:
+            query = replace(query, walls=see_through(room.walls, scene.panels))
         ends, last = query.trajectory_tables, query.last
         device = float64_device(self.engine, self.device)
         plant = _planter(query.walls, ends, device)
@@ -98,7 +98,7 @@ class MeshSearch:
                 if radius < _SMALLEST_CELL * room.walls.size:
                     raise InputError("max_order", str(error)) from error
                 cells += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
-        found = _sorted(parts, last)
+        found = FoundPaths.of_cells(parts, last)
         return divided(query, found, scene.panels) if scene.panels else found
 
     def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> str:
@@ -274,20 +274,3 @@ def _diameter(room: MeshRoom, ends: TrajectoryTables) -> float:
     low = np.minimum(room.extent[0], np.min([c - r for c, r in spheres], axis=0))
     high = np.maximum(room.extent[1], np.max([c + r for c, r in spheres], axis=0))
     return float(np.linalg.norm(high - low))
-
-
-def _sorted(parts: list[FoundPaths], last: Floats) -> FoundPaths:
-    """Join paths of all cells, intervals that touch included; sort by receiver, order, walls and time."""
-    found = FoundPaths.joined(parts)
-    keys = [found.begin, *found.walls.T[::-1], found.order, found.receiver]
-    rows = np.lexsort(keys)
-    receiver, order, walls = found.receiver[rows], found.order[rows], found.walls[rows]
-    begin, end = found.begin[rows], found.end[rows]
-    first = np.ones(len(rows), dtype=bool)
-    first[1:] = (receiver[1:] != receiver[:-1]) | np.any(walls[1:] != walls[:-1], axis=1) | (begin[1:] != end[:-1])
-    starts = np.flatnonzero(first)
-    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
-    begin, end, receiver = begin[starts], end[stops], receiver[starts]
-    begin = np.where(begin <= 0.0, -np.inf, begin)
-    end = np.where(end >= last[receiver], np.inf, end)
-    return FoundPaths(receiver, order[starts], walls[starts], begin, end)

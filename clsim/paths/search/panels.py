@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.search.found_paths import FoundPaths
+    from clsim.paths.search.beam_tree import FoundPaths
     from clsim.paths.visibility.intervals import VisibilityQuery
     from clsim.scene.room.walls import Walls
 
@@ -32,8 +32,6 @@ THROUGH = -2  # less the wall: a panel that a path passes through, among the wal
 
 def see_through(walls: Walls, panels: tuple[int, ...]) -> Walls:
     """Mark panels, by numbers of their planes below 0, as walls that hide nothing."""
-    if not panels:
-        return walls
     plane, outward, which = walls.plane.copy(), walls.outward.copy(), list(panels)
     plane[which] = -1 - plane[which]
     outward[np.isin(walls.shell, walls.shell[which])] = 0  # paths are on both sides of them
