@@ -41,10 +41,16 @@ def decays_of_the_tail(table: Table, centres: tuple[float, ...]) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize("table", [box_decays.ZIGZAG, exhaustive((box_decays.SMOOTH,))])
-def test_decays_where_absorption_depends_on_frequency(table: Table, measured: Callable[..., float]) -> None:
-    """From 1 kHz on within 2 % of the images' energies; at 500 Hz 3 %, where modes below 450 Hz last longer than those."""
-    centres, by_order = (500.0, 1e3, 2e3, 4e3), box_decays.images(HERE, THERE, 2.0)
+@pytest.mark.parametrize(("table", "longest"), [(box_decays.ZIGZAG, 2.0), exhaustive((box_decays.SMOOTH, 3.2))])
+def test_decays_where_absorption_depends_on_frequency(
+    table: Table, longest: float, measured: Callable[..., float]
+) -> None:
+    """From 1 kHz on within 2 % of the images' energies; at 500 Hz 3 %, where modes below 450 Hz last longer than those.
+
+    Images are summed until what follows shortens T30 by less than 0.1 %: where 5 % are absorbed, sums that end after
+    2 s make it 2 % too short.
+    """
+    centres, by_order = (500.0, 1e3, 2e3, 4e3), box_decays.images(HERE, THERE, longest)
     wanted = [
         box_decays.decay_times(box_decays.octave_decay(by_order, table, centre), box_decays.STEP) for centre in centres
     ]
