@@ -148,14 +148,7 @@ class EdgeScattererVertex(ScattererVertex):
                 names = (f"end_{n}", f"seen_{n}") if n == 0 else (f"seen_{n}", f"end_{n}")
                 sent, heard = (np.moveaxis(more[name], -1, 0) for name in names)
                 response *= edge.static_field(sent, heard, wave * more[f"at_edge_{n}"][..., None], at)
-        for mine in self.groups():
-            scatterer = self.part(mine).one
-            field = scatterer.shape.field(wave, more["aspects"][mine, :, : scatterer.shape.aspects])
-            if field is not None:
-                response[mine] *= field
-            if scatterer.fluctuation is not None:
-                response[mine] *= scatterer.fluctuation.at(more["event_time"][mine])[..., None]
-        return response
+        return self._sent_on(response, more, wave)
 
     def largest(self, links: Links, at: SceneResponse) -> Floats:
         """Bounds (P, F) of what edges and scatterers send on, times the lengths of the paths."""

@@ -210,7 +210,10 @@ class ScattererVertex:
         spreading = more["strength"] / ((found.length - more["second_length"]) * more["second_length"])
         response = passing.astype(np.complex128, copy=False) if links.chain.is_complex else passing
         response *= (found.mach_factor * spreading)[..., None]
-        wave = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
+        return self._sent_on(response, more, 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound)
+
+    def _sent_on(self, response: Any, more: Columns, wave: Floats) -> Any:
+        """Multiply responses (P, T, F) by the fields and fluctuations of scatterers, for wave numbers (F,)."""
         for mine in self.groups():
             scatterer = self.part(mine).one
             field = scatterer.shape.field(wave, more["aspects"][mine, :, : scatterer.shape.aspects])
