@@ -1,11 +1,11 @@
 """What is written is whole: public docstrings, sources of formulae, and the figures and files that pages name."""
 
 import ast
-import importlib
 import importlib.util
 import inspect
 import pkgutil
 import re
+import sys
 import textwrap
 import types
 from collections.abc import Callable, Iterable, Iterator
@@ -60,6 +60,9 @@ OWN = {
     "ringing": "measured",
     "same_hemisphere": "what the name says",
 }
+
+
+OVERRIDDEN = re.compile(r"see `(\w+)\.(\w+)`\.$")  # a method that says no more than that of its base
 
 
 def sections(text: str) -> dict[str, str]:
@@ -136,6 +139,10 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
     if not told[""].strip():
         yield f"{name}: no docstring"
         return
+    if (seen := OVERRIDDEN.search(told[""])) is not None and list(told) == [""]:
+        modules = [module for name, module in sys.modules.items() if name.startswith("clsim.")]
+        base = next(vars(module)[seen[1]] for module in modules if seen[1] in vars(module))
+        told = sections(getattr(base, seen[2]).__doc__) | {"": told[""]}
     if is_class and issubclass(value, Exception | Warning):
         return
     signature = inspect.signature(value)

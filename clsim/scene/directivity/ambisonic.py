@@ -64,22 +64,7 @@ class Ambisonic(ChannelDirectivity):
         return np.sqrt(2.0 * degrees + 1.0) if self.normalization == "N3D" else np.ones_like(degrees)
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain of each channel; see `Directivity.gain_towards`.
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the microphone's own frame.
-        frequency : array_like (...)
-            Hz; broadcasts against `direction` without its last axis.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (..., C)
-            Gain, 1.
-        """
+        """Return the gain of each channel; see `Directivity.gain_towards`."""
         gain = real_harmonics(self.order, direction) * self.scale
         shape = np.broadcast_shapes(gain.shape[:-1], np.shape(frequency))
         return np.broadcast_to(gain, (*shape, gain.shape[-1]))

@@ -195,27 +195,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
         return table_band(self.frequencies, self.outside)
 
     def gain(self, cosine: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain; see `AxisymmetricDirectivity.gain`.
-
-        Parameters
-        ----------
-        cosine : ndarray (...)
-            Of the angle from the axis, -1 to 1.
-        frequency : array_like (...)
-            Hz; broadcasts against `cosine`.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Gain, 1; complex if the table is.
-
-        Raises
-        ------
-        InputError
-            If a frequency lies outside `band`.
-        """
+        """Return the gain; see `AxisymmetricDirectivity.gain`."""
         f = np.asarray(frequency, dtype=np.float64)
         check_coverage(f, self.band)
         angle = np.arccos(np.clip(np.asarray(cosine, dtype=np.float64), -1.0, 1.0))

@@ -286,22 +286,7 @@ class AxisymmetricDirectivity(Directivity):
         """
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain by direction (..., 3); see `Directivity.gain_towards`.
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the transducer's own frame.
-        frequency : array_like (...)
-            Hz; broadcasts against `direction` without its last axis.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Gain, 1.
-        """
+        """Return the gain by direction (..., 3); see `Directivity.gain_towards`."""
         return self.gain(np.clip(np.asarray(direction)[..., 0], -1.0, 1.0), frequency, speed_of_sound)
 
 

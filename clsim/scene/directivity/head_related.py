@@ -116,27 +116,7 @@ class HeadRelated(ChannelDirectivity):
         return 0.0, math.inf if self.outside == "hold" else 0.5 * self.sampling_rate
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain of each ear; see `Directivity.gain_towards`.
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the head's own frame.
-        frequency : array_like (...)
-            Hz; broadcasts against `direction` without its last axis.
-        speed_of_sound : float
-            m/s: not used.
-
-        Returns
-        -------
-        ndarray (..., 2)
-            Gain, 1.
-
-        Raises
-        ------
-        InputError
-            If a frequency lies outside `band`.
-        """
+        """Return the gain of each ear; see `Directivity.gain_towards`."""
         f = np.asarray(frequency, dtype=np.float64)
         check_coverage(f, self.band)
         unique, column = np.unique(np.minimum(f, 0.5 * self.sampling_rate), return_inverse=True)
@@ -153,20 +133,7 @@ class HeadRelated(ChannelDirectivity):
         return 1.25 * float(np.abs(self.parts[0][:, -2:]).max())
 
     def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
-        """Return the times of arrival at each ear; see `ChannelDirectivity.lateness`.
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the head's own frame.
-        speed_of_sound : float
-            m/s: not used.
-
-        Returns
-        -------
-        ndarray (..., 2)
-            s.
-        """
+        """Return the times of arrival at each ear; see `ChannelDirectivity.lateness`."""
         found = _over_sphere(self)(np.asarray(direction, dtype=np.float64).reshape(-1, 3))[:, -2:]
         return np.asarray(np.clip(found, -self.reach, self.reach)).reshape(*np.shape(direction)[:-1], 2)
 
@@ -241,22 +208,7 @@ class SphericalHead(ChannelDirectivity):
         return EARS
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain of each ear; see `Directivity.gain_towards`.
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the head's own frame.
-        frequency : array_like (...)
-            Hz; broadcasts against `direction` without its last axis.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (..., 2)
-            Gain, 1.
-        """
+        """Return the gain of each ear; see `Directivity.gain_towards`."""
         f = np.asarray(frequency, dtype=np.float64)
         unique, column = np.unique(f, return_inverse=True)
         row = np.arange(np.asarray(direction)[..., 0].size).reshape(np.shape(direction)[:-1])

@@ -43,22 +43,7 @@ class Omni(AxisymmetricDirectivity):
     band: ClassVar[tuple[float, float]] = _EVERYWHERE
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
-        """Return 1 for every direction; see `AxisymmetricDirectivity.gain`.
-
-        Parameters
-        ----------
-        cosine : ndarray (...)
-            Of the angle from the axis, -1 to 1.
-        frequency : array_like (...)
-            Hz; broadcasts against `cosine`.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Gain, 1.
-        """
+        """Return 1 for every direction; see `AxisymmetricDirectivity.gain`."""
         return np.ones_like(cosine, dtype=np.float64)
 
 
@@ -90,22 +75,7 @@ class FirstOrder(AxisymmetricDirectivity):
         object.__setattr__(self, "weight", as_number("weight", self.weight, at_least=0.0, at_most=1.0))
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
-        """Return the gain, the same at every frequency; see `AxisymmetricDirectivity.gain`.
-
-        Parameters
-        ----------
-        cosine : ndarray (...)
-            Of the angle from the axis, -1 to 1.
-        frequency : array_like (...)
-            Hz; broadcasts against `cosine`.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Gain, 1.
-        """
+        """Return the gain, the same at every frequency; see `AxisymmetricDirectivity.gain`."""
         return first_order_gain(cosine, self.weight)
 
 
@@ -140,22 +110,7 @@ class Piston(AxisymmetricDirectivity):
         object.__setattr__(self, "radius", _checked_radius(self.radius))
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
-        """Return the gain; see `AxisymmetricDirectivity.gain`.
-
-        Parameters
-        ----------
-        cosine : ndarray (...)
-            Of the angle from the axis, -1 to 1.
-        frequency : array_like (...)
-            Hz; broadcasts against `cosine`.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Gain, 1.
-        """
+        """Return the gain; see `AxisymmetricDirectivity.gain`."""
         return piston_gain(cosine, frequency, self.radius, speed_of_sound)
 
 

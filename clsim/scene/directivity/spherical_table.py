@@ -136,27 +136,7 @@ class SphericalDirectivity(Directivity):
         return table_band(self.frequencies, self.outside)
 
     def gain_towards(self, direction: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain; see `Directivity.gain_towards`.
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the transducer's own frame.
-        frequency : array_like (...)
-            Hz; broadcasts against `direction` without its last axis.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Gain, 1; complex if the table is.
-
-        Raises
-        ------
-        InputError
-            If a frequency lies outside `band`.
-        """
+        """Return the gain; see `Directivity.gain_towards`."""
         f = np.asarray(frequency, dtype=np.float64)
         check_coverage(f, self.band)
         towards = np.asarray(direction, dtype=np.float64)

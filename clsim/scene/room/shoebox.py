@@ -85,20 +85,7 @@ class ConvexRoom(ABC):
         return self.contains(positions)
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
-        """Return distances (n,) of positions (n, 3) from the nearest wall, positive inside, m; see `Room.clearance`.
-
-        Parameters
-        ----------
-        positions : ndarray (n, 3)
-            m.
-        mount : Mount, optional
-            The wall that they sit in.
-
-        Returns
-        -------
-        ndarray (n,)
-            Distance from the nearest wall, m; 0 or less outside.
-        """
+        """Return distances (n,) of positions (n, 3) from the nearest wall, positive inside, m; see `Room.clearance`."""
         if mount is None:
             return self._heights(positions)
         return np.minimum(mount.clearance(positions), self._heights(mount.lifted(positions)))
