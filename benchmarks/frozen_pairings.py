@@ -101,6 +101,16 @@ def scatterers() -> Arrays:
 
 
 @scene
+def edges_and_scatterers() -> Arrays:
+    """Render a sphere that the inner corner hides from the receiver, and then from neither end."""
+    flight = clsim.Scatterer.sphere("ball", 0.03, Line((1.5, 3.0, 1.2), (3.5, 3.2, 1.2), 0.2))
+    room, ends = clsim.MeshRoom.from_plan(L_PLAN, 3.0, PLASTER), (Fixed((1.2, 7.1, 1.4)), Fixed((6.0, 1.0, 1.5)))
+    source, receiver = clsim.Source("s", tone(0.02), ends[0]), clsim.Receiver("r", ends[1])
+    still = clsim.Scene(room, clsim.Air(), [source], [receiver], scatterers=[flight])
+    return rendered(still, 0, diffraction=1, edge_scattering=True)
+
+
+@scene
 def scatterers_behind_bodies() -> Arrays:
     """Render a sphere seen by a body's face, one by a wall that a body hides."""
     moving = in_the_box(0.1, chirp(0.02), bodies=[door(0.2)], scatterers=[ball(0.2)])

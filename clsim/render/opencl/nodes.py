@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -65,6 +65,8 @@ class DeviceChunk:
 
 class NodeMaker:
     """Makes block polynomials of the paths of one family with ``tracks.cl``."""
+
+    most_counted: ClassVar[float] = math.inf  # samples of a chunk; of more, silence is not left out
 
     def __init__(
         self, plan: Plan, tracks: SceneTracks, family: Any, queue: Any, compiler: Compiler, together: int
@@ -140,7 +142,7 @@ class NodeMaker:
         paths = images | trajectory | poses
         coarse = self._coarse_delays(source, batch, paths, start, -(-length // plan.segment) + 3)
         cells = None
-        if activity is not None:
+        if activity is not None and start + length - first < self.most_counted:
             cells = self._uploaded(active_cells=np.stack([activity.following, activity.preceding]))
             cells["cells"] = len(activity.cells)
         turn = 0.0

@@ -14,11 +14,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.render.opencl.activity import Activity
-    from clsim.render.opencl.batches import Boundaries, PathBatch
+    from clsim.render.opencl.batches import PathBatch
     from clsim.render.opencl.nodes import DeviceChunk
 
-_MOST_COUNTED = 2**23  # samples that floats count to the half: of more, silence is not left out
 # A receiver at a node, as in nodes/pair_delay.h.
 PAIR_RECEIVER = np.dtype(
     [("position", "f4", (3, 2)), ("clock_error", "f4", 2), ("velocity", "f4", 3), ("axes", "f4", (2, 3)),
@@ -35,19 +33,7 @@ def pairs(values: Floats) -> NDArray[np.float32]:
 class PairNodeMaker(NodeMaker):
     """Makes block polynomials with ``pair_tracks.cl``: every node has its gains."""
 
-    def prepare(
-        self,
-        source: int,
-        batch: PathBatch,
-        bounds: Boundaries,
-        start: int,
-        length: int,
-        activity: Activity | None,
-        first: int,
-    ) -> DeviceChunk:
-        """Upload images and motion for one source and a batch of receivers over a stretch of samples."""
-        counted = start + length - first < _MOST_COUNTED
-        return super().prepare(source, batch, bounds, start, length, activity if counted else None, first)
+    most_counted = 2**23  # samples that floats count to the half
 
     def _views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         image = self._family.legs[0].part(rows)
