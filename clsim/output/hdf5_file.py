@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,8 @@ CHECKSUM_BYTES = 4
 LARGEST_CHUNK = 2**32 - 1 - CHECKSUM_BYTES  # bytes: its length is a number of 32 bits
 _PAGE = 1 << 14  # bytes
 _COLUMNS, _ROWS = 1 << 10, 1 << 5  # of integers of four words that are added at a time: 256 KiB
+_HEAP = struct.Struct("<4s4xQ")  # signature and version of a global heap, its bytes
+_OBJECT = struct.Struct("<H6xQ")  # index of an object in it, 0 for free space, and its bytes
 _LANES = np.uint64(0x0000FFFF0000FFFF)  # every other word
 
 
@@ -142,7 +145,40 @@ def check_attributes(path: Path) -> None:
     import h5py
 
     with h5py.File(path, "r") as file:
+        begin, end = _sound_span(file["sound"].id)
+        with path.open("rb") as raw:
+            _check_heaps(raw.read(begin))
+            raw.seek(end)
+            _check_heaps(raw.read())
         dict(file.attrs)
+
+
+def _sound_span(sound: Any) -> tuple[int, int]:
+    """First byte of the sound in a file, and the first one after it: what is outside is small."""
+    places: list[tuple[int, int]] = []
+    if sound.get_create_plist().get_layout() == 2:  # H5D_CHUNKED
+        sound.chunk_iter(lambda chunk: places.append((chunk.byte_offset, chunk.size)))
+    else:
+        places.append((sound.get_offset() or 0, sound.get_storage_size()))
+    return min((at for at, _ in places), default=0), max((at + size for at, size in places), default=0)
+
+
+def _check_heaps(data: bytes) -> None:
+    """Raise a ValueError where the list of a heap's strings does not end, in which the HDF5 library would not return.
+
+    References
+    ----------
+    HDF5 File Format Specification Version 3.0, section III.E: signature, version, size; index, count, size of objects.
+    """
+    at = data.find(b"GCOL")
+    while at >= 0 and at + _HEAP.size <= len(data):
+        place, end = at + _HEAP.size, at + _HEAP.unpack_from(data, at)[1]
+        while place + _OBJECT.size <= min(end, len(data)):
+            index, size = _OBJECT.unpack_from(data, place)
+            place += _OBJECT.size + -(-size // 8) * 8 if index else size
+            if place > end or not (index or size):
+                raise ValueError("the list of its strings is damaged")
+        at = data.find(b"GCOL", max(place, at + 4))
 
 
 def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:

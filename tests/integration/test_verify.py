@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -131,6 +132,23 @@ def test_damaged_attributes_of_an_hdf5_file_are_one_error(tmp_path: Path, monkey
         assert refused(out) or at > 352
         gc.collect()
         assert said == []
+
+
+def test_a_damaged_list_of_strings_of_an_hdf5_file_is_refused(tmp_path: Path) -> None:
+    """The HDF5 library does not return from one whose free space, or an object, has no length: in a process of its own."""
+    pytest.importorskip("h5netcdf")
+    out = made(tmp_path, "hdf5")
+    path = out / "recording.h5"
+    whole = path.read_bytes()
+    heap = whole.index(b"GCOL")
+    free = heap + 16
+    while whole[free]:
+        free += 16 + -(-int.from_bytes(whole[free + 8 : free + 16], "little") // 8) * 8
+    code = "import clsim, sys; clsim.load_recording(sys.argv[1])"
+    for at, size in ((free, 0), (heap + 16, 2**64 - 16)):
+        path.write_bytes(whole[: at + 8] + size.to_bytes(8, "little") + whole[at + 16 :])
+        told = subprocess.run([sys.executable, "-c", code, str(out)], capture_output=True, text=True, timeout=60)
+        assert told.stderr.splitlines()[-1].startswith("clsim.errors.InputError: folder: must be a store of clsim")
 
 
 def test_an_hdf5_file_of_one_block_is_read(tmp_path: Path) -> None:

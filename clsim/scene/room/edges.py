@@ -210,6 +210,7 @@ def _lines(walls: Walls) -> Iterator[_Line]:
         mine = np.all(off <= tolerance, axis=1)
         bounded, left = np.sort(place[mine], axis=1), left[~mine]
         held = (np.abs(walls.normal @ along) * walls.radius <= tolerance) | (np.abs(walls.normal @ along) < 1e-12)
+        held &= np.abs(walls.normal @ along) < 0.5  # short walls of a huge room are within the tolerance of any line
         held &= np.abs(walls.normal @ a - walls.offset) <= tolerance
         places = [bounded.ravel(), *(_met(walls, w, a, along) for w in np.flatnonzero(held).tolist())]
         together = np.sort(np.concatenate(places))

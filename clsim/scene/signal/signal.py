@@ -189,21 +189,20 @@ class Signal:
         found, levels, weights, whole = [], [], [], np.zeros(hop + 1)
         for k, share in zip(*_picked_segments(self.count, hop), strict=True):
             around = self.read((int(k) - 1) * hop, (int(k) + 1) * hop + length)
-            if not np.any(around[hop:-hop]):
+            level = max(float(np.sum((around[i : i + length] * window) ** 2)) for i in (0, hop, 2 * hop)) * length
+            if not np.any(around[hop:-hop]) or level == 0.0:  # of 1e-162 Pa and less, squares are 0
                 continue
             spectrum = np.abs(np.fft.rfft(around[hop:-hop] * window)) ** 2
             whole += share * spectrum
             spectrum[1:-1] *= 2.0
             found.append(spectrum)
             weights.append(share)
-            levels.append(
-                max(float(np.sum((around[i : i + length] * window) ** 2)) for i in (0, hop, 2 * hop)) * length
-            )
+            levels.append(level)
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         if not found:
             return frequencies, np.zeros((0, hop + 1)), np.zeros(0), whole
-        level = np.maximum(levels, _QUIET_WINDOW * max(levels))
-        return frequencies, np.array(found) / level[:, None], np.array(weights), whole / length
+        relative_to = np.maximum(levels, _QUIET_WINDOW * max(levels))
+        return frequencies, np.array(found) / relative_to[:, None], np.array(weights), whole / length
 
     def band(self) -> tuple[float, float]:
         """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz.

@@ -163,3 +163,8 @@ def test_thin_panels_become_sheets() -> None:
     free = sheets.edges()
     assert (free.n == 2.0).sum() == 4
     assert sum("block" in name for name in free.names) == 12
+
+
+def test_a_room_beside_whose_size_a_wall_is_nearly_a_point() -> None:
+    """All places of the wall are within the tolerance of lines that run across it."""
+    assert len(clsim.MeshRoom.from_plan([(0, 0), (4, 0), (4, 3), (0, 1e8)], 2.0, WALL).edges()) == 0

@@ -425,3 +425,10 @@ def test_samples_that_are_no_levels_are_refused() -> None:
 def test_complex_samples_are_refused_rather_than_halved() -> None:
     with pytest.raises(InputError, match=r"^samples: must be real, but is complex128$"):
         Signal.from_array(np.exp(1j * np.arange(9.0)), 48e3)
+
+
+def test_sound_whose_squares_are_zero_is_silence() -> None:
+    """Energies of windows are relative to their level, which no number tells from 0 there."""
+    faint, silent = (Signal.tone(16e3, 0.01, RATE, amplitude=a) for a in (1e-300, 0.0))
+    for found, expected in zip(faint.short_time_spectra(), silent.short_time_spectra(), strict=True):
+        np.testing.assert_array_equal(found, expected)
