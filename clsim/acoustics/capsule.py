@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.acoustics import silhouette
 from clsim.acoustics.scattering import Glint, lit_share
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _SMALL = 1e-100  # in divisors: what is divided by it is squared, too
 _PARALLEL = 1e-20  # squared sine of the angle to the axis below which the middle between both ends is the nearest point
 FLATTEST = 1e-9  # 1/m
 NEAR_JUNCTION = 1e-4  # slope of the way where the side ends below which the bend there is that of the place itself
-ASPECTS = 11  # numbers that a field takes
+ASPECTS = 11  # numbers that a field takes, and as many more as `silhouette_field` with the field about the outline
 
 
 def capsule_glint(
@@ -49,19 +50,20 @@ def capsule_glint(
 
 
 def capsule_aspects(
-    radius: float, length: float, source: Floats, receiver: Floats, glint: Glint
+    radius: float, length: float, source: Floats, receiver: Floats, glint: Glint, outlined: bool = False
 ) -> tuple[Floats, Floats]:
-    """Return the strength (n,) that `capsule_field` is relative to, m, and what that takes (n, 11).
+    """Return the strength (n,) that `capsule_field` is relative to, m, and what that takes (n, 11), outlined (n, 22).
 
     Our own derivation, by physical optics (G. T. Ruck et al., Radar Cross Section Handbook, 1970, section 2.2.2).
     Around the capsule the principle of stationary phase holds; along it the way is a parabola on the side and a steeper
     one on either end, with one slope where they meet, so that the integral along a line of it (Kirchhoff's) is a sum of
     Fresnel integrals: on the side all of it, ``1 / sqrt(h)`` with the bend h, less what is missing beyond its ends, and
     more what the round ends add. At a distance of many lengths that is the finite cylinder, near by geometrical optics
-    ``sqrt(R1 R2) / 2``, and on the round ends those of a sphere, without a jump between them. Either leg counts alike,
-    and towards grazing incidence all goes to 0 as for ellipsoids.
+    ``sqrt(R1 R2) / 2``, and on the round ends those of a sphere, without a jump between them. Either leg counts alike.
+    Towards grazing incidence all goes to 0 as for ellipsoids or, outlined, the field about the outline takes over.
     """
     half, ends = 0.5 * length, (source, receiver)
+    oblique = _positive if outlined else _obliquity
     at, normal = _split(half, glint.place)
     aside = _unit(np.stack([normal[0], normal[1], np.where(np.hypot(*normal[:2]) > 0.0, 0.0, 1.0)]))
     around = np.stack([-aside[1], aside[0], 0.0 * at])
@@ -80,19 +82,47 @@ def capsule_aspects(
         held = slope**2 / (slope**2 + NEAR_JUNCTION**2)
         other = slope**2 / np.maximum(2.0 * late, _SMALL)
         sharp = np.where((slope < 0.0) & (late > 0.0), sharp + held * (other - sharp), sharp)
-        lit = np.sign(slope + _SMALL) * _obliquity(0.5 * pressed)
+        lit = np.sign(slope + _SMALL) * oblique(0.5 * pressed)
         columns = [late]
         for h in (sharp, np.maximum(flat, FLATTEST)):
             columns += [0.5 * lit / np.sqrt(h), np.abs(slope) / np.sqrt(2.0 * h)]
         aspects[:, 1 + 5 * i : 6 + 5 * i] = np.stack(columns, axis=1)
     bend = np.maximum(side + np.where(on_end, np.maximum(inward, 0.0) / radius, 0.0), FLATTEST)
-    aspects[:, 0] = _obliquity(cosine) / np.sqrt(bend)
-    aspects[glint.hidden] = 0.0
-    return 1.0 / np.sqrt(steep), aspects
+    aspects[:, 0] = oblique(cosine) / np.sqrt(bend)
+    if not outlined:
+        aspects[glint.hidden] = 0.0
+        return 1.0 / np.sqrt(steep), aspects
+    curvature = _incidence_curvature(radius, half, source, (glint.place, normal, around))
+    strength, outline = silhouette.silhouette_aspects(ends, glint, (1.0 / np.sqrt(steep), cosine, curvature))
+    return strength, np.concatenate([aspects, outline], axis=1)
 
 
-def capsule_field(wave: Floats, aspects: Floats) -> Complexes:
-    """Return the field of a rigid capsule over its strength; wave (F,) 1/m; aspects (..., 11); result (... F).
+def _incidence_curvature(radius: float, half: float, source: Floats, at: tuple[Floats, Floats, Floats]) -> Floats:
+    """Curvature (n,) in the plane of incidence at places (3, n) with normals and directions around (3, n), 1/m."""
+    place, normal, around = at
+    away = place - source
+    tangent = away - _dot(normal, away) * normal
+    share = np.where(
+        np.abs(place[2]) > half, 1.0, _dot(around, tangent) ** 2 / np.maximum(_dot(tangent, tangent), _SMALL)
+    )
+    return np.asarray(np.maximum(share / radius, radius / (radius + half) ** 2))
+
+
+def capsule_field(wave: Floats, aspects: Floats, outline: silhouette.Outline | None = None) -> Complexes:
+    """Return the field of a rigid capsule over its strength.
+
+    Shapes: wave (F,) 1/m; aspects (..., 11), outlined (..., 22); result (..., F).
+
+    Lobes by physical optics and, outlined, in the forward direction the field about the outline. Our own derivation.
+    """
+    lobes = _lobes(wave, aspects[..., :ASPECTS])
+    if outline is None:
+        return lobes
+    return silhouette.silhouette_field(outline, wave, aspects[..., ASPECTS:], lobes)
+
+
+def _lobes(wave: Floats, aspects: Floats) -> Complexes:
+    """Field of what a capsule reflects; wave (F,) 1/m; aspects (..., 11); result (..., F).
 
     ``m + sum exp(-j k t) (A E(a sqrt k) - B E(b sqrt k))`` over both ends of the side, with the Fresnel integral ``E(x)
     = exp(j x^2) erfc(exp(j pi / 4) x)`` (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 1964, eq.
@@ -114,6 +144,10 @@ def _obliquity(cosine: Floats) -> Floats:
     """Return the obliquity factor of the surface pressure, by the cosine of the angle of incidence."""
     bounded = np.maximum(cosine, 0.0)
     return bounded * lit_share(bounded)
+
+
+def _positive(cosine: Floats) -> Floats:
+    return np.asarray(np.maximum(cosine, 0.0))
 
 
 def _dot(a: Floats, b: Floats) -> Floats:

@@ -97,6 +97,27 @@ def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glin
     return np.asarray(np.where(glint.hidden, 0.0, strength))
 
 
+def ellipsoid_mirror(
+    semi_axes: Floats, source: Floats, receiver: Floats, glint: Glint
+) -> tuple[Floats, Floats, Floats]:
+    """Return the specular reflection of a rigid ellipsoid: strength, m, cosine of incidence, curvature, 1/m, each (n,).
+
+    With H the second derivatives of L along the surface, the principle of stationary phase gives the strength
+    ``cos(theta) / sqrt(det H)``: ``1 / (1 / d1 + 1 / d2)`` of a plane, and far from the body ``abc / (2 h^2)``, half
+    the root of the product of both radii of curvature, with the support ``h = sqrt(b A^2 b)`` (G. T. Ruck et al., Radar
+    Cross Section Handbook, 1970, section 2.2.3). The curvature is that in the plane of incidence.
+    """
+    scale, u = semi_axes[:, None], glint.normal
+    normal, away = u / scale, scale * u - source
+    steep = np.sqrt(np.maximum(_dot(normal, normal), _SMALL))
+    cosine = np.maximum(-_dot(normal, away) / (steep * np.sqrt(_dot(away, away))), 0.0)
+    bend = np.maximum(_bend(scale, source, receiver, u, 1.0)[0], _SMALL)
+    along = away - _dot(normal, away) / steep**2 * normal
+    curvature = _dot(along / scale, along / scale) / (steep * np.maximum(_dot(along, along), _SMALL))
+    flattest = semi_axes.min() / semi_axes.max() ** 2
+    return cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend), cosine, np.maximum(curvature, flattest)
+
+
 def lit_share(cosine: Floats) -> Floats:
     """Return the share of specular reflection by bodies, by the cosine (n,) of the angle of incidence.
 

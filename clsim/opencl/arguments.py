@@ -87,7 +87,7 @@ BLOCK_NUMBERS = {
 FIELD_TABLES = {
     "field_tables": taken("bins", "1 + CELLS 4 PARTS, BIN_VECTORS"),
     "faces": taken("bins", "slots, 2, PARTS, BIN_VECTORS"),
-    "modes": taken("double", "spheres: FREQUENCIES, then modes, 4, FREQUENCIES"),
+    "modes": taken("double", "Fock's function, spheres, outlines: see path_columns.py"),
 }  # fmt: skip
 BRANCHES = {"branches": taken("float", "rows, stride"), "stride": INT, "lead": INT}
 BLOCKS = {

@@ -64,9 +64,9 @@ _PATHS = (
 )  # fmt: skip
 _FIELDS = (
     "nodes/prediction.h", "nodes/vertices/transition.h", "nodes/solve.h", "nodes/vertices/angles.h",
-    "nodes/vertices/edge_end.h", "nodes/vertices/edge_field.h",
-    "nodes/vertices/capsule_field.h", "nodes/vertices/sphere.h", "nodes/vertices/scattered_field.h",
-    "nodes/legs/mirrored_field.h", "nodes/node_gains.h",
+    "nodes/vertices/edge_end.h", "nodes/vertices/edge_field.h", "nodes/vertices/outline.h", "nodes/vertices/strings.h",
+    "nodes/vertices/silhouette.h", "nodes/vertices/capsule_field.h", "nodes/vertices/sphere.h",
+    "nodes/vertices/scattered_field.h", "nodes/legs/mirrored_field.h", "nodes/node_gains.h",
 )  # fmt: skip
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
@@ -90,13 +90,14 @@ _NODE_CONSTANTS = {
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
 # What is between the ends, and how it is found where they are scattered.
 _KINDS = {
-    "LEG", "STATIC", "MOVING", "MIRRORS", "VERTEX", "NONE", "EDGE", "SCATTERER", "POINT", "CAPSULE", "SPHERE",
-    "LONGEST_STEP", "SPECULAR_FAR", "SPECULAR_FOUND", "SETTLED", "FLATTEST", "NO_PATH", "ON_LINE", "PATIENCE",
+    "LEG", "STATIC", "MOVING", "MIRRORS", "VERTEX", "NONE", "EDGE", "SCATTERER", "POINT", "ELLIPSOID", "CAPSULE",
+    "SPHERE", "LONGEST_STEP", "SPECULAR_FAR", "SPECULAR_FOUND", "SETTLED", "FLATTEST", "NO_PATH", "ON_LINE", "PATIENCE",
     "BEYOND_LEG", "POSE_COLUMNS", "FACE_COLUMNS",
 }  # fmt: skip
 _OF_GAINS = {
     "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION", "LEFT_OUT", "END_CELLS", "END_TERMS",
-    "BOTH", "AT_CORNER",
+    "BOTH", "AT_CORNER", "FOCK_FIRST", "FOCK_LAST", "FOCK_COUNT", "FOCK_WHOLE", "FOCK_NONE", "COSINE_WHOLE",
+    "COSINE_NONE", "NEAR_WHOLE", "NEAR_NONE", "GRAZING", "GRAZED", "SHORTEST",
 }  # fmt: skip
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays

@@ -208,7 +208,7 @@ PARTS = {
 }  # fmt: skip
 
 
-def walking_person(name: str, height: float, trajectory: Trajectory) -> list[Scatterer]:
+def walking_person(name: str, height: float, trajectory: Trajectory, shadow: bool = False) -> list[Scatterer]:
     """Return the scatterers of a walking person: 13 ellipsoids on the gait of Boulic and Thalmann.
 
     Parameters
@@ -220,6 +220,9 @@ def walking_person(name: str, height: float, trajectory: Trajectory) -> list[Sca
     trajectory : Trajectory
         Where the person walks, on the ground, so that its height is that of the soles. Its speed decides how long steps
         are and how far limbs swing, its direction where the person looks; an orientation is not used.
+    shadow : bool
+        Whether every part casts a shadow, see `Scatterer.ellipsoid`. Shadows of walls' echoes need as high a
+        `scattering_order` as their number of reflections.
 
     Returns
     -------
@@ -257,7 +260,7 @@ def walking_person(name: str, height: float, trajectory: Trajectory) -> list[Sca
         quaternions = quaternion_product(z, quaternion_product(y, x))
         way = through_poses(times, places, quaternions)
         axes = tall * np.array(PARTS[part.removeprefix("left ").removeprefix("right ")])
-        made.append(Scatterer.ellipsoid(f"{name} {part}", axes, way))
+        made.append(Scatterer.ellipsoid(f"{name} {part}", axes, way, shadow=shadow))
     return made
 
 
@@ -352,7 +355,9 @@ FINGERS = {
 _BENT, _THUMB = 0.5 * math.pi, 0.6  # rad by which each joint of a closed hand is bent; of which a thumb does a share
 
 
-def hand(name: str, trajectory: Trajectory, length: float = 0.19, opening: ArrayLike | float = 1.0) -> list[Scatterer]:
+def hand(
+    name: str, trajectory: Trajectory, length: float = 0.19, opening: ArrayLike | float = 1.0, shadow: bool = False
+) -> list[Scatterer]:
     """Return the scatterers of a hand: an ellipsoid for the palm, and two capsules for each finger.
 
     Parameters
@@ -367,6 +372,8 @@ def hand(name: str, trajectory: Trajectory, length: float = 0.19, opening: Array
     opening : float or array_like (n, 2)
         1 for an open hand, 0 for a fist; or times, s, with the share at each. From one to the next it goes smoothly,
         and rests there for a moment.
+    shadow : bool
+        Whether every part casts a shadow, see `Scatterer.ellipsoid` and `Scatterer.capsule`.
 
     Returns
     -------
@@ -399,12 +406,13 @@ def hand(name: str, trajectory: Trajectory, length: float = 0.19, opening: Array
         instants = pose_times(trajectory.start, trajectory.end)
     share = np.full(len(instants), shares[0]) if len(times) == 1 else _between(times, shares, instants)
     still = np.zeros((len(instants), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(instants), 1))
-    made = [Scatterer.ellipsoid(f"{name} palm", size * np.array(PALM), _moved(trajectory, instants, *still))]
+    way = _moved(trajectory, instants, *still)
+    made = [Scatterer.ellipsoid(f"{name} palm", size * np.array(PALM), way, shadow=shadow)]
     for finger, numbers in FINGERS.items():
         for i, (place, turn) in enumerate(_bent(finger, numbers, share)):
             way = _moved(trajectory, instants, size * place, turn)
             part = f"{name} {finger}" + (" tip" if i else "")
-            made.append(Scatterer.capsule(part, size * RADIUS, size * numbers[3 + i], way))
+            made.append(Scatterer.capsule(part, size * RADIUS, size * numbers[3 + i], way, shadow=shadow))
     return made
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from clsim.acoustics import sphere
+from clsim.acoustics import silhouette, sphere
 from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_glint
-from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength
-from clsim.arrays import FARTHEST, as_choice, as_floats, as_number, read_only, short_repr
+from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_mirror, ellipsoid_strength
+from clsim.arrays import FARTHEST, as_choice, as_flag, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.fluctuation import TargetFluctuation
 from clsim.scene.motion.trajectory import Trajectory
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from clsim.acoustics.scattering import Glint
     from clsim.arrays import Complexes, Floats
 
-MODELS = ("series", "geometrical")
+MODELS = ("series", "geometrical", "outline")
 _STRONGEST = 60.0  # dB re 1 m, a target strength that no thing in a room exceeds
 _LARGEST_KA = 2000.0  # of a series
 
@@ -126,32 +126,52 @@ class PointShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EllipsoidShape:
-    """A rigid ellipsoid with semi-axes (3,) m, by geometrical optics."""
+    """A rigid ellipsoid with semi-axes (3,) m: geometrical optics and, outlined, its shadow."""
 
     semi_axes: Floats
+    outlined: bool = False
     kind: ClassVar[str] = "ellipsoid"
-    is_complex: ClassVar[bool] = False
-    shadows: ClassVar[bool] = False
-    aspects: ClassVar[int] = 1
 
     @property
     def radius(self) -> float:
         return float(self.semi_axes.max())
+
+    @property
+    def is_complex(self) -> bool:
+        return self.outlined
+
+    @property
+    def shadows(self) -> bool:
+        return self.outlined
+
+    @property
+    def outline(self) -> silhouette.Outline:
+        return silhouette.EllipsoidOutline(self.semi_axes)
+
+    @property
+    def aspects(self) -> int:
+        return silhouette.ASPECTS if self.outlined else 1
 
     def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
         return ellipsoid_glint(self.semi_axes, source, receiver, near, weight)
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
         found = glint or self.glint(source, receiver, None, 1.0)
+        if self.outlined:
+            mirrored = ellipsoid_mirror(self.semi_axes, source, receiver, found)
+            return silhouette.silhouette_aspects((source, receiver), found, mirrored)
         return ellipsoid_strength(self.semi_axes, source, receiver, found), np.ones((source.shape[1], 1))
 
     def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
-        """Return None: geometrical optics are the same at all frequencies."""
+        """Return the reflection or, in the forward direction, the outline's field; None for geometrical optics."""
+        if self.outlined:
+            return silhouette.silhouette_field(self.outline, wave, aspects)
         return None
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
-        """Return the bounds (n, F) of half the largest mean radius of curvature, where it is flattest."""
-        return _over(nearest, np.full(len(wave), 0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2))
+        """Return the bounds (n, F) of half the largest mean radius of curvature, and of the outline."""
+        bound = _over(nearest, np.full(len(wave), 0.5 * np.prod(self.semi_axes) / self.semi_axes.min() ** 2))
+        return bound + silhouette.silhouette_bound(self.radius, wave, nearest) if self.outlined else bound
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return mask of positions (n, 3) in the ellipsoid whose semi-axes are longer by a margin, m."""
@@ -208,10 +228,21 @@ class CapsuleShape:
 
     cylinder_radius: float
     length: float
+    outlined: bool = False
     kind: ClassVar[str] = "capsule"
     is_complex: ClassVar[bool] = True
-    shadows: ClassVar[bool] = False
-    aspects: ClassVar[int] = ASPECTS
+
+    @property
+    def shadows(self) -> bool:
+        return self.outlined
+
+    @property
+    def outline(self) -> silhouette.Outline:
+        return silhouette.CapsuleOutline(self.cylinder_radius, 0.5 * self.length)
+
+    @property
+    def aspects(self) -> int:
+        return ASPECTS + silhouette.ASPECTS if self.outlined else ASPECTS
 
     @property
     def semi_axes(self) -> Floats:
@@ -226,16 +257,17 @@ class CapsuleShape:
 
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
         found = glint or self.glint(source, receiver, None, 1.0)
-        return capsule_aspects(self.cylinder_radius, self.length, source, receiver, found)
+        return capsule_aspects(self.cylinder_radius, self.length, source, receiver, found, self.outlined)
 
     def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
-        """Return the Fresnel integrals along it."""
-        return capsule_field(wave, aspects)
+        """Return the Fresnel integrals along it or, in the forward direction, the field about its outline."""
+        return capsule_field(wave, aspects, self.outline if self.outlined else None)
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
         """Return the bounds (n, F) of both ends and the whole of the side in phase."""
         side = self.length * np.sqrt(self.cylinder_radius * wave / (4.0 * np.pi))
-        return _over(nearest, side + self.cylinder_radius)
+        bound = _over(nearest, side + self.cylinder_radius)
+        return bound + silhouette.silhouette_bound(self.radius, wave, nearest) if self.outlined else bound
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return mask of positions (n, 3) inside it, or nearer to it than a margin, m."""
@@ -248,8 +280,8 @@ class CapsuleShape:
 class Scatterer:
     """A thing that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
-    It ends no path: behind a sphere, what it scatters takes the sound away that goes on there. Other shapes cast no
-    shadow. What one scatterer sends to another is found with ``scatterers_in_row=2``.
+    It ends no path: behind what casts a shadow (spheres, and others by `shadow`), what it scatters takes the sound away
+    that goes on there. What one scatterer sends to another is found with ``scatterers_in_row=2``.
 
     Parameters
     ----------
@@ -340,9 +372,9 @@ class Scatterer:
             m, above 0.
         trajectory : Trajectory
             Where its centre is.
-        model : {"series", "geometrical"}
-            The series over its modes, exact at every frequency, distance and angle, shadow included, or geometrical
-            optics, which cast no shadow.
+        model : {"series", "geometrical", "outline"}
+            The series over its modes, exact at every frequency, distance and angle, shadow included; geometrical
+            optics, which cast no shadow; or these with the shadow of its outline, as ellipsoids have.
         fluctuation : TargetFluctuation, optional
             How its strength changes with time.
 
@@ -364,12 +396,17 @@ class Scatterer:
         """
         size = as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m")
         as_choice("model", model, MODELS)
-        shape: Shape = SphereShape(size) if model == "series" else EllipsoidShape(read_only(np.full(3, size)))
+        alike = EllipsoidShape(read_only(np.full(3, size)), outlined=model == "outline")
+        shape: Shape = SphereShape(size) if model == "series" else alike
         return Scatterer(name, shape, trajectory, fluctuation)
 
     @staticmethod
     def ellipsoid(
-        name: str, semi_axes: ArrayLike, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None
+        name: str,
+        semi_axes: ArrayLike,
+        trajectory: Trajectory,
+        fluctuation: TargetFluctuation | None = None,
+        shadow: bool = False,
     ) -> Scatterer:
         """Return a rigid ellipsoid, by geometrical optics: what is sent back by its specular point.
 
@@ -383,6 +420,9 @@ class Scatterer:
             Where its centre is, and how it is turned.
         fluctuation : TargetFluctuation, optional
             How its strength changes with time.
+        shadow : bool
+            Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
+            much. It takes away the direct sound behind it.
 
         Returns
         -------
@@ -404,11 +444,16 @@ class Scatterer:
         axes = as_floats("semi_axes", semi_axes, (3,), within=FARTHEST)
         for i, axis in enumerate(axes.tolist()):
             as_number(f"semi_axes[{i}]", axis, above=0.0, unit="m")
-        return Scatterer(name, EllipsoidShape(read_only(axes)), trajectory, fluctuation)
+        return Scatterer(name, EllipsoidShape(read_only(axes), as_flag("shadow", shadow)), trajectory, fluctuation)
 
     @staticmethod
     def capsule(
-        name: str, radius: float, length: float, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None
+        name: str,
+        radius: float,
+        length: float,
+        trajectory: Trajectory,
+        fluctuation: TargetFluctuation | None = None,
+        shadow: bool = False,
     ) -> Scatterer:
         """Return a rigid capsule, a cylinder with round ends, by Fresnel integrals along it.
 
@@ -424,6 +469,9 @@ class Scatterer:
             Where its middle is, and how it is turned.
         fluctuation : TargetFluctuation, optional
             How its strength changes with time.
+        shadow : bool
+            Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
+            much. It takes away the direct sound behind it.
 
         Returns
         -------
@@ -444,7 +492,7 @@ class Scatterer:
         """
         size = as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m")
         long = as_number("length", length, above=0.0, at_most=FARTHEST, unit="m")
-        return Scatterer(name, CapsuleShape(size, long), trajectory, fluctuation)
+        return Scatterer(name, CapsuleShape(size, long, as_flag("shadow", shadow)), trajectory, fluctuation)
 
     @property
     def time_range(self) -> tuple[float, float]:

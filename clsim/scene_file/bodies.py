@@ -102,7 +102,7 @@ class _Point(_Scatterer):
 class _Sphere(_Scatterer):
     kind: Literal["sphere"]
     radius: float
-    model: Literal["series", "geometrical"] = "series"
+    model: Literal["series", "geometrical", "outline"] = "series"
 
     def build(self, base: Path) -> list[Scatterer]:
         return [Scatterer.sphere(**self.parts(base))]
@@ -111,6 +111,7 @@ class _Sphere(_Scatterer):
 class _Ellipsoid(_Scatterer):
     kind: Literal["ellipsoid"]
     semi_axes: Vector
+    shadow: bool = False
 
     def build(self, base: Path) -> list[Scatterer]:
         return [Scatterer.ellipsoid(**self.parts(base))]
@@ -120,6 +121,7 @@ class _Capsule(_Scatterer):
     kind: Literal["capsule"]
     radius: float
     length: float
+    shadow: bool = False
 
     def build(self, base: Path) -> list[Scatterer]:
         return [Scatterer.capsule(**self.parts(base))]
@@ -130,9 +132,11 @@ class _Person(Model):
     name: str
     height: float
     trajectory: TrajectoryModel
+    shadow: bool = False
 
     def build(self, base: Path) -> list[Scatterer]:
-        return walking_person(self.name, self.height, within("trajectory", lambda: self.trajectory.build(base)))
+        trajectory = within("trajectory", lambda: self.trajectory.build(base))
+        return walking_person(**self.arguments() | {"trajectory": trajectory})
 
 
 class _Segment(Model):
@@ -166,6 +170,7 @@ class _Hand(Model):
     trajectory: TrajectoryModel
     length: float = 0.19
     opening: float | list[Pair] = 1.0
+    shadow: bool = False
 
     def build(self, base: Path) -> list[Scatterer]:
         return hand(**self.arguments() | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))})

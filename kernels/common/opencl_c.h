@@ -17,6 +17,7 @@ double BUILTIN sin(double);
 double BUILTIN cos(double);
 double BUILTIN atan2(double, double);
 double BUILTIN fabs(double);
+double BUILTIN cbrt(double);
 double BUILTIN fmin(double, double);
 double BUILTIN fmax(double, double);
 double4 BUILTIN fmax(double4, double4);

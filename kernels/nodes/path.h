@@ -22,7 +22,7 @@ typedef struct {
     double semi_axes[3];                     // m
     double strength;                         // of a point, m
     int thing, turned, shape;                // in the table of poses; whether its orientation matters; POINT, CAPSULE, SPHERE or else
-    int first_mode, modes, least;            // of a sphere: where its table begins, modes there, and how many at least are needed
+    int first_mode, modes, least;            // where its table begins; modes of a sphere or points of an outline, 0 without; fewest modes
 } scatterer_view;
 
 typedef struct {

@@ -176,6 +176,8 @@ def sonar(device: str) -> Plan:
     things = [
         clsim.Scatterer.ellipsoid("e", (0.004, 0.012, 0.008), way),
         clsim.Scatterer.capsule("c", 0.003, 0.012, LINE((0.05, 0.1, 0.03), (0.05, 0.1, 0.031), 0.04)),
+        clsim.Scatterer.ellipsoid("f", (0.004, 0.006, 0.005), FIXED((0.07, 0.06, 0.06)), shadow=True),
+        clsim.Scatterer.capsule("d", 0.003, 0.004, FIXED((0.07, 0.07, 0.06)), shadow=True),
         clsim.Scatterer.sphere("b", 0.005, FIXED((0.03, 0.1, 0.08))),
         clsim.Scatterer.point("p", -40.0, LINE((0.12, 0.03, 0.03), (0.12, 0.03, 0.031), 0.04)),
     ]

@@ -59,6 +59,13 @@ OWN = {
     "resonance_taps": "derived: poles of the resonance, zeros by what is asked at two frequencies",
     "ringing": "measured",
     "same_hemisphere": "what the name says",
+    "capsule_field": "derived: lobes along the capsule, and the field about its outline",
+    "silhouette_field": "derived: a sum of both approximations by their shares",
+    "pole": "derived: a function that falls like the pole and has none",
+    "chebyshev_nodes": "what the name says",
+    "forward_share": "our choice: where one approximation goes over into the other",
+    "silhouette_aspects": "derived: lengths and directions of both ends",
+    "silhouette_bound": "derived: Kirchhoff's field of a disc",
 }
 
 

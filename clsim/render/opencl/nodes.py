@@ -97,7 +97,8 @@ class NodeMaker:
             for i, r in enumerate(scene.receivers)
             if math.isinf(r.trajectory.end) and r.electronics is None
         }
-        self._columns = COLUMNS[family.device](Rendered(plan, tracks, family, self._environments, self._upload))
+        rendered = Rendered(plan, tracks, family, self._environments, together, self._upload)
+        self._columns = COLUMNS[family.device](rendered)
         self._max_rates = [tracks.max_rate(i) for i in range(tracks.source_count)]
         self._all_static = len(self._static) == len(scene.receivers)
         for i, env in enumerate(self._environments):

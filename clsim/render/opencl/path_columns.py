@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.acoustics import fock, silhouette
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE, partner_reflections
 from clsim.acoustics.edge_end import AT_CORNER, END_TERMS
@@ -45,7 +46,7 @@ _FACE_SHARE = 0.1  # of a source's allowed error: a mirror's error displaces ima
 # Constants of every program of nodes, whatever its leg and vertex.
 OF_DELAYS = {
     "STATIC": STATIC, "MOVING": MOVING, "NONE": NONE, "EDGE": EDGE, "SCATTERER": SCATTERER,
-    "POINT": POINT, "CAPSULE": CAPSULE, "SPHERE": SPHERE,
+    "POINT": POINT, "ELLIPSOID": ELLIPSOID, "CAPSULE": CAPSULE, "SPHERE": SPHERE,
     "LONGEST_STEP": LONGEST_STEP, "SPECULAR_FAR": FAR, "SPECULAR_FOUND": FOUND, "SETTLED": _SETTLED,
     "FLATTEST": FLATTEST, "NO_PATH": NO_PATH, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
     "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
@@ -53,6 +54,11 @@ OF_DELAYS = {
 OF_GAINS = {
     "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION, "LEFT_OUT": LEFT_OUT,
     "END_CELLS": END_CELLS, "END_TERMS": END_TERMS, "BOTH": BOTH, "AT_CORNER": AT_CORNER, "HALF_TURN": math.pi,
+    "FOCK_FIRST": fock.FIRST, "FOCK_LAST": fock.LAST, "FOCK_COUNT": fock.COUNT,
+    "FOCK_WHOLE": silhouette.FORWARD_FOCK[0], "FOCK_NONE": silhouette.FORWARD_FOCK[1],
+    "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
+    "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
+    "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
 # Structures of kernels/nodes/path.h.
@@ -82,6 +88,7 @@ class Rendered:
     tracks: SceneTracks
     family: Any
     environments: list[Environment]
+    together: int  # nodes, or points of an outline, that are worked on side by side
     put: Callable[[NDArray[Any]], Any]
 
     def uploaded(self, **columns: NDArray[Any]) -> dict[str, Any]:
@@ -202,21 +209,41 @@ class ScattererColumns(StaticColumns):
         self._fields = [self._tables(v, f.basis) for v, f in zip(self._shapes, of.plan.source_filters, strict=True)]
 
     def _tables(self, views: NDArray[Any], basis: Basis) -> dict[str, Any]:
-        """Tables of capsules and spheres; views are given the places where those of spheres begin."""
-        if views["shape"].max() < CAPSULE:
+        """Tables of ellipsoids, capsules and spheres; views are given the places where they begin."""
+        outlined = np.array([getattr(s.shape, "outlined", False) for s in self._of.tracks.scene.scatterers])
+        if views["shape"].max() < CAPSULE and not outlined.any():
             return {}
         waves = basis.nodes / self._of.tracks.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
-        parts: list[Floats] = [np.zeros((0, len(waves)))]
+        # All outlines find Fock's function at the beginning.
+        parts: list[Floats] = [fock.fock_table().view(np.float64)] if outlined.any() else []
         for view in np.flatnonzero(views["shape"] == SPHERE):
             modes = sphere_modes(tuple((2.0 * np.pi * waves * views["semi_axes"][view, 0]).tolist()))
             factors = np.stack([modes.step, modes.back, modes.weight.real, modes.weight.imag], axis=1)
             views["first_mode"][view] = sum(part.size for part in parts)
             views["modes"][view], views["least"][view] = len(factors), math.ceil(float(modes.ka.max()))
-            parts += [modes.ka[None], factors.reshape(-1, len(waves))]
-        known = np.concatenate(parts)
+            parts += [modes.ka, factors.ravel()]
+        for row in np.flatnonzero(outlined).tolist():
+            start = sum(part.size for part in parts)
+            shape: Any = self._of.tracks.scene.scatterers[row].shape
+            parts.append(self._points(shape.outline, waves, start))
+            views["first_mode"][row], views["modes"][row] = start, int(parts[-1][0])
+        known = np.concatenate(parts) if parts else np.zeros(0)
         found = self._of.uploaded(field_tables=field_tables(waves, table))
         return found | {"middle": middle, "modes": self._of.put(known) if known.size else None}
+
+    def _points(self, outline: silhouette.Outline, waves: Floats, start: int) -> Floats:
+        """Numbers and places of an outline's points, in a table that starts at `start`, see ``outline.h``.
+
+        Points that are worked on side by side have their numbers beside each other.
+        """
+        asked = outline.asked(2.0 * math.pi * float(waves.max()))
+        steps, together = asked.steps(), self._of.together
+        tables = [outline.table(count).reshape(6, -1, together).swapaxes(0, 1).ravel() for _, count in steps]
+        places = start + 5 + 3 * len(steps) + np.cumsum([0, *(table.size for table in tables)])
+        rows = [(limit, count, place) for (limit, count), place in zip(steps, places[:-1], strict=True)]
+        head = [len(steps), asked.fewest, asked.slope, asked.most, asked.largest]
+        return np.concatenate([head, np.ravel(rows), *tables])
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Scatterers as both ends are seen from them."""

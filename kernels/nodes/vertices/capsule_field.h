@@ -29,10 +29,10 @@ static capsule_lengths lengths_by(const scatterer_frame* g, triples place, tripl
 }
 
 // How much of the surface's pressure counts, by the cosine of the angle of incidence.
-static double obliquity(double cosine)
+static double obliquity(double cosine, int outlined)
 {
     const double held = cosine < 0.0 ? 0.0 : cosine, steep = held / PENUMBRA;
-    return held * (1.0 - exp(-steep * steep * steep));
+    return outlined ? held : held * (1.0 - exp(-steep * steep * steep));
 }
 
 // Add a part of an end: a weight times the transition function of a root of a detour, m^(1/2), later by `late`, m.
@@ -46,13 +46,15 @@ static void add_part(const vertex_tables* t, double weight, double root_of_detou
     }
 }
 
-// The field over the strength, which is returned, m; no field where it stands between the ends.
-static double capsule_field(const vertex_tables* t, const scatterer_frame* g, triples place, int hidden, int lane, response* field)
+// The field over the strength, which is returned, m.
+static double capsule_field(const vertex_tables* t, const scatterer_frame* g, triples place, __global const view* seen, int hidden,
+                            int lane, response* field)
 {
     for (int part = 0; part < PARTS; part++) {
         for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
     }
-    if (hidden) return 0.0;
+    const int outlined = seen->modes > 0;
+    if (hidden && !outlined) return 0.0;
     triples normal;
     const reals at = split(g, place, &normal), radius = g->scale.x;
     const reals level = normal.x * normal.x + normal.y * normal.y;
@@ -75,7 +77,7 @@ static double capsule_field(const vertex_tables* t, const scatterer_frame* g, tr
                 sharp += held * (squared / (2.0 * late) - sharp);
             }
         }
-        const double size = slope < 0.0 ? -slope : slope, lit = (slope < 0.0 ? -0.5 : 0.5) * obliquity(0.5 * inward);
+        const double size = slope < 0.0 ? -slope : slope, lit = (slope < 0.0 ? -0.5 : 0.5) * obliquity(0.5 * inward, outlined);
         const double plain = flatter > FLATTEST ? flatter : FLATTEST;
         add_part(t, lit / sqrt(sharp), size / sqrt(2.0 * sharp), late, field);
         add_part(t, -lit / sqrt(plain), size / sqrt(2.0 * plain), late, field);
@@ -83,8 +85,14 @@ static double capsule_field(const vertex_tables* t, const scatterer_frame* g, tr
     const double inward = OF_NODE(here.inward, lane), pressed = inward > 0.0 ? inward : 0.0;
     double bend = OF_NODE(here.bend, lane) + on_end * pressed / OF_NODE(radius, lane);
     bend = bend > FLATTEST ? bend : FLATTEST;
-    const float main = (float)(obliquity(0.5 * pressed) / sqrt(bend));
+    const float main = (float)(obliquity(0.5 * pressed, outlined) / sqrt(bend));
     for (int b = 0; b < BIN_VECTORS; b++) field->part[0][b] += main;
-    return 1.0 / sqrt(OF_NODE(here.steep, lane));
+    if (!outlined) return 1.0 / sqrt(OF_NODE(here.steep, lane));
+    const triples away = apart(place, g->source), tangent = apart(away, scaled(DOT(normal, away), normal));
+    const reals aslant = DOT(around, tangent), around_share = aslant * aslant / larger(DOT(tangent, tangent), (reals)LEAST);
+    const double r = OF_NODE(radius, lane), end = OF_NODE(g->scale.z, lane), z = OF_NODE(place.z, lane);
+    const double share = fabs(z) > end - r ? 1.0 : OF_NODE(around_share, lane);
+    const double curvature = fmax(share / r, r / (end * end));
+    return silhouette_field(t, g, place, seen, hidden, 1.0 / sqrt(OF_NODE(here.steep, lane)), obliquity(0.5 * pressed, 1), curvature, lane, field);
 }
 #endif

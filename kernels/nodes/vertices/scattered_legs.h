@@ -81,7 +81,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
     b->arrival = turned_back(seen->receiver_turn, 1, 0, coming2);
     b->spread = squared1 * inverse1 * DOT(leaving1, direction1) * squared2 * inverse2 * DOT(coming2, direction2);
     b->leaving = leaving;
-    if (seen->shape == SPHERE) {  // as strong as a mirror: behind it as what it takes away
+    if (seen->modes > 0) {  // as strong as a mirror: behind it as what it takes away
         b->leaving = (leaving - coming) / (1.0 - coming);
         b->spread = to.time / path->slowness * squared2 * inverse2 * DOT(coming2, direction2);
     }

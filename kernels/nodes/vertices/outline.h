@@ -1,0 +1,117 @@
+// Points of the outlines of ellipsoids and capsules as seen along the line of sight, several side by side: twin of `points` in
+// acoustics/silhouette.py.
+
+#if VERTEX == SCATTERER && PARTS == 2
+#define POINT_COLUMNS 6  // of the table of points: cosine, sine, sign, whether on a side, place there from -1 to 1, share of the length
+#define TINY 1e-30
+
+// Points of an outline and the ellipses in which planes across them cut the body, `OutlinePoints`.
+typedef struct {
+    reals support, q_nn, q_nz, q_zz, depth, source, receiver, beside, step;
+} outline_points;
+
+// The line of sight in the frame of a scatterer, m, and what its outline's points have in common.
+typedef struct {
+    double source[3], receiver[3], sight[3], one[3], other[3];
+    double axes[3];            // of an ellipsoid; of a capsule the radius and, along z, half of the whole length, m
+    double first, both, last;  // of an ellipsoid: root of the projection of the squared axes; of a capsule: sine, side, half circle
+    int is_capsule;
+} outline;
+
+static double dot_of(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static void cross_of(const double* a, const double* b, double* c)
+{
+    for (int i = 0; i < 3; i++) c[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
+}
+static double of_length(double* a)
+{
+    const double size = sqrt(dot_of(a, a));
+    for (int i = 0; i < 3; i++) a[i] /= size + TINY;
+    return size;
+}
+
+// `o` has both ends, the axes and the kind.
+static void look_along(outline* o)
+{
+    for (int i = 0; i < 3; i++) o->sight[i] = o->receiver[i] - o->source[i];
+    of_length(o->sight);
+    int least = 0;
+    for (int i = 1; i < 3; i++) least = fabs(o->sight[i]) < fabs(o->sight[least]) ? i : least;
+    const double from[3] = {least == 0, least == 1, least == 2};
+    cross_of(o->sight, from, o->one);
+    of_length(o->one);
+    if (o->is_capsule) {
+        double axis[3] = {-o->sight[2] * o->sight[0], -o->sight[2] * o->sight[1], 1.0 - o->sight[2] * o->sight[2]};
+        o->first = of_length(axis);
+        for (int i = 0; i < 3; i++) o->one[i] = o->first > 1e-9 ? axis[i] : o->one[i];
+        o->both = 2.0 * (o->axes[2] - o->axes[0]) * o->first;
+        o->last = HALF_TURN * o->axes[0];
+    }
+    cross_of(o->sight, o->one, o->other);
+    if (!o->is_capsule) {
+        double p[3], q[3];
+        for (int i = 0; i < 3; i++) p[i] = o->axes[i] * o->one[i], q[i] = o->axes[i] * o->other[i];
+        const double pp = dot_of(p, p), pq = dot_of(p, q), qq = dot_of(q, q), area = sqrt(pp * qq - pq * pq);
+        const double over = 1.0 / sqrt(pp + qq + 2.0 * area);
+        o->first = (pp + area) * over, o->both = pq * over, o->last = (qq + area) * over;
+    }
+}
+
+// Numbers and place of the points that an outline needs as its ends are now, `PointsAsked`. Its table has how many steps there are
+// (as `seen->modes`), fewest points, how many more by `x`, most, largest radius; of each step most points asked, points, place.
+static __global const double* points_asked(const outline* o, __global const double* tables, __global const view* seen, int* count)
+{
+    __global const double* head = tables + seen->first_mode;
+    double foot[3];
+    cross_of(o->source, o->sight, foot);
+    const double behind = fmax(-dot_of(o->source, o->sight), head[4]), ahead = fmax(dot_of(o->receiver, o->sight), head[4]);
+    const double asked = fmin(head[1] + head[2] * (head[4] + sqrt(dot_of(foot, foot))) * (1.0 / behind + 1.0 / ahead), head[3]);
+    int step = 0;
+    while (step + 1 < seen->modes && asked > head[5 + 3 * step]) step++;
+    *count = (int)head[6 + 3 * step];
+    return tables + (int)head[7 + 3 * step];
+}
+
+#define ALONG(vector, u, v) {(u) * o->one[0] + (v) * o->other[0], (u) * o->one[1] + (v) * o->other[1], (u) * o->one[2] + (v) * o->other[2]}
+static outline_points points_at(const outline* o, __global const double* table)
+{
+#if NODES_AT_ONCE == 4
+typedef reals __attribute__((aligned(8))) point_reals;  // may start at any double
+#define POINT_ROW(i) (*(__global const point_reals*)(table + NODES_AT_ONCE * (i)))
+#else
+#define POINT_ROW(i) table[i]
+#endif
+    const reals cosine = POINT_ROW(0), sine = POINT_ROW(1), sign = POINT_ROW(2), on_side = POINT_ROW(3), at = POINT_ROW(4), share = POINT_ROW(5);
+    outline_points p;
+    reals u, v;
+    triples place;
+    if (o->is_capsule) {
+        u = sign * cosine, v = sign * sine;
+    } else {
+        const reals a = o->last * cosine - o->both * sine, b = o->first * sine - o->both * cosine, size = inverse_root(a * a + b * b);
+        u = a * size, v = b * size;
+        p.step = share * root((o->both * cosine - o->first * sine) * (o->both * cosine - o->first * sine) + a * a);
+    }
+    const triples normal = ALONG(normal, u, v), along = ALONG(along, -v, u);
+    if (o->is_capsule) {
+        const double radius = o->axes[0];
+        place = scaled((reals)radius, normal);
+        place.z += sign * at * (o->axes[2] - radius);
+        p.support = radius;
+        p.q_nn = 1.0 / (radius * radius), p.q_nz = 0.0;
+        p.q_zz = p.q_nn * (1.0 + on_side * (o->first * o->first - 1.0));
+        p.step = share * (o->last + on_side * (o->both - o->last));
+    } else {
+        const triples axes = {o->axes[0], o->axes[1], o->axes[2]}, stretched = along_axes(axes, normal);
+        const triples sight = {o->sight[0] / axes.x, o->sight[1] / axes.y, o->sight[2] / axes.z};
+        const triples over = {normal.x / axes.x, normal.y / axes.y, normal.z / axes.z};
+        p.support = root(DOT(stretched, stretched));
+        place = scaled(1.0 / p.support, along_axes(axes, stretched));
+        p.q_nn = DOT(over, over), p.q_nz = DOT(over, sight), p.q_zz = DOT(sight, sight);
+    }
+    const triples source = {o->source[0], o->source[1], o->source[2]}, receiver = {o->receiver[0], o->receiver[1], o->receiver[2]};
+    const triples sight = {o->sight[0], o->sight[1], o->sight[2]}, begin = apart(source, place), end = apart(receiver, place);
+    p.depth = DOT(normal, begin), p.source = DOT(begin, sight), p.receiver = DOT(end, sight), p.beside = DOT(along, begin);
+    return p;
+}
+#endif

@@ -1,0 +1,219 @@
+"""Shadows of ellipsoids and capsules, against exact spheres and a solution of the boundary-value problem by point sources.
+
+Levels are relative to the free field, where the exact one is above -20 dB.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import eval_legendre, spherical_jn, spherical_yn
+
+import clsim
+from clsim.paths.response import SceneResponse
+
+C = 343.0
+SILENT = clsim.Material.from_reflection(0.0)
+AIR = clsim.Air(speed_of_sound=C, absorption=False)
+MIDDLE = np.full(3, 30.0)
+
+
+def sphere(wave: float, radius: float, source: np.ndarray, receivers: np.ndarray) -> np.ndarray:
+    """Return the pressure (n,) about a rigid sphere at the origin over the free field, by its series."""
+    away = np.linalg.norm(receivers - source, axis=1)
+    n = np.arange(int(wave * radius + 12.0 * (wave * radius) ** (1 / 3) + 30))
+
+    def hankel(x: float, derivative: bool = False) -> np.ndarray:
+        return spherical_jn(n, x, derivative) - 1j * spherical_yn(n, x, derivative)
+
+    found = np.empty(len(receivers), dtype=complex)
+    far = float(np.linalg.norm(source))
+    for i, receiver in enumerate(receivers):
+        there = float(np.linalg.norm(receiver))
+        with np.errstate(all="ignore"):
+            modes = (
+                (2 * n + 1) * spherical_jn(n, wave * radius, True) / hankel(wave * radius, True) * hankel(wave * far)
+            )
+            modes = modes * hankel(wave * there) * eval_legendre(n, source @ receiver / (far * there))
+        found[i] = 1.0 + 1j * wave * modes[np.isfinite(modes)].sum() * away[i] * np.exp(1j * wave * away[i])
+    return found
+
+
+def evenly(count: int) -> np.ndarray:
+    """Return directions (n, 3) evenly spread over the sphere."""
+    i = np.arange(count) + 0.5
+    up, about = np.arccos(1.0 - 2.0 * i / count), np.pi * (1.0 + 5.0**0.5) * i
+    return np.stack([np.cos(about) * np.sin(up), np.sin(about) * np.sin(up), np.cos(up)], axis=1)
+
+
+class PointSources:
+    """Rigid bodies by point sources inside that cancel the normal velocity on the surface, by least squares."""
+
+    def __init__(self, places: np.ndarray, normals: np.ndarray, inside: np.ndarray, wave: float) -> None:
+        self.places, self.normals, self.inside, self.wave = places, normals, inside, wave
+        self.matrix = np.stack([self.slope(source) for source in inside], axis=1)
+
+    def slope(self, source: np.ndarray) -> np.ndarray:
+        """Return the normal derivatives (n,) of a source's pressure on the surface."""
+        away = self.places - source
+        r = np.linalg.norm(away, axis=1)
+        return np.exp(-1j * self.wave * r) / r * (-1j * self.wave - 1 / r) / r * np.sum(away * self.normals, axis=1)
+
+    def levels(self, source: np.ndarray, receivers: np.ndarray) -> np.ndarray:
+        """Return the pressure (n,) over the free field."""
+        wanted = -self.slope(source)
+        strengths = np.linalg.lstsq(self.matrix, wanted, rcond=1e-12)[0]
+        assert np.linalg.norm(self.matrix @ strengths - wanted) < 0.02 * np.linalg.norm(wanted)
+        r = np.linalg.norm(receivers[:, None] - self.inside, axis=2)
+        away = np.linalg.norm(receivers - source, axis=1)
+        return 1.0 + (np.exp(-1j * self.wave * r) / r) @ strengths * away * np.exp(1j * self.wave * away)
+
+
+def ellipsoid(axes: np.ndarray, wave: float, count: int) -> PointSources:
+    """Return an ellipsoid by point sources on a surface inside."""
+    out, within = evenly(2 * count), evenly(count)
+    normals, inwards = out / axes, within / axes
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    inwards /= np.linalg.norm(inwards, axis=1)[:, None]
+    depth = min(0.6 * axes.min() ** 2 / axes.max(), 0.25 * axes.min())
+    return PointSources(out * axes, normals, within * axes - depth * inwards, wave)
+
+
+def capsule(radius: float, half: float, wave: float, count: int) -> PointSources:
+    """Return a capsule by point sources on one of half its radius."""
+
+    def surface(count: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
+        on_side = int(count * half / (half + radius))
+        ends, i = evenly(count - on_side), np.arange(on_side) + 0.5
+        about = np.pi * (1.0 + 5.0**0.5) * i
+        side = np.stack([np.cos(about), np.sin(about), 0.0 * i], axis=1)
+        axis = np.concatenate([np.where(ends[:, 2] >= 0.0, half, -half), (2.0 * i / max(on_side, 1) - 1.0) * half])
+        normals = np.concatenate([ends, side])
+        return radius * normals + axis[:, None] * [0.0, 0.0, 1.0], normals
+
+    return PointSources(*surface(2 * count, radius), surface(count, 0.5 * radius)[0], wave)
+
+
+def heard(shape: clsim.Scatterer, wave: float, source: np.ndarray, receivers: np.ndarray) -> np.ndarray:
+    """Return direct sound and scatterer (n,) at receivers (n, 3) about it, over the free field."""
+    frequency = wave * C / (2.0 * np.pi)
+    signal = clsim.Signal.tone(frequency, 0.01, 8.0 * frequency)
+    scene = clsim.Scene(
+        clsim.Shoebox(2.0 * MIDDLE, SILENT), AIR, [clsim.Source("s", signal, clsim.Trajectory.fixed(MIDDLE + source))],
+        [clsim.Receiver(f"r{i}", clsim.Trajectory.fixed(MIDDLE + at)) for i, at in enumerate(receivers)], scatterers=[shape],
+    )  # fmt: skip
+    total = np.zeros(len(receivers), dtype=complex)
+    at = SceneResponse(scene, 0, np.array([frequency]))
+    for family in clsim.find_paths(scene, 0).families:
+        for pair in family.pairs():
+            found = pair.arrivals(np.zeros(1))
+            turn = np.exp(-2j * np.pi * frequency * found.delay[:, 0])
+            total[pair.receiver] += np.sum(pair.response(found, np.zeros(1), at)[:, 0, 0] * turn)
+    away = np.linalg.norm(receivers - source, axis=1)
+    return total * away * np.exp(1j * wave * away)
+
+
+def errors(got: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """Return errors of levels, dB, where the exact one is above -20 dB."""
+    assert np.sum(np.abs(exact) > 0.1) > 10
+    return 20.0 * np.log10(np.abs(got / exact))[np.abs(exact) > 0.1]
+
+
+def walk(distance: float, across: np.ndarray) -> np.ndarray:
+    """Return places (n, 3) behind the origin as seen from -x, off the axis by distances (n,)."""
+    return np.stack([np.full(len(across), distance), 0.8 * across, 0.6 * across], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("radius", "frequency"),
+    [(0.05, 40e3), (0.3, 40e3), *(pytest.param(*x, marks=pytest.mark.exhaustive) for x in ((0.1, 40e3), (0.05, 20e3)))],
+)
+def test_spheres_by_their_outline(radius: float, frequency: float, measured: Callable[..., float]) -> None:
+    """From the middle of the shadow to twice the radius beside it, across the boundary in steps of 1/20 of it."""
+    wave, source = 2.0 * np.pi * frequency / C, np.array([-1.5, 0.0, 0.0])
+    ball = clsim.Scatterer.sphere("b", radius, clsim.Trajectory.fixed(MIDDLE), model="outline")
+    found = []
+    for distance in (0.5, 3.0):
+        places = walk(distance, np.arange(0.0, 3.0 * radius * (1.0 + distance / 1.5), radius / 20.0))
+        found.append(errors(heard(ball, wave, source, places), sphere(wave, radius, source, places)))
+    found = np.concatenate(found)
+    claim = f"sphere of {radius * 100:g} cm by its outline, {frequency / 1e3:g} kHz"
+    assert measured(claim, "the exact series, dB rms", float(np.sqrt(np.mean(found**2))), 0.7) < 0.7
+    assert np.abs(found).max() < 2.5
+
+
+@pytest.mark.parametrize(
+    ("body", "ka"),
+    [
+        ("ellipsoid", 4.0),
+        *(pytest.param(b, k, marks=pytest.mark.exhaustive) for b, k in (("capsule", 4.0), ("ellipsoid", 8.0))),
+    ],
+)
+def test_bodies_against_point_sources(body: str, ka: float, measured: Callable[..., float]) -> None:
+    fixed = clsim.Trajectory.fixed(MIDDLE)
+    if body == "ellipsoid":
+        axes = np.array([1.0, 0.6, 0.4])
+        thing, exact = clsim.Scatterer.ellipsoid("e", axes, fixed, shadow=True), ellipsoid(axes, ka, 900)
+    else:
+        thing, exact = clsim.Scatterer.capsule("c", 0.5, 1.0, fixed, shadow=True), capsule(0.5, 0.5, ka, 900)
+    found = []
+    for direction in evenly(5):
+        across = np.cross(direction, [0.3, 0.2, 0.9])
+        across /= np.linalg.norm(across)
+        off = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0])
+        places = np.concatenate([-d * direction + off[:, None] * across for d in (1.6, 3.0, 8.0)])
+        source = 5.0 * direction
+        found.append(errors(heard(thing, ka, source, places), exact.levels(source, places)))
+    found = np.concatenate(found)
+    claim = f"shadow of a {body}, k a = {ka:g}"
+    assert measured(claim, "point sources inside it, dB rms", float(np.sqrt(np.mean(found**2))), 1.0) < 1.0
+    assert np.abs(found).max() < 3.0
+
+
+def test_nothing_jumps_where_a_shadow_begins() -> None:
+    """A hand's width passes the line of sight: half the step gives half the largest change, of everything together."""
+    wave, source = 2.0 * np.pi * 40e3 / C, np.array([-1.5, 0.0, 0.0])
+    turned = clsim.Trajectory.fixed(MIDDLE, np.array([0.1, 0.3, -0.2, np.sqrt(0.86)]))
+    things = (
+        clsim.Scatterer.ellipsoid("e", (0.03, 0.06, 0.1), turned, shadow=True), clsim.Scatterer.capsule("c", 0.03, 0.2, turned, shadow=True),
+    )  # fmt: skip
+    for thing in things:
+        changes = []
+        for count in (401, 801):
+            changes.append(np.abs(np.diff(heard(thing, wave, source, walk(0.5, np.linspace(0.02, 0.14, count))))).max())
+        assert changes[0] / changes[1] == pytest.approx(2.0, rel=0.1)
+
+
+def crossing(thing: str) -> clsim.PathSet:
+    """Return the direct sound of a chirp, and a body with a shadow that turns as it crosses its path."""
+    times, angle = np.linspace(0.0, 0.1, 5), np.linspace(0.0, 0.4, 5)[:, None]
+    turned = np.concatenate([np.sin(angle) * np.array([0.36, 0.48, 0.8]), np.cos(angle)], axis=1)
+    way = clsim.Trajectory.waypoints(times, np.array([2.0, 1.5, 1.2]) + np.outer(times, [0.2, 5.0, 0.5]), turned)
+    made = {
+        "ellipsoid": lambda: clsim.Scatterer.ellipsoid("e", (0.1, 0.15, 0.12), way, shadow=True),
+        "capsule": lambda: clsim.Scatterer.capsule("e", 0.05, 0.2, way, shadow=True),
+        "sphere": lambda: clsim.Scatterer.sphere("e", 0.1, way, model="outline"),
+    }
+    chirp = clsim.Signal.pulses(clsim.Signal.chirp(30e3, 50e3, 4e-3, 192e3, window="tukey"), 0.01, 6)
+    scene = clsim.Scene(
+        clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.8)), clsim.Air(),
+        [clsim.Source("s", chirp, clsim.Trajectory.fixed((1.0, 1.7, 1.2)))],
+        [clsim.Receiver("r", clsim.Trajectory.fixed((3.0, 1.8, 1.2)))], scatterers=[made[thing]()],
+    )  # fmt: skip
+    return clsim.find_paths(scene, 0)
+
+
+@pytest.mark.parametrize(
+    "thing", ["ellipsoid", *(pytest.param(x, marks=pytest.mark.exhaustive) for x in ("capsule", "sphere"))]
+)
+def test_shadows_on_the_device(thing: str, device: str, measured: Callable[..., float]) -> None:
+    """A body that turns as it passes between: the device's sound is that of the float64 reference."""
+    paths = crossing(thing)
+    made, wanted = (clsim.render(paths, 192e3, duration=0.06, engine=e).samples for e in ("opencl", "reference"))
+    error = 10.0 * np.log10(np.mean((made - wanted) ** 2) / np.mean(wanted**2))
+    assert (
+        measured(f"shadow of a {thing} that passes, on the device", "the float64 reference", error, -90.0, "dB") < -90.0
+    )
+    still = clsim.render(clsim.find_paths(replace(paths.scene, scatterers=()), 0), 192e3, duration=0.06).samples
+    assert np.sqrt(np.mean(wanted**2)) < 0.9 * np.sqrt(np.mean(still**2))
