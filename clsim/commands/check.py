@@ -12,6 +12,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.paths.without_edges import largest_jump_db
 from clsim.render.planning import left_by_images
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.shaded import shaded_pairs
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import plan_scene
@@ -45,7 +46,8 @@ def execute(options: argparse.Namespace) -> int:
     passing = [] if file.scene.room.is_convex and not file.scene.bodies else [_comings_and_goings(planned.paths)]
     if passing and not file.paths["diffraction"]:
         passing += _jump(planned.paths)
-    for line in [*passing, *planned.plan.describe(), *_left_by_images(planned)]:
+    shaded = shaded_pairs(file.scene, planned.plan.duration)
+    for line in [*passing, *shaded, *planned.plan.describe(), *_left_by_images(planned)]:
         print(line)
     scene = file.scene
     for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:

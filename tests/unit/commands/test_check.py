@@ -1,11 +1,14 @@
 """`clsim check` lists where sources and receivers face."""
 
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clsim.cli import main
 
+C = 343.4  # of the scene's air, m/s
 SCENE = """
 format = 1
 [room]
@@ -42,3 +45,34 @@ def test_check_lists_where_everybody_faces(tmp_path: Path, capsys: pytest.Captur
         "receivers[0] to receivers[1]: faces (1, 0, 0) at 0 s, omnidirectional",
         "receivers[2]: faces (0, 0, -1) at 0 s",
     ]
+
+
+def test_check_lists_what_is_shaded_and_when(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A ball of 10 cm at 1 m/s crosses a line of sight of 2 m at 0.5 s; half its way the first Fresnel zone has 15 cm."""
+    ball = """
+[[scatterers]]
+kind = "ellipsoid"
+name = "ball"
+semi_axes = [0.1, 0.1, 0.1]
+shadow = true
+trajectory = { kind = "line", start = [2, 0.5, 1], end = [2, 1.5, 1], duration = 1.0 }
+"""
+    scene = SCENE[: SCENE.index("[[receivers]]")] + SCENE[SCENE.rindex("[[receivers]]") :]
+    scene = scene.replace("end = [1, 2, 1], duration = 1.0", "end = [1, 1.001, 1], duration = 1.0").replace(
+        "[3.0, 1.0, 2.0]", "[3.0, 1.0, 1.0]"
+    )
+    scene = scene.replace("aim_at = [3.0, 1.0, 1.0]", "aim_at = [2.0, 1.0, 1.0]").replace(
+        "duration = 0.05", "duration = 1.0"
+    )
+    for text, there in ((scene + ball, True), (scene + ball.replace("true", "false"), False)):
+        (tmp_path / "scene.toml").write_text(text, "utf-8")
+        assert main(["check", str(tmp_path / "scene.toml")]) == 0
+        lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("shadows: ")]
+        assert len(lines) == there
+    (tmp_path / "scene.toml").write_text(scene + ball, "utf-8")
+    assert main(["check", str(tmp_path / "scene.toml")]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("shadows: "))
+    begin, end = re.fullmatch(r"shadows: robot to ear by ball from (.*) to (.*) s", line).groups()
+    reach = 0.1 + np.sqrt(0.5 * C / 7e3)
+    assert float(begin) == pytest.approx(0.5 - reach, abs=2e-3)
+    assert float(end) == pytest.approx(0.5 + reach, abs=2e-3)

@@ -1,0 +1,69 @@
+"""Direct sound that is in the shadow of scatterers, and when."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.scene.motion.carried import seen_by
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.ends import Receiver, Source
+    from clsim.scene.scatterer import Scatterer
+    from clsim.scene.scene import Scene
+
+_INSTANTS = 1001  # of a run at which lines of sight are looked at
+_PLACES = np.linspace(-1.0, 1.0, 33)[:, None]  # about the place nearest to a centre, in largest radii
+_PAIRS = 8  # that are told of one by one
+
+
+def shaded_pairs(scene: Scene, duration: float) -> list[str]:
+    """Lines that say by which scatterers direct sound is shaded, and when, in the first `duration` s of a scene.
+
+    A line of sight is shaded where a scatterer is nearer than the radius of the first Fresnel zone there.
+    """
+    casting = [scatterer for scatterer in scene.scatterers if scatterer.shape.shadows]
+    pairs = [(s, r) for s in scene.sources for r in scene.receivers] if casting else []
+    lines: list[str] = []
+    for i, (source, receiver) in enumerate(pairs):
+        if len(lines) == _PAIRS:
+            return [*lines, f"shadows: {len(pairs) - i} more pairs are not looked at"]
+        wavelength = scene.air.speed_of_sound / source.emitted.centre_frequency
+        found = [(one.name, _spans(source, receiver, one, (wavelength, duration))) for one in casting]
+        by = [f"{name} {', '.join(spans)}" for name, spans in found if spans]
+        if by:
+            lines.append(f"shadows: {source.name} to {receiver.name} by {'; '.join(by)}")
+    return lines
+
+
+def _spans(source: Source, receiver: Receiver, scatterer: Scatterer, numbers: tuple[float, float]) -> list[str]:
+    """Spans in which a scatterer is in the first Fresnel zone of a line of sight, by wavelength, m, and duration, s."""
+    seen = [seen_by(scatterer.trajectory, end.trajectory) for end in (source, receiver)]
+    times = np.linspace(max(0.0, *(m.start for m in seen)), min(numbers[1], *(m.end for m in seen)), _INSTANTS)
+    shaded = _in_zone(scatterer, seen[0].position(times), seen[1].position(times), numbers[0])
+    turns = np.flatnonzero(np.diff(np.concatenate([[0], shaded.astype(np.int8), [0]])))
+    return [f"from {times[a]:.3g} to {times[b - 1]:.3g} s" for a, b in zip(turns[::2], turns[1::2], strict=True)]
+
+
+def _in_zone(scatterer: Scatterer, source: Floats, receiver: Floats, wavelength: float) -> NDArray[np.bool_]:
+    """Mask (n,) of lines of sight (n, 3), in the scatterer's frame, whose first Fresnel zone it reaches into."""
+    sight = receiver - source
+    length = np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
+    sight = sight / length[:, None]
+    nearest = -np.sum(source * sight, axis=1)
+    before = np.clip(nearest, 0.0, length)
+    zone = np.sqrt(wavelength * before * (length - before) / length)
+    met = (nearest > 0.0) & (nearest < length)
+    rows = np.flatnonzero(met)
+    # Most of a run it is nowhere near: its shape is asked of lines of sight within its largest radius.
+    foot = np.linalg.norm(source + nearest[:, None] * sight, axis=1)
+    rows = rows[foot[rows] < scatterer.shape.radius + zone[rows]]
+    met[:] = False
+    for row in rows:
+        places = source[row] + (nearest[row] + scatterer.shape.radius * _PLACES) * sight[row]
+        met[row] = bool(scatterer.shape.holds(places, float(zone[row])).any())
+    return np.asarray(met)
