@@ -174,9 +174,21 @@ def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.
                 envelope = level[before, k, b]
                 envelope += part * (level[after, k, b] - envelope)
                 made[: len(part)] += irfft(spectrum[:bins] * shares[b, :bins], size // slow)[: len(part)] * envelope
-            total[:bins] += rfft(made)
+            total[:bins] += rfft(made) * _fade(bins, slow)
         taps[k] = irfft(total, size)[:length]
     return taps
+
+
+def _fade(bins: int, slow: int) -> NDArray[np.float32]:
+    """Weights (bins,) of a spectrum up to half of a lower rate, 1 where bands are, that fall off towards its end.
+
+    Envelopes that change within a few samples reach up to there. A spectrum that ends abruptly rings for as long as
+    tails last, and is louder than bands beside it that decay quickly.
+    """
+    if slow == 1:
+        return np.ones(bins, np.float32)
+    beyond = np.clip((np.arange(bins) / (bins - 1) * _ROOM - 1.0) / (_ROOM - 1.0), 0.0, 1.0)
+    return np.cos(0.5 * np.pi * beyond).astype(np.float32) ** 2
 
 
 def _slowness(centres: Floats, rate: float) -> NDArray[np.int64]:

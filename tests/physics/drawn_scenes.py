@@ -214,8 +214,8 @@ def drawn_curve(rng: np.random.Generator, size: np.ndarray, speed: float, durati
 
 def silence(walls: tuple[Wall, ...], samples: np.ndarray, rate: float) -> float:
     """Seconds about a signal over which walls ring: long where tables bend, longest where the phase jumps at 0 Hz."""
-    if any(isinstance(w, Impedance) for w in walls) and sounds_below(50.0, samples, rate):
-        return 0.75
+    if any(isinstance(w, Impedance) for w in walls):  # a reactance that bends where the signal is rings, too
+        return 0.75 if sounds_below(50.0, samples, rate) else 0.12
     bends = any(isinstance(w, Absorption | Impedance) and w.frequencies[0] < 1e3 for w in walls)
     return 0.25 if bends and sounds_below(500.0, samples, rate) else 0.03
 
