@@ -36,6 +36,7 @@ trajectory = { kind = "fixed", position = [3.5, 2.6, 1.2] }
 max_order = 1
 diffraction = 1
 scattering_order = 1
+edge_scattering = true
 [render]
 sampling_rate = 96e3
 duration = 0.22

@@ -18,7 +18,7 @@ static void fock_hard(__global const double* table, double xi, float* real, floa
 #else
 #define KNOWN_AT 6  // `FEW`: but for the phase, strengths are Newton's polynomials of the root through Chebyshev's nodes
 #endif
-__constant const double KNOWN_NODES[6] = {0.9659258262890683, 0.7071067811865476, 0.25881904510252074, -0.25881904510252063, -0.7071067811865475, -0.9659258262890682};
+__constant const double of_chebyshev[6] = {0.9659258262890683, 0.7071067811865476, 0.25881904510252074, -0.25881904510252063, -0.7071067811865475, -0.9659258262890682};
 
 // (k / 2)^(1/3) at all frequencies, from -1 to 1, and the middle and half of its range.
 typedef struct {
@@ -49,7 +49,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         const float edge = (float)OF_NODE(edges, i), smooth = (float)OF_NODE(curves, i), late = (float)-OF_NODE(detour, i);
         float real[KNOWN_AT], imaginary[KNOWN_AT];
         for (int m = 0; m < KNOWN_AT; m++) {
-            const double root_of_wave = roots->middle + roots->reach * KNOWN_NODES[m], fock = root_of_wave * OF_NODE(of_points.fock, i);
+            const double root_of_wave = roots->middle + roots->reach * of_chebyshev[m], fock = root_of_wave * OF_NODE(of_points.fock, i);
             const float near = (float)faded(fock, NEAR_WHOLE, NEAR_NONE);
             fock_hard(t->modes, fock, real + m, imaginary + m);
             real[m] = near * (edge - smooth * (float)root_of_wave * real[m]);
@@ -57,7 +57,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         }
         for (int order = 1; order < KNOWN_AT; order++) {  // divided differences
             for (int m = KNOWN_AT - 1; m >= order; m--) {
-                const float apart_by = (float)(1.0 / (KNOWN_NODES[m] - KNOWN_NODES[m - order]));
+                const float apart_by = (float)(1.0 / (of_chebyshev[m] - of_chebyshev[m - order]));
                 real[m] = (real[m] - real[m - 1]) * apart_by;
                 imaginary[m] = (imaginary[m] - imaginary[m - 1]) * apart_by;
             }
@@ -66,7 +66,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         for (int b = 0; b < BIN_VECTORS; b++) {
             bins u = real[KNOWN_AT - 1], v = imaginary[KNOWN_AT - 1];
             for (int m = KNOWN_AT - 2; m >= 0; m--) {
-                const bins from = roots->place[b] - (float)KNOWN_NODES[m];
+                const bins from = roots->place[b] - (float)of_chebyshev[m];
                 u = u * from + real[m];
                 v = v * from + imaginary[m];
             }

@@ -138,7 +138,7 @@ def test_functions_of_opencl_are_declared() -> None:
     used, own = set(), set()  # files that programs share may name what only one of them has
     for program in PROGRAMS:
         text = re.sub(r'__attribute__\(\(.*?\)\)|"[^"]*"', "", without_comments(kernel_source(program)))
-        own |= set(re.findall(r"\b\w+\s+(\w+)\([^()]*\)\s*{", text))
+        own |= set(re.findall(r"\b\w+\*?\s+(\w+)\([^()]*\)\s*{", text))
         used |= set(called.findall(text)) - {"if", "for", "while", "switch", "return", "sizeof", "define"}
     used -= own
     assert {name for name in used if not name.startswith("as_")} == told  # those are macros of another header
