@@ -36,6 +36,11 @@ def real_harmonics(order: int, directions: Floats) -> Floats:
     return out
 
 
+def harmonic_norms(order: int) -> Floats:
+    """Return the factors of all harmonics up to an order in SN3D and ACN order, ((order + 1)²,)."""
+    return np.array([harmonic_norm(degree, abs(m)) for degree in range(order + 1) for m in range(-degree, degree + 1)])
+
+
 def harmonic_norm(degree: int, m: int) -> float:
     """Return the factor of a harmonic's Legendre function in SN3D."""
     return math.sqrt((1 if m == 0 else 2) * math.factorial(degree - m) / math.factorial(degree + m))

@@ -85,7 +85,7 @@ _CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
 _NODE_CONSTANTS = {
     "CELL", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS",
     "CUBIC_COLUMNS", "MACH_EXPONENT", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL",
-    "GAIN_ERROR", "AIR_TERMS",
+    "GAIN_ERROR", "AIR_TERMS", "HARMONIC", "CHANNELS",
 }  # fmt: skip
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
 # What is between the ends, and how it is found where they are scattered.
@@ -141,9 +141,9 @@ PROGRAMS = {
     ),
     "tracks": Program(
         (
-            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/response.h",
-            *_PATHS, *_FIELDS, *_POLYNOMIALS, "nodes/delay_polynomials.h", "nodes/block.h", "nodes/smooth.h",
-            "nodes/cell.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
+            *_PROPAGATION, *_ROUNDING, *_GAINS, "nodes/spectrum.h", "nodes/lookup_tables.h", "nodes/harmonics.h",
+            "nodes/response.h", *_PATHS, *_FIELDS, *_POLYNOMIALS, "nodes/delay_polynomials.h", "nodes/block.h",
+            "nodes/smooth.h", "nodes/cell.h", *_MASK, "nodes/activity.h", "nodes/tracks.cl",
         ),
         {
             **MOTION,
@@ -168,8 +168,8 @@ PROGRAMS = {
     "pair_tracks": Program(
         (
             "common/float32.h", "common/triple.h", "common/pairs.h", *_ROUNDING, *_GAINS, "nodes/spectrum.h",
-            "nodes/lookup_tables.h", "nodes/response.h", "nodes/pair_delay.h", *_POLYNOMIALS, "nodes/block.h",
-            *_MASK, "nodes/activity.h", "nodes/pair_tracks.cl",
+            "nodes/lookup_tables.h", "nodes/harmonics.h", "nodes/response.h", "nodes/pair_delay.h", *_POLYNOMIALS,
+            "nodes/block.h", *_MASK, "nodes/activity.h", "nodes/pair_tracks.cl",
         ),
         {
             "run": structure(

@@ -258,14 +258,25 @@ class PairPaths:
         receiver = self.family.scene.receivers[self.receiver]
         return at.of_channels(self.response(found, times, at), receiver, self.channels, found, times)
 
+    def shapes(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return responses (C, P, T, F) of channels that differ over frequency: one of those that do not."""
+        directivity = self.family.scene.receivers[self.receiver].directivity
+        if isinstance(directivity, ChannelDirectivity) and directivity.is_flat:
+            return self.response(found, times, at)[None]
+        return self.responses(found, times, at)
+
     def lateness(self, found: Arrivals, times: Floats) -> Floats:
-        """Return the delay of the only channel behind the receiver's centre, (P, T), s."""
+        """Return the delays of all channels behind the receiver's centre, (P, T, C), s."""
         receiver = self.family.scene.receivers[self.receiver]
         assert isinstance(receiver.directivity, ChannelDirectivity)
-        assert self.channels is not None
         towards = to_transducer_frame(receiver.orientation, times, found.arrival)
-        late = receiver.directivity.lateness(towards, self.family.scene.air.speed_of_sound)
-        return np.asarray(late[..., self.channels.start])
+        return np.asarray(receiver.directivity.lateness(towards, self.family.scene.air.speed_of_sound))
+
+    @property
+    def only_channel(self) -> int:
+        """The channel whose delay the paths have."""
+        assert self.channels is not None
+        return self.channels.start
 
     @property
     def reach(self) -> float:

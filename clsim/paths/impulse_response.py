@@ -215,7 +215,7 @@ def frozen_responses(
     found = pair.arrivals(now, QUASI_STATIC)
     delay, several = found.delay[:, 0], len(pair.family.scene.receivers[pair.receiver].directivity.channels)
     if pair.reach > 0.0:
-        delay = delay + pair.lateness(found, now)[:, 0]
+        delay = delay + pair.lateness(found, now)[:, 0, pair.only_channel]
 
     def responses(channel: int, frequencies: Floats, rows: NDArray[np.int64]) -> Floats | Complexes:
         """Return the responses `(paths, frequencies)` of paths: at the centre, if there is one, for all."""

@@ -192,16 +192,11 @@ class SceneResponse:
         if not isinstance(directivity, ChannelDirectivity):
             return response[None]
         towards = to_transducer_frame(receiver.orientation, times, found.arrival)
-        gain = np.moveaxis(directivity_gain(directivity, towards, self.frequencies, c), -1, 0)
         if channels is None:
-            return np.asarray(gain * response, dtype=self.dtype)
-        here = slice(channels.start, channels.stop)
-        if directivity.reach > 0.0:
-            late = np.moveaxis(directivity.lateness(towards, c), -1, 0)[here]
-            return np.asarray(
-                gain[here] * np.exp(2j * np.pi * late[..., None] * self.frequencies) * response, dtype=self.dtype
-            )
-        return np.asarray(gain[here] * response, dtype=self.dtype)
+            gain = np.moveaxis(directivity_gain(directivity, towards, self.frequencies, c), -1, 0)
+        else:
+            gain = directivity.aligned(towards, covered(self.frequencies, directivity), c, channels)
+        return np.asarray(gain * response, dtype=self.dtype)
 
 
 def is_complex(scene: Scene) -> bool:

@@ -198,7 +198,7 @@ def sampled_responses(scene: Scene, source: int, picked: Iterable[Picked], band:
     made: list[Any] = []
     at = SceneResponse(scene, source, band.frequencies)
     for some in picked:
-        along = some.paths.responses(some.found, some.times, at)[:, :, 0]
+        along = some.paths.shapes(some.found, some.times, at)[:, :, 0]
         if band.late != 0.0:
             along = along * np.conj(band.turn)
         made += list(along * some.scale)

@@ -17,11 +17,12 @@ from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.tracks.basis import Basis, flat_basis
+from clsim.tracks.delay_bounds import delay_bounds
 from clsim.tracks.splines import checked_indices, checked_samples, fitted_splines, heard_intervals
 from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from clsim.scene.motion.trajectory import Trajectory
     from clsim.scene.scene import Scene
 
-_TOGETHER = 65536  # paths looked at at a time
 _BESIDE = 1e-4  # s, to either side, between which the lateness of channels is taken to change evenly
 
 
@@ -99,6 +99,45 @@ class Tracks(ABC):
         gains : ndarray (C, K, P, ceil(T / every))
             Received over emitted pressure, by channels of the receiver and functions of the basis.
         """
+
+    def evaluate_together(
+        self,
+        pairs: Sequence[int],
+        times: Floats,
+        basis: Basis,
+        rows: NDArray[np.int64] | None = None,
+        every: int = 1,
+    ) -> list[tuple[Floats, Floats, Floats]]:
+        """Return what `evaluate` does of pairs of the same `paths_of`.
+
+        Parameters
+        ----------
+        pairs : sequence of int
+            Indices of source and receiver, in `pairs`.
+        times, basis, rows, every
+            As of `evaluate`.
+
+        Returns
+        -------
+        list of (delay, rate, gains)
+            As of `evaluate`, for each pair.
+        """
+        return [self.evaluate(pair, times, basis, rows, every) for pair in pairs]
+
+    def paths_of(self, pair: int) -> Any:
+        """Return a key that pairs have in common whose paths are the same.
+
+        Parameters
+        ----------
+        pair : int
+            Index of the source and receiver, in `pairs`.
+
+        Returns
+        -------
+        hashable
+            Of pairs that differ in their channels only, the same.
+        """
+        return pair
 
     def costly(self, pair: int) -> bool:
         """Test if the gains of a pair's paths cost much, see `PathFamily`.
@@ -289,6 +328,11 @@ class SceneTracks(Tracks):
         """Those of the receivers' directivities."""
         return tuple(receiver.directivity.channels for receiver in self.scene.receivers)
 
+    def paths_of(self, pair: int) -> Any:
+        """Return the kind of paths, both ends, and where among all the paths stand."""
+        paths = self.pair_paths[pair]
+        return id(paths.family), paths.source, paths.receiver, len(paths), int(paths.index[0])
+
     def costly(self, pair: int) -> bool:
         """Test the kind of paths, and whether the host works out the gains of several channels."""
         receiver = self.scene.receivers[self.pairs[pair].receiver]
@@ -298,23 +342,44 @@ class SceneTracks(Tracks):
         self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> tuple[Floats, Floats, Floats]:
         """Return delay, its derivative and gains, in float64 without approximation."""
-        paths = self.pair_paths[pair] if rows is None else self.pair_paths[pair].part(rows)
-        receiver, reach = self.scene.receivers[paths.receiver], paths.reach
+        return self.evaluate_together([pair], times, basis, rows, every)[0]
+
+    def evaluate_together(
+        self,
+        pairs: Sequence[int],
+        times: Floats,
+        basis: Basis,
+        rows: NDArray[np.int64] | None = None,
+        every: int = 1,
+    ) -> list[tuple[Floats, Floats, Floats]]:
+        """Return what `evaluate` does of pairs with the same paths, as those of both ears: they are solved once."""
+        of_pairs = [self.pair_paths[i] if rows is None else self.pair_paths[i].part(rows) for i in pairs]
+        paths = of_pairs[0]
+        receiver = self.scene.receivers[paths.receiver]
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
-        found = paths.arrivals(times + clock_error, self.kinematics)
+        now = times + clock_error
+        found = paths.arrivals(now, self.kinematics)
         some = found if every == 1 else found.part(np.arange(len(paths)), slice(None, None, every))
-        responses = paths.responses(
-            some, (times + clock_error)[::every], SceneResponse(self.scene, paths.source, basis.nodes)
-        )
-        gain = np.moveaxis(basis.gains(responses), -1, 1)
+        at = SceneResponse(self.scene, paths.source, basis.nodes)
+        response = paths.response(some, now[::every], at)
         delay, rate = found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0)
-        if reach == 0.0:
-            return delay, rate, gain
-        before, after = (
-            paths.lateness(paths.arrivals(at, self.kinematics), at)
-            for at in (times + clock_error - _BESIDE, times + clock_error + _BESIDE)
-        )
-        return delay + paths.lateness(found, times + clock_error), rate + (after - before) / (2.0 * _BESIDE), gain
+        late, beside = np.zeros((*delay.shape, 1)), np.zeros((*delay.shape, 1))
+        if paths.reach > 0.0:
+            late = paths.lateness(found, now)
+            before, after = (
+                paths.lateness(paths.arrivals(at, self.kinematics), at) for at in (now - _BESIDE, now + _BESIDE)
+            )
+            beside = (after - before) / (2.0 * _BESIDE)
+        out = []
+        for member in of_pairs:
+            responses = at.of_channels(response, receiver, member.channels, some, now[::every])
+            gain = np.moveaxis(basis.gains(responses), -1, 1)
+            if member.reach == 0.0:
+                out.append((delay, rate, gain))
+            else:
+                ear = member.only_channel
+                out.append((delay + late[..., ear], rate + beside[..., ear], gain))
+        return out
 
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
@@ -343,7 +408,7 @@ class SceneTracks(Tracks):
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
         """Return the bounds of very many pairs at once."""
         bounds: dict[int, tuple[Floats, Floats]] = {}
-        for batch, low, high in self._bounds(pairs, start, end):
+        for batch, low, high in delay_bounds(self.paths, self.speeds, self.pair_paths, pairs, start, end):
             last = 0
             for pair in batch:
                 first, last = last, last + len(self.pairs[pair])
@@ -353,21 +418,13 @@ class SceneTracks(Tracks):
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return the largest of the bounds of `delay_range`, of very many pairs at once."""
         pairs = [i for i, pair in enumerate(self.pair_paths) if source in (None, pair.source)]
-        return max((float(high.max()) for _, _, high in self._bounds(pairs, start, end)), default=0.0)
-
-    def _bounds(self, pairs: Sequence[int], start: float, end: float) -> Iterator[tuple[list[int], Floats, Floats]]:
-        """Yield some pairs, and bounds of the delays of all their paths, one pair's after the other's."""
-        clock_times = np.array([start, end])
-        clock_error = np.stack([r.clock_error(clock_times) for r in self.scene.receivers])
-        first, last = (clock_times + clock_error).T
-        least, most = clock_error.min(axis=1), clock_error.max(axis=1)
-        for family in self.paths.families:
-            for batch in _batches(self.pair_paths, [i for i in pairs if self.pair_paths[i].family is family]):
-                rows = np.concatenate([self.pair_paths[i].index for i in batch])
-                r = family.receiver[rows]
-                low, high = family.delay_bounds(rows, first[r], last[r], self.speeds)
-                reach = np.repeat([self.pair_paths[i].reach for i in batch], [len(self.pairs[i]) for i in batch])
-                yield batch, low - most[r] - reach, high - least[r] + reach
+        return max(
+            (
+                float(high.max())
+                for _, _, high in delay_bounds(self.paths, self.speeds, self.pair_paths, pairs, start, end)
+            ),
+            default=0.0,
+        )
 
     def first_end(self) -> tuple[float, str]:
         """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity, and whose."""
@@ -500,20 +557,6 @@ def track(
 def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:
     """Return the largest speed from a start to an end, m/s, and shortly beyond, where a trajectory goes on."""
     return 0.0 if trajectory.is_static else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
-
-
-def _batches(pair_paths: Sequence[PairPaths], pairs: list[int]) -> Iterator[list[int]]:
-    """Yield neighbouring pairs together whose paths are a bounded number, or one pair."""
-    batch: list[int] = []
-    count = 0
-    for pair in pairs:
-        if batch and count + len(pair_paths[pair]) > _TOGETHER:
-            yield batch
-            batch, count = [], 0
-        batch.append(pair)
-        count += len(pair_paths[pair])
-    if batch:
-        yield batch
 
 
 def _clock_time(receiver: Receiver, times: Floats) -> Floats:

@@ -47,7 +47,7 @@ __kernel void pair_tracks(const pair_run_numbers run,         // as in tracks.cl
     __global const pair_receiver* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : run.nodes);
     const environment env = environment_of(air_and_functions, projection, reflection, wall_tables, wall_of, normal,
                                                 source_directivity, receiver_directivities + directivity_of[receiver_of[slot]],
-                                                run.function_count, run.angular);
+                                                run.function_count / CHANNELS, run.angular);
     const float block_time = numbers[BLOCK_TIME].x;
     const int from = active_from[slot], until = active_until[slot];
     pair_receiver_in_image receiver;

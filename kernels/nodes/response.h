@@ -1,10 +1,17 @@
 // The gains of one path at one node: its response (spreading, air, walls, Mach factor, directivities) at FREQUENCIES
 // frequencies, projected on at most FUNCTIONS functions of frequency. The twin of paths/response.py.
 
+// Where the sizes of gains stand behind the projection, in floats.
+#if RECEIVER_DIRECTIVITY == HARMONIC
+#define SIZES_AT ((function_count * PARTS * FREQUENCIES + 7) / 8 * 8)
+#else
+#define SIZES_AT (PARTS * FREQUENCIES * GAIN_VECTORS * (int)(sizeof(gains) / sizeof(float)))
+#endif
+
 typedef struct {
     __global const bins* nepers;         // [AIR_TERMS or 1][BIN_VECTORS], of the amplitude, 1/m
     __global const bins* lead;           // [AIR_TERMS][BIN_VECTORS], before the delay's phase, turns in a metre
-    __global const gains* projection;    // [PARTS][FREQUENCIES][GAIN_VECTORS]
+    __global const gains* projection;    // [PARTS][FREQUENCIES][GAIN_VECTORS]; HARMONIC: [function_count][PARTS][BIN_VECTORS] bins
     __global const bins* functions;      // [function_count][PARTS][BIN_VECTORS], weighted
     __global const bins* weight;         // [BIN_VECTORS]
     __global const gains* sizes;         // [GAIN_VECTORS], most that each adds to a path
@@ -13,7 +20,7 @@ typedef struct {
     __global const int* wall_of;         // [angular][slots], -1 for none; -2 less it for walls that are met from the receiver's side
     __global const float* normal;        // [angular][3][slots], unfolded
     __global const bins* source_directivity;    // AXIAL: [CELLS][4][PARTS][BIN_VECTORS]; SPHERICAL: [6][SIDE][SIDE][PARTS][BIN_VECTORS]
-    __global const bins* receiver_directivity;  // likewise
+    __global const bins* receiver_directivity;  // likewise; HARMONIC: the norm of each component
     int function_count, angular;         // how many, and of how many walls at most the factor depends on the angle
 } environment;
 
@@ -26,7 +33,7 @@ static environment environment_of(__global const bins* air_and_functions,  // ne
     __global const bins* lead = air_and_functions + (AIR_TERMS > 0 ? AIR_TERMS : 1) * BIN_VECTORS;
     __global const bins* weight = lead + (AIR_TERMS > 0 ? AIR_TERMS : 1) * BIN_VECTORS;
     const environment out = {air_and_functions, lead, projection, weight + BIN_VECTORS, weight,
-                              projection + PARTS * FREQUENCIES * GAIN_VECTORS, reflection, walls, wall_of, normal,
+                              (__global const gains*)((__global const float*)projection + SIZES_AT), reflection, walls, wall_of, normal,
                               source_directivity, receiver_directivity, function_count, angular};
     return out;
 }
@@ -109,8 +116,27 @@ static void shared_response(const arrival* a, const environment* s, int angular,
 #endif
 }
 
-// The gains of one channel: its directivity, the field of the vertex over free air of its length, where `field` is not 0, and the
-// projection. Returns the response's mean square over the nodes; `residual` is that of what the functions do not represent.
+// The mean square of a response over the nodes; `residual` is that of what functions with these coefficients do not represent.
+static float mean_squares(const response* r, const environment* s, const float* coefficients, float* residual)
+{
+    bins weighted[PARTS * BIN_VECTORS], remainder[PARTS * BIN_VECTORS], sum_of_squares = 0.0f, sum_of_residuals = 0.0f;
+#pragma unroll
+    for (int b = 0; b < PARTS * BIN_VECTORS; b++) remainder[b] = weighted[b] = s->weight[b % BIN_VECTORS] * r->part[b / BIN_VECTORS][b % BIN_VECTORS];
+    for (int k = 0; k < s->function_count; k++) {
+#pragma unroll
+        for (int b = 0; b < PARTS * BIN_VECTORS; b++) remainder[b] -= s->functions[k * PARTS * BIN_VECTORS + b] * coefficients[k];
+    }
+#pragma unroll
+    for (int b = 0; b < PARTS * BIN_VECTORS; b++) {
+        sum_of_squares += weighted[b] * weighted[b];
+        sum_of_residuals += remainder[b] * remainder[b];
+    }
+    *residual = total(sum_of_residuals) / FREQUENCIES;
+    return total(sum_of_squares) / FREQUENCIES;
+}
+
+// The gains of a receiver's channels: their directivity, the field of the vertex over free air of its length, where `field` is not 0,
+// and the projection. Returns the response's mean square over the nodes; `residual` is that of what the functions do not represent.
 static float channel_gains(const response* shared, const arrival* a, const environment* s, const triple* receiver_frame,
                            const response* field, gains* gain, float* residual)
 {
@@ -122,21 +148,26 @@ static float channel_gains(const response* shared, const arrival* a, const envir
                  -(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r);
 #endif
     if (field) multiply(&r, field);
-    project(&r, s->projection, gain);
-    // What is active, and what of it the functions do not represent.
-    bins weighted[PARTS * BIN_VECTORS], remainder[PARTS * BIN_VECTORS], sum_of_squares = 0.0f, sum_of_residuals = 0.0f;
-#pragma unroll
-    for (int b = 0; b < PARTS * BIN_VECTORS; b++) remainder[b] = weighted[b] = s->weight[b % BIN_VECTORS] * r.part[b / BIN_VECTORS][b % BIN_VECTORS];
+#if RECEIVER_DIRECTIVITY == HARMONIC
+    // Components are the same at every frequency: one projection serves all.
+    float component[CHANNELS];
+    const float loud = harmonics((__global const float*)s->receiver_directivity, -(float)inner(receiver_frame[0], a->arrival),
+                                 -(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), component);
+    float* out = (float*)gain;
     for (int k = 0; k < s->function_count; k++) {
-        const float coefficient = ((const float*)gain)[k];
-#pragma unroll
-        for (int b = 0; b < PARTS * BIN_VECTORS; b++) remainder[b] -= s->functions[k * PARTS * BIN_VECTORS + b] * coefficient;
+        __global const bins* row = (__global const bins*)s->projection + k * PARTS * BIN_VECTORS;
+        bins sum = row[0] * r.part[0][0];
+        for (int b = 1; b < PARTS * BIN_VECTORS; b++) sum += row[b] * r.part[b / BIN_VECTORS][b % BIN_VECTORS];
+        out[k] = total(sum);
     }
-#pragma unroll
-    for (int b = 0; b < PARTS * BIN_VECTORS; b++) {
-        sum_of_squares += weighted[b] * weighted[b];
-        sum_of_residuals += remainder[b] * remainder[b];
+    const float strength = mean_squares(&r, s, out, residual);
+    for (int k = s->function_count - 1; k >= 0; k--) {
+        for (int c = CHANNELS - 1; c >= 0; c--) out[k * CHANNELS + c] = out[k] * component[c];
     }
-    *residual = total(sum_of_residuals) / FREQUENCIES;
-    return total(sum_of_squares) / FREQUENCIES;
+    *residual *= loud;
+    return strength * loud;
+#else
+    project(&r, s->projection, gain);
+    return mean_squares(&r, s, (const float*)gain, residual);
+#endif
 }

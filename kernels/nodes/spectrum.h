@@ -55,7 +55,7 @@ static void turn(response* r, int b, bins turns)
 }
 #endif
 
-// Sum of eight squares, or of one.
+// Sum of the values at eight frequencies, or of one.
 static float total(bins x)
 {
 #if FREQUENCIES == 1

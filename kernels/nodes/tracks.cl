@@ -41,7 +41,7 @@ __kernel void tracks(const motion_numbers motion, __global const double* knots, 
     __global const receiver_node* rows = receivers + (long)receiver_of[slot] * (STATIC_RECEIVERS ? 1 : run.nodes);
     const environment env = environment_of(air_and_functions, projection, reflection, wall_tables, wall_of, normal,
                                                 source_directivity, receiver_directivities + directivity_of[receiver_of[slot]],
-                                                run.function_count, run.angular);
+                                                run.function_count / CHANNELS, run.angular);
     const double block_time = (double)run.block_samples / run.sampling_rate, segment_time = run.segment_blocks * block_time;
     const double branch_rate = run.oversampling * run.sampling_rate, half_block = 0.5 * run.oversampling * run.block_samples;
     double ends[4], predicted[8];

@@ -108,6 +108,13 @@ def functions(device: str) -> Plan:
 
 
 @scene
+def harmonics(device: str) -> Plan:
+    """Four ambisonic components of a receiver that turns, for several functions of frequency."""
+    beams = (clsim.Piston(0.004), clsim.Ambisonic(1))
+    return plan(world(walls=[CURTAIN, *REAL[1:]], beams=beams), device)
+
+
+@scene
 def phased(device: str) -> Plan:
     """Walls that depend on the angle, with phases, and so does a directivity, in air that disperses."""
     beams = (OffCentre(2e-3), clsim.FirstOrder(0.4))

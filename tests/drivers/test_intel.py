@@ -25,7 +25,7 @@ AS_USERS = [
     "plain.gpu",
 ]
 SCALAR = [
-    "functions.cpu", "phased.cpu", "fine.cpu", "pulses.cpu", "mesh.cpu", "bend.cpu", "swinging.cpu", "sonar.cpu",
+    "functions.cpu", "harmonics.cpu", "phased.cpu", "fine.cpu", "pulses.cpu", "mesh.cpu", "bend.cpu", "swinging.cpu", "sonar.cpu",
     "pairs_pulses.cpu", "lopsided.cpu", "baseband.gpu", "waves.gpu",
 ]  # fmt: skip
 ALL = [f"{name}.{layout}" for name in SCENES for layout in ("cpu", "gpu")]

@@ -35,6 +35,7 @@ SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
 OWN = {
     "advanced": "a delay of transforms",
     "harmonic_norm": "a factor of `real_harmonics`",
+    "harmonic_norms": "likewise",
     "sphere_aspects": "derived: angle and distances of the ends",
     "sphere_bound": "a maximum",
     "band_filters": "derived: least squares of a filter's real and imaginary part",

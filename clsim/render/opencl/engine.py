@@ -15,6 +15,7 @@ from clsim.opencl.launch import Scratch, upload, work
 from clsim.opencl.limits import check_group
 from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch, find_fades
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
+from clsim.render.opencl.environment import has_directivity
 from clsim.render.opencl.host_nodes import HostNodeMaker
 from clsim.render.opencl.layout import CPU_LAYOUT, GPU_LAYOUT, Layout
 from clsim.render.opencl.limits import Limits
@@ -23,7 +24,6 @@ from clsim.render.opencl.pair_nodes import PairNodeMaker
 from clsim.render.opencl.path_columns import COLUMNS
 from clsim.render.opencl.residual import Residual
 from clsim.render.plan import BATCH
-from clsim.scene.directivity.directivity import ChannelDirectivity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -121,11 +121,8 @@ class OpenclEngine:
         family = None if of_scene is None else of_scene.pair_paths[pair].family
         in_pairs = of_scene is not None and plan.baseband is None and of_scene.scene.air.wind is None
         known = COLUMNS.keys() if self._info.fp64 else {"images"} if in_pairs else set()
-        kind = None if family is None or family.device not in known else family
-        if of_scene is not None and isinstance(
-            of_scene.scene.receivers[plan.tracks.pairs[pair].receiver].directivity, ChannelDirectivity
-        ):
-            kind = None
+        on_device = family is not None and family.device in known and has_directivity(plan, pair)
+        kind = family if on_device else None
         if kind not in self._makers:
             device = NodeMaker if self._info.fp64 else PairNodeMaker
             self._makers[kind] = (

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.numerics.quaternions import rotate
+from clsim.numerics.spherical_harmonics import harmonic_norms
 from clsim.paths.response import SceneResponse
-from clsim.render.opencl.lookup_tables import directivity_kind, directivity_table, wall_table
+from clsim.render.opencl.lookup_tables import HARMONIC, directivity_kind, directivity_table, wall_table
+from clsim.scene.directivity.ambisonic import NORMALIZATIONS, Ambisonic
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.render.plan import Plan
     from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
     from clsim.tracks.basis import Basis
@@ -26,7 +30,20 @@ if TYPE_CHECKING:
 
 _MOST_TERMS = 16
 _AIR_ERROR = 1e-6  # of polynomials of what air does, relative to its absorption
+_MOST_GAINS = 256  # of a path's channels, up to which the device makes nodes
 VECTOR = 8  # numbers of a vector of gains or of frequencies in kernels
+_NOTHING = np.zeros(VECTOR, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reception:
+    """Directivities of receivers with equally many channels, as kernels take them."""
+
+    channels: int
+    kind: int  # of the tables
+    projection: Any  # on the device, as in response.h
+    tables: Any  # likewise
+    table_of: NDArray[np.int32]  # (receivers of the scene,), bands from the first
 
 
 class Environment:
@@ -44,36 +61,48 @@ class Environment:
             nepers, lead = air_polynomials(self._responses, mach)
             self.air_terms = len(nepers)
         air = [nepers, np.broadcast_to(lead / (2.0 * np.pi), nepers.shape)]
-        columns = {
-            "air_and_functions": [*air, basis.weight, basis.functions],
-            "projection": [np.pad(p, ((0, 0), (0, padding))) for p in (basis.projection.T, basis.strengths[None])],
-        }
-        self.basis = {
-            name: put(np.concatenate([part.astype(np.float32).ravel() for part in parts]))
-            for name, parts in columns.items()
-        }
-        # Receivers of several channels have their nodes made by the host.
+        self._scene, self._basis, self._put = scene, basis, put
+        self.air = put(_flat([*air, basis.weight, basis.functions]))
+        projection = [np.pad(p, ((0, 0), (0, padding))) for p in (basis.projection.T, basis.strengths[None])]
         directivities = [
             Omni() if isinstance(d, ChannelDirectivity) else d for d in (r.directivity for r in scene.receivers)
         ]
-        self.source_kind, self.receiver_kind = (
-            directivity_kind([scene.sources[source].directivity]),
-            directivity_kind(directivities),
-        )
+        receiver_kind = directivity_kind(directivities)
+        self.source_kind = directivity_kind([scene.sources[source].directivity])
         source_beam = directivity_table(scene.sources[source].directivity, self.source_kind, basis.nodes, c, self.parts)
         kinds = list(dict.fromkeys(directivities))
-        tables = [directivity_table(b, self.receiver_kind, basis.nodes, c, self.parts) for b in kinds]
+        tables = [directivity_table(b, receiver_kind, basis.nodes, c, self.parts) for b in kinds]
         bands = len(tables[0]) // min(self.count, VECTOR)
-        self.directivity_of = np.array([kinds.index(b) * bands for b in directivities], dtype=np.int32)
+        table_of = np.array([kinds.index(b) * bands for b in directivities], dtype=np.int32)
+        beams = put(np.concatenate([*tables, _NOTHING]))
+        self._receptions = {1: Reception(1, receiver_kind, put(_flat(projection)), beams, table_of)}
         materials, angular = scene.materials, self._responses.angular
         different = {id(m): m for m, turns in zip(materials, angular[:-1], strict=True) if turns}
         kind = {key: i for i, key in enumerate(different)}
         self._material_of = np.array([*(kind.get(id(m), -1) for m in materials), -1], dtype=np.int32)
         walls = [wall_table(m, basis.nodes, c, self.parts) for m in different.values()]
-        nothing = np.zeros(VECTOR, dtype=np.float32)
-        flat = {"wall_tables": walls, "source_directivity": [source_beam], "receiver_directivities": tables}
-        self.tables = {name: put(np.concatenate([*parts, nothing])) for name, parts in flat.items()}
+        flat = {"wall_tables": walls, "source_directivity": [source_beam]}
+        self.tables = {name: put(np.concatenate([*parts, _NOTHING])) for name, parts in flat.items()}
         self.angular = 0
+
+    def reception(self, channels: int) -> Reception:
+        """Return the directivities of receivers with so many channels: plain ones, or ambisonic microphones."""
+        if channels not in self._receptions:
+            basis, order = self._basis, round(channels**0.5) - 1
+            rows = basis.projection.astype(np.float32).ravel()
+            sizes = np.repeat(basis.strengths, channels)
+            projection = _flat([np.pad(part, (0, -part.size % VECTOR)) for part in (rows, sizes)])
+            norms = [harmonic_norms(order) * Ambisonic(order, one).scale for one in NORMALIZATIONS]
+            norms = [np.pad(norm, (0, -channels % VECTOR)) for norm in norms]
+            bands = len(norms[0]) // min(self.count, VECTOR)
+            table_of = [
+                bands * NORMALIZATIONS.index(getattr(r.directivity, "normalization", NORMALIZATIONS[0]))
+                for r in self._scene.receivers
+            ]
+            self._receptions[channels] = Reception(
+                channels, HARMONIC, self._put(projection), self._put(_flat(norms)), np.array(table_of, dtype=np.int32)
+            )
+        return self._receptions[channels]
 
     def most_bounces(self, pairs: Iterable[Walls]) -> None:
         """Make room for the most walls that depend on the angle that any path of some pairs meets."""
@@ -111,6 +140,22 @@ class Environment:
         walls, normals = np.concatenate([first, np.where(last < 0, -1, -2 - last)]), np.concatenate([one, other])
         most = np.argsort(walls == -1, axis=0, kind="stable")[: len(first)]
         return np.take_along_axis(walls, most, axis=0), np.take_along_axis(normals, most[:, None], axis=0)
+
+
+def has_directivity(plan: Plan, pair: int) -> bool:
+    """Test whether programs of nodes have the directivity of the receiver of a scene's pair."""
+    member, of_scene = plan.tracks.pairs[pair], plan.tracks.of_scene
+    assert of_scene is not None
+    directivity = of_scene.scene.receivers[member.receiver].directivity
+    if not isinstance(directivity, ChannelDirectivity):
+        return True
+    gains = len(member.channels) * len(plan.source_filters[member.source].basis)
+    return isinstance(directivity, Ambisonic) and gains <= _MOST_GAINS
+
+
+def _flat(parts: Iterable[Floats]) -> NDArray[np.float32]:
+    """Return arrays one after the other."""
+    return np.concatenate([part.astype(np.float32).ravel() for part in parts])
 
 
 def air_polynomials(at: SceneResponse, mach: float) -> tuple[Floats, Floats]:

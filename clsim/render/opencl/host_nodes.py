@@ -54,6 +54,14 @@ class _Found:
     longest: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Paths of some pairs that have the same ones: slots of each pair, and rows of the pairs' paths."""
+
+    pairs: list[tuple[int, NDArray[np.int64]]]
+    rows: NDArray[np.int64]
+
+
 class HostNodeMaker:
     """Makes block polynomials in NumPy, in threads, and uploads them."""
 
@@ -90,35 +98,40 @@ class HostNodeMaker:
         terms = plan.delay_terms + 4 * len(filters.basis) * channels
         cubics = np.empty((blocks, terms, batch.count), dtype=np.float32)
 
-        def make(part: tuple[int, NDArray[np.int64]]) -> _Found:
-            pair, slots = part
-            whole[:, slots], cubics[:, :, slots], found = self._part(run, pair, batch.path[slots], slots)
-            return found
+        def make(part: _Part) -> list[tuple[int, _Found]]:
+            found = self._evaluated(
+                part, node_times(run.start, run.block, run.blocks, plan.sampling_rate), filters.basis
+            )
+            here = []
+            for (pair, slots), tracks in zip(part.pairs, found, strict=True):
+                whole[:, slots], cubics[:, :, slots], result = self._part(run, tracks, slots)
+                here.append((pair, result))
+            return here
 
-        parts = [(index, slots) for i, index in enumerate(batch.pairs) for slots in _parts(batch, i)]
-        made = side_by_side(make, parts, meanwhile)
+        parts, padding = _parts(plan, batch)
+        made = [result for several in side_by_side(make, parts, meanwhile) for result in several]
+        for first, silent in padding:
+            whole[:, silent], cubics[:, :, silent] = whole[:, [first]], 0.0
         error = np.zeros(-(-blocks * block // plan.segment))
         residual = np.zeros((2, len(error), len(batch.pairs)))
         for i, index in enumerate(batch.pairs):
-            squares = np.sum(
-                [found.squares for found, (pair, _) in zip(made, parts, strict=True) if pair == index], axis=0
-            )
+            squares = np.sum([found.squares for pair, found in made if pair == index], axis=0)
             residual[1, :, i] = squares[1]
             wrong, heard = np.sqrt(squares)
             np.maximum(error, wrong / np.maximum(heard, 1e-30), out=error)
         beside = 1 if plan.delay_terms == 8 else _BESIDE
         laid_out = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
-        shortest, longest = min(found.shortest for found in made), max(found.longest for found in made)
+        shortest, longest = min(found.shortest for _, found in made), max(found.longest for _, found in made)
         return Nodes(self._upload(whole), self._upload(laid_out), None, error, residual, shortest, longest)
 
     def _part(
-        self, run: _Run, pair: int, rows: NDArray[np.int64], slots: NDArray[np.int64]
+        self, run: _Run, tracks: tuple[Floats, Floats, Floats], slots: NDArray[np.int64]
     ) -> tuple[NDArray[np.int32], NDArray[np.float32], _Found]:
-        """Return whole delays, polynomials and results of some paths of a pair."""
+        """Return whole delays, polynomials and results of some paths, of delays, rates and gains at nodes."""
         plan, filters, block = self._plan, self._plan.source_filters[run.source], run.block
         rate, terms = plan.sampling_rate, plan.delay_terms
         times = node_times(run.start, block, run.blocks, rate)
-        delay, change, gain = self._evaluated(pair, times, filters.basis, rows)
+        delay, change, gain = tracks
         whole, made = block_polynomials(
             delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, terms
         )
@@ -134,31 +147,37 @@ class HostNodeMaker:
         squares = _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block)
         return whole, made, _Found(squares, float(delay.min()), float(delay.max()))
 
-    def _evaluated(
-        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64]
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return delays, their rates, and gains at evenly spaced times; costly gains only where they change fast.
+    def _evaluated(self, part: _Part, times: Floats, basis: Basis) -> list[tuple[Floats, Floats, Floats]]:
+        """Return delays, their rates, and gains of each pair at evenly spaced times.
 
-        Gains (K C, P, T) are those of each function, by channel.
+        Gains (K C, P, T) are those of each function, by channel; costly ones are exact where they change fast.
 
         Others are taken at every fourth node, and at those between from these, as in `smooth.h`: where this is known
         to be wrong by less than the error that is allowed between nodes, by 10 dB, relative to what is heard of all.
         """
         tracks, count, cells = self._plan.tracks, len(times), -(-(len(times) - 1) // _CELL)
-        if not tracks.costly(pair) or cells < 4:
-            delay, rate, gain = tracks.evaluate(pair, times, basis, rows)
-            return delay, rate, _side_by_side(gain)
+        pairs, rows = [pair for pair, _ in part.pairs], part.rows
+        if not tracks.costly(pairs[0]) or cells < 4:
+            found = tracks.evaluate_together(pairs, times, basis, rows)
+            return [(delay, rate, _side_by_side(gain)) for delay, rate, gain in found]
         longer = times[0] + (times[1] - times[0]) * np.arange(_CELL * cells + 1)
-        delay, rate, few = tracks.evaluate(pair, longer, basis, rows, every=_CELL)
-        few = _side_by_side(few)
-        gain, wrong = between(few, _CELL)
-        strengths = _strengths(basis, len(few))
-        level = math.sqrt(np.mean(np.tensordot(strengths, np.abs(few), 1) ** 2))
+        found = tracks.evaluate_together(pairs, longer, basis, rows, every=_CELL)
+        strengths = _strengths(basis, len(basis) * len(found[0][2]))
         allowed = math.sqrt(SMOOTH_SHARE) * 10 ** (self._plan.motion_error_db / 20)
-        fast = np.flatnonzero(strengths @ wrong > allowed * level)
-        if len(fast):
-            gain[:, fast, :count] = _side_by_side(tracks.evaluate(pair, times, basis, rows[fast])[2])
-        return delay[:, :count], rate[:, :count], gain[..., :count]
+        gains, fast = [], np.zeros(len(rows), dtype=np.bool_)
+        for _, _, few in found:
+            gain, wrong = between(_side_by_side(few), _CELL)
+            level = math.sqrt(np.mean(np.tensordot(strengths, np.abs(_side_by_side(few)), 1) ** 2))
+            fast |= strengths @ wrong > allowed * level
+            gains.append(gain)
+        if fast.any():
+            anew = tracks.evaluate_together(pairs, times, basis, rows[fast])
+            for gain, (_, _, exact) in zip(gains, anew, strict=True):
+                gain[:, fast, :count] = _side_by_side(exact)
+        return [
+            (delay[:, :count], rate[:, :count], gain[..., :count])
+            for (delay, rate, _), gain in zip(found, gains, strict=True)
+        ]
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
@@ -187,11 +206,27 @@ def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:
     return np.stack([np.sum(values**2, axis=0) for values in largest])
 
 
-def _parts(batch: PathBatch, i: int) -> list[NDArray[np.int64]]:
-    """Return the slots of a batch's i-th pair in parts, the same on every machine: rows beside each other together."""
-    here = batch.of_pair(i)
-    order = here.start + np.argsort(batch.path[here], kind="stable")
-    return [order[first : first + _PATHS_EACH] for first in range(0, len(order), _PATHS_EACH)]
+def _parts(plan: Plan, batch: PathBatch) -> tuple[list[_Part], list[tuple[int, NDArray[np.int64]]]]:
+    """Return the paths of a batch in parts, the same on every machine: rows beside each other together.
+
+    Pairs with the same paths, as both ears of a head, stand in the same parts. Slots that only fill up are left out of
+    ears, whose nodes cost most, and returned apart, with a slot that has a delay.
+    """
+    of_scene = plan.tracks.of_scene
+    groups: dict[Any, list[tuple[int, NDArray[np.int64]]]] = {}
+    for i, pair in enumerate(batch.pairs):
+        here = batch.of_pair(i)
+        order = here.start + np.argsort(batch.path[here], kind="stable")
+        groups.setdefault((plan.tracks.paths_of(pair), batch.path[order].tobytes()), []).append((pair, order))
+    parts, padding = [], []
+    for members in groups.values():
+        if of_scene is not None and of_scene.pair_paths[members[0][0]].reach > 0.0:
+            padding += [(order[~batch.padding[order]][0], order[batch.padding[order]]) for _, order in members]
+            members = [(pair, order[~batch.padding[order]]) for pair, order in members]
+        for first in range(0, len(members[0][1]), _PATHS_EACH):
+            some = [(pair, order[first : first + _PATHS_EACH]) for pair, order in members]
+            parts.append(_Part(some, batch.path[some[0][1]]))
+    return parts, padding
 
 
 def thread_count() -> int:

@@ -26,7 +26,8 @@ FACE_CELLS = 96  # of a table over a sphere along a face of the cube
 SIDE = FACE_CELLS + 5  # its points: those of the cells and two beyond either edge
 _MARGIN = 14  # points beyond an edge that the spline is made of, where 0.27 ** 12 of what is not known there is left
 _MIDDLE_PHASE = 4.0  # rad, of the middle of the table of the transition function at the middle frequency
-OMNI, AXIAL, SPHERICAL = range(3)  # kinds of tables of directivities: none, by angle to an axis, by direction
+# Kinds of tables of directivities: none, by angle to an axis, by direction, and norms of spherical harmonics.
+OMNI, AXIAL, SPHERICAL, HARMONIC = range(4)
 
 
 def directivity_kind(directivities: Sequence[Directivity]) -> int:

@@ -13,7 +13,7 @@ from clsim.paths.cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.activity import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR, Environment, receiver_at
-from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, OMNI, SIDE, SPHERICAL
+from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, HARMONIC, OMNI, SIDE, SPHERICAL
 from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rendered
 from clsim.render.plan import Plan, node_times
 
@@ -199,7 +199,8 @@ class NodeMaker:
         plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
         filters = plan.source_filters[chunk.source]
         segments = -(-blocks * block // plan.segment)
-        terms = plan.delay_terms + 4 * len(filters.basis)
+        channels = self._channels(batch)
+        terms = plan.delay_terms + 4 * len(filters.basis) * channels
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count)
         polynomials = self._scratch.take(("polynomials", block), 4 * (terms * blocks * batch.count + VECTOR))
         found = np.empty((segments, batch.count, 4), dtype=np.float32)
@@ -208,6 +209,7 @@ class NodeMaker:
         receivers = self._receivers_at(batch, node_times(start, block, segments * (plan.segment // block) + 4, rate))
         active_from, active_until = chunk.bounds.samples_from(start)
         env = self._environments[chunk.source]
+        reception = env.reception(channels)
         activity: Any = None
         cells: dict[str, Any] = {"active_cells": None, "cells": 0}
         if chunk.cells is not None:
@@ -215,13 +217,14 @@ class NodeMaker:
             cl.enqueue_fill_buffer(self._queue, activity, np.zeros(1, np.int32), 0, 4 * blocks * batch.count)
         made = {
             "delay": delay, "polynomials": polynomials, "found": there[0], "residual": there[1], "blocks": blocks,
-            "directivity_of": env.directivity_of[batch.receiver], "nodes": receivers.shape[1],
+            "directivity_of": reception.table_of[batch.receiver], "nodes": receivers.shape[1],
+            "receiver_directivities": reception.tables, "projection": reception.projection,
             "active_from": active_from, "active_until": active_until, "activity": activity,
             "angular_frequency": 2.0 * math.pi * filters.swiftness, "max_rate": self._max_rates[chunk.source],
-            "origin": start - chunk.first,
+            "origin": start - chunk.first, "air_and_functions": env.air,
         }  # fmt: skip
-        shape = self._shape(chunk.source, block)
-        self._launch(chunk, start, segments, receivers, made | env.basis | env.tables | cells | shape)
+        shape = self._shape(chunk.source, block, channels)
+        self._launch(chunk, start, segments, receivers, made | env.tables | cells | shape)
         if meanwhile is not None:
             meanwhile()
         cl.enqueue_copy(self._queue, found, there[0])
@@ -237,7 +240,7 @@ class NodeMaker:
         rate, source, segment = self._plan.sampling_rate, chunk.source, self._plan.segment
         filters = self._plan.source_filters[source]
         first, last = filters.emitted_between(rate)
-        constants = self._constants(source) | {"SPARSE": int(more["activity"] is not None)}
+        constants = self._constants(source, chunk.batch) | {"SPARSE": int(more["activity"] is not None)}
         constants |= OF_GAINS
         kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
@@ -263,9 +266,10 @@ class NodeMaker:
         They are where beams turn fast or lack symmetry: tables over a sphere have bends between such nodes.
         """
         env, turn = self._environments[chunk.source], chunk.turn * block / self._plan.sampling_rate
-        if SPHERICAL in (env.source_kind, env.receiver_kind):
+        kind = env.reception(self._channels(chunk.batch)).kind
+        if SPHERICAL in (env.source_kind, kind):
             return 0.0
-        if env.receiver_kind != OMNI:
+        if kind != OMNI:
             turn = max(turn, _largest_turn(receivers["axes"][..., 0, :]), _largest_turn(receivers["axes"][..., 1, :]))
         return SMOOTH_SHARE * 10 ** (self._plan.motion_error_db / 10) if turn <= _MOST_TURN else 0.0
 
@@ -282,7 +286,11 @@ class NodeMaker:
             "STATIC_RECEIVERS": int(self._all_static),
         }
 
-    def _shape(self, source: int, block: int) -> dict[str, float]:
+    def _channels(self, batch: PathBatch) -> int:
+        """Return the number of channels that the receivers of a batch have, all as many."""
+        return len(self._tracks.pairs[batch.pairs[0]].channels)
+
+    def _shape(self, source: int, block: int, channels: int) -> dict[str, float]:
         """Return values that differ between blocks and scenes: as arguments they need no new build."""
         subblock = self._plan.subblock(source, block)
         return {
@@ -290,13 +298,14 @@ class NodeMaker:
             "segment_blocks": self._plan.segment // block,
             "subblock_samples": subblock,
             "subblock_share": 0.0 if self._plan.is_fine(block) else subblock / block,
-            "function_count": len(self._plan.source_filters[source].basis),
+            "function_count": len(self._plan.source_filters[source].basis) * channels,
             "angular": self._environments[source].angular,
         }
 
-    def _constants(self, source: int) -> dict[str, Any]:
+    def _constants(self, source: int, batch: PathBatch) -> dict[str, Any]:
         retarded, env = self._tracks.kinematics.retarded, self._environments[source]
-        functions = len(self._plan.source_filters[source].basis)
+        reception = env.reception(self._channels(batch))
+        functions = len(self._plan.source_filters[source].basis) * reception.channels
         return self._motion_constants(source) | {
             "CELL": CELL,
             "DELAY_TERMS": self._plan.delay_terms,
@@ -310,7 +319,9 @@ class NodeMaker:
             "CUBIC_COLUMNS": CUBIC_COLUMNS,
             "MACH_EXPONENT": self._tracks.kinematics.exponent if retarded else 0,
             "SOURCE_DIRECTIVITY": env.source_kind,
-            "RECEIVER_DIRECTIVITY": env.receiver_kind,
+            "RECEIVER_DIRECTIVITY": reception.kind,
+            "CHANNELS": reception.channels,
+            "HARMONIC": HARMONIC,
             "OMNI": OMNI,
             "AXIAL": AXIAL,
             "SPHERICAL": SPHERICAL,

@@ -71,7 +71,7 @@ class PairNodeMaker(NodeMaker):
         for name in ("position", "clock_error"):
             told[name] = pairs(receivers[name])
         told["clock_drift"] = receivers["clock_rate"] - 1.0
-        constants = self._constants(chunk.source) | {"SPARSE": int(more["activity"] is not None)}
+        constants = self._constants(chunk.source, chunk.batch) | {"SPARSE": int(more["activity"] is not None)}
         kernel = self._compiler.kernel("pair_tracks", constants)
         kernel(
             self._queue, work(chunk.batch.count, segments), **chunk.images, **chunk.columns, **trajectory, **more,

@@ -58,6 +58,11 @@ class Ambisonic(ChannelDirectivity):
         return tuple(f"ACN{i}" for i in range((self.order + 1) ** 2))
 
     @property
+    def is_flat(self) -> bool:
+        """Components have no frequency."""
+        return True
+
+    @property
     def scale(self) -> Floats:
         """Factor of each channel over SN3D, (C,)."""
         degrees = np.floor(np.sqrt(np.arange((self.order + 1) ** 2)))

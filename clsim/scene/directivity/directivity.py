@@ -233,6 +233,11 @@ class ChannelDirectivity(Directivity):
     __slots__ = ()
 
     @property
+    def is_flat(self) -> bool:
+        """Whether gains are the same at every frequency, and the first channel's is 1."""
+        return False
+
+    @property
     def reach(self) -> float:
         """Bound of the magnitude of `lateness`, s."""
         return 0.0
@@ -253,6 +258,33 @@ class ChannelDirectivity(Directivity):
             s. Delays of paths have it, and the gains that go with them are without its phase.
         """
         return np.zeros((*np.shape(direction)[:-1], len(self.channels)))
+
+    def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
+        """Return the gains of some channels without the phase of their lateness.
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the receiver's own frame.
+        frequencies : ndarray (F,)
+            Hz.
+        speed_of_sound : float
+            m/s.
+        channels : range
+            Which of the channels, C of them.
+
+        Returns
+        -------
+        ndarray (C, ..., F)
+            Gain, 1.
+        """
+        gain = np.moveaxis(self.gain_towards(direction[..., None, :], frequencies, speed_of_sound), -1, 0)[
+            channels.start : channels.stop
+        ]
+        if self.reach == 0.0:
+            return gain
+        late = np.moveaxis(self.lateness(direction, speed_of_sound), -1, 0)[channels.start : channels.stop]
+        return np.asarray(gain * np.exp(2j * np.pi * late[..., None] * frequencies))
 
 
 class AxisymmetricDirectivity(Directivity):

@@ -14,7 +14,7 @@ from clsim.acoustics.spherical_head import sphere_surface_field
 from clsim.arrays import Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.arrival_times import advanced, arrival_times
-from clsim.numerics.sphere import largest_hole, merged
+from clsim.numerics.sphere import RadialOnSphere, largest_hole, merged
 from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage
 from clsim.scene.directivity.sofa_hrtf import read_hrtf
 
@@ -120,9 +120,9 @@ class HeadRelated(ChannelDirectivity):
         f = np.asarray(frequency, dtype=np.float64)
         check_coverage(f, self.band)
         unique, column = np.unique(np.minimum(f, 0.5 * self.sampling_rate), return_inverse=True)
-        found = _over_sphere(self)(np.asarray(direction, dtype=np.float64).reshape(-1, 3))
-        weights, late = found[:, :-2], np.clip(found[:, -2:], -self.reach, self.reach)
-        gain = np.tensordot(weights, _spectra(self, unique.tobytes()), 1)
+        towards = np.asarray(direction, dtype=np.float64).reshape(-1, 3)
+        late = self.lateness(towards, speed_of_sound)
+        gain = np.tensordot(_weights(self)(towards), _spectra(self, unique.tobytes()), 1)
         gain *= np.exp(-2j * np.pi * late[:, :, None] * unique)
         row = np.arange(len(gain)).reshape(np.shape(direction)[:-1])
         return np.moveaxis(gain, 1, 2)[row, column.reshape(f.shape)]
@@ -134,8 +134,18 @@ class HeadRelated(ChannelDirectivity):
 
     def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
         """Return the times of arrival at each ear; see `ChannelDirectivity.lateness`."""
-        found = _over_sphere(self)(np.asarray(direction, dtype=np.float64).reshape(-1, 3))[:, -2:]
+        found = _times(self)(np.asarray(direction, dtype=np.float64).reshape(-1, 3))
         return np.asarray(np.clip(found, -self.reach, self.reach)).reshape(*np.shape(direction)[:-1], 2)
+
+    def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
+        """Return the gains of some ears without the phase of their lateness; see `ChannelDirectivity.aligned`."""
+        check_coverage(frequencies, self.band)
+        spectra = _spectra(self, np.minimum(frequencies, 0.5 * self.sampling_rate).tobytes())
+        weights = _weights(self)(np.asarray(direction, dtype=np.float64).reshape(-1, 3))
+        shape = (*np.shape(direction)[:-1], len(frequencies))
+        # A product of real matrices: weights have no imaginary part.
+        parts = [np.ascontiguousarray(spectra[:, ear]).view(np.float64) for ear in channels]
+        return np.stack([(weights @ part).view(np.complex128).reshape(shape) for part in parts])
 
     @classmethod
     def from_sofa(cls, path: str | PathLike[str], **options: Any) -> HeadRelated:
@@ -240,6 +250,30 @@ class SphericalHead(ChannelDirectivity):
         late = np.polynomial.polynomial.polyval(self._cosines(direction), _WOODWORTH)
         return np.asarray(self.radius / speed_of_sound * late)
 
+    def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
+        """Return the gains of some ears without the phase of their lateness; see `ChannelDirectivity.aligned`.
+
+        Parameters
+        ----------
+        direction : ndarray (..., 3)
+            Unit vectors in the head's own frame.
+        frequencies : ndarray (F,)
+            Hz.
+        speed_of_sound : float
+            m/s.
+        channels : range
+            Which of the ears, C of them.
+
+        Returns
+        -------
+        ndarray (C, ..., F)
+            Gain, 1.
+        """
+        terms = _aligned_terms(self.radius, np.asarray(frequencies).tobytes(), speed_of_sound)
+        cosine = np.moveaxis(self._cosines(direction), -1, 0)[channels.start : channels.stop]
+        powers = np.polynomial.chebyshev.chebvander(cosine, len(terms) - 1)
+        return np.asarray(powers @ terms.view(np.float64)).view(np.complex128)
+
     def _cosines(self, direction: Floats) -> Floats:
         """Return the cosines (..., 2) of the angles between directions (..., 3) and both ears."""
         angle = math.radians(self.ear_azimuth)
@@ -252,6 +286,24 @@ def _woodworth() -> Floats:
     cosine = np.cos(np.linspace(0.0, math.pi, 181))
     late = np.where(cosine > 0.0, -cosine, np.arcsin(-np.minimum(cosine, 0.0)))
     return np.asarray(np.polynomial.polynomial.polyfit(cosine, late, _DEGREE), dtype=np.float64)
+
+
+@lru_cache(maxsize=32)
+def _aligned_terms(radius: float, frequencies: bytes, speed_of_sound: float) -> Complexes:
+    """Chebyshev coefficients (N, F) over the cosine of incidence of a sphere's gains, their lateness taken out."""
+    from scipy.fft import dct
+
+    f = np.frombuffer(frequencies)
+    ka = 2.0 * np.pi * f * radius / speed_of_sound
+    # The field and the phase of the lateness turn by up to 2.6 ka over the cosine.
+    count = 64 + 4 * math.ceil(float(ka.max()))
+    cosine = np.cos(math.pi * (np.arange(count) + 0.5) / count)
+    late = radius / speed_of_sound * np.polynomial.polynomial.polyval(cosine, _WOODWORTH)
+    values = sphere_surface_field(ka, cosine) * np.exp(2j * np.pi * late[:, None] * f)
+    terms: Any = dct(values, type=2, axis=0) / count
+    terms[0] *= 0.5
+    loud = np.abs(terms).max(axis=1)
+    return np.ascontiguousarray(terms[: int(np.flatnonzero(loud > _KEPT * loud.max())[-1]) + 1])
 
 
 def _components(aligned: Floats) -> tuple[Floats, Floats]:
@@ -267,11 +319,15 @@ _WOODWORTH = _woodworth()
 
 
 @lru_cache(maxsize=8)
-def _over_sphere(head: HeadRelated) -> Any:
-    """Return the function of direction (m, 3) whose values are weights and times of arrival (m, R + 2)."""
-    from scipy.interpolate import RBFInterpolator
+def _weights(head: HeadRelated) -> Any:
+    """Return the function of direction (m, 3) whose values are the weights of a head's components (m, R)."""
+    return RadialOnSphere.through(head.directions, head.parts[0][:, :-2])
 
-    return RBFInterpolator(head.directions, head.parts[0], kernel="cubic")
+
+@lru_cache(maxsize=8)
+def _times(head: HeadRelated) -> Any:
+    """Return the function of direction (m, 3) whose values are the times of arrival at a head's ears (m, 2), s."""
+    return RadialOnSphere.through(head.directions, head.parts[0][:, -2:])
 
 
 @lru_cache(maxsize=32)

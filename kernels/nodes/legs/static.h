@@ -88,7 +88,7 @@ static receivers_in_image receivers_at(const trajectory* path, __global const do
     const triples x = {OF_ROWS(axes[0][0]), OF_ROWS(axes[0][1]), OF_ROWS(axes[0][2])};
     out.frame[0] = TWO_SIDED ? x : turned_back(image_matrix, slots, slot, x);
 #endif
-#if RECEIVER_DIRECTIVITY == SPHERICAL
+#if RECEIVER_DIRECTIVITY >= SPHERICAL
     const triples y = {OF_ROWS(axes[1][0]), OF_ROWS(axes[1][1]), OF_ROWS(axes[1][2])};
     const triples z = {x.y * y.z - x.z * y.y, x.z * y.x - x.x * y.z, x.x * y.y - x.y * y.x};
     out.frame[1] = TWO_SIDED ? y : turned_back(image_matrix, slots, slot, y);
