@@ -57,7 +57,9 @@ class PathOptions:
     direct : bool, float or mapping
         Whether paths by nothing are among them; without them a sonar hears no cross-talk of its own source, and with
         `max_order` 0 nothing but echoes of scatterers. A number is their level relative to the free direct sound, dB,
-        as behind a baffle; a mapping of (source, receiver), by their names, to either is for these pairs alone.
+        as behind a baffle; a mapping of (source, receiver), by their names, to either is for these pairs alone. The
+        reflection in a face that both ends sit in counts as direct sound. It must be False for a source and a receiver
+        at the same place, such as a transducer that hears its own echo.
     path_limit : int
         Number of paths above which the search is refused or given up.
     finder : {"auto", "beam-tree", "shooting"}

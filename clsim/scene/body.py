@@ -12,6 +12,7 @@ from clsim.arrays import LARGEST_ROOM, as_floats
 from clsim.errors import InputError, counted
 from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
+from clsim.scene.flush import in_face
 from clsim.scene.motion.checks import as_places
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom
@@ -226,16 +227,21 @@ class Body:
 
 def with_carriers(ends: Sequence[End], bodies: Sequence[Body]) -> tuple[End, ...]:
     """Return sources and receivers with their trajectories in the room; mounted ones follow their bodies."""
-    found = {body.name: body.trajectory for body in bodies}
+    found = {body.name: body for body in bodies}
     carried = []
     for i, end in enumerate(ends):
+        kind = "sources" if isinstance(end, Source) else "receivers"
         if end.mounted_on is None:
             carried.append(end)
             continue
         if end.mounted_on not in found:
             known = ", ".join(map(repr, found)) or "there are none"
-            field_name = f"{'sources' if isinstance(end, Source) else 'receivers'}[{i}].mounted_on"
-            raise InputError(field_name, f"must name a body ({known}), but is {end.mounted_on!r:.80}")
-        motion = Trajectory.carried(found[end.mounted_on], end.trajectory, end.aim)
-        carried.append(replace(end, trajectory=motion, aim=None, mounted_on=None))
+            raise InputError(f"{kind}[{i}].mounted_on", f"must name a body ({known}), but is {end.mounted_on!r:.80}")
+        body = found[end.mounted_on]
+        try:
+            own = in_face(body.mesh, end)
+        except InputError as error:
+            raise error.within(f"{kind}[{i}]") from error
+        motion = Trajectory.carried(body.trajectory, own, end.aim)
+        carried.append(replace(end, trajectory=motion, aim=None, mounted_on=None, flush=False))
     return tuple(carried)

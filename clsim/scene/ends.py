@@ -153,7 +153,8 @@ class Source:
         Response on the axis, Pa at 1 m per V.
     flush : bool or array_like (3,)
         Whether it sits in a wall: True on the side of the room, or a direction off the wall to the side that it is on,
-        as a mesh that is open needs it.
+        as a mesh that is open needs it. With `mounted_on` it rests in a face of the body: True on its outer side, or a
+        direction in the body's coordinates, as sheets need it.
     mounted_on : str, optional
         Name of the body of the scene that carries it: trajectory and aim are then given in the body's own coordinates.
         The ends of a `Scene` have trajectories in the room, and nothing here.
@@ -419,8 +420,8 @@ def _check_end(item: End) -> None:
         raise InputError("directivity", f"must be a Directivity, but is {item.directivity!r:.80}")
     if item.transducer is not None and not isinstance(item.transducer, Transducer):
         raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")
-    if item.mounted_on is not None and (not isinstance(item.mounted_on, str) or item.flush is not False):
-        raise InputError("mounted_on", f"must name a body, and flush be left out, but is {item.mounted_on!r:.80}")
+    if item.mounted_on is not None and not isinstance(item.mounted_on, str):
+        raise InputError("mounted_on", f"must name a body, but is {item.mounted_on!r:.80}")
     if item.trajectory.start > 0.0:
         raise InputError("trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s")
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.errors import InputError
+from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.faces import NEAREST, Mount
 
 if TYPE_CHECKING:
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.ends import End
+    from clsim.scene.room.mesh import MeshRoom
     from clsim.scene.room.protocol import Room
     from clsim.scene.scatterer import Scatterer
 
@@ -32,6 +35,28 @@ def find_mount(room: Room, end: End | Scatterer) -> Mount | None:
     if isinstance(end.flush, bool):
         return sides[0] if room.is_convex else _inside(room, sides, place, where)
     return _facing(room, sides, end.flush)
+
+
+def in_face(mesh: MeshRoom, end: End) -> Trajectory:
+    """Return the trajectory of an end in a body's coordinates two steps in front of the face that it sits in."""
+    own = end.trajectory
+    if end.flush is False:
+        return own
+    if not own.is_static:
+        raise InputError("flush", f"must be left out where {end.name!r} moves in its body's coordinates")
+    place = own.position(np.zeros(1))
+    where = f"{end.name!r} at ({', '.join(f'{x:.6g}' for x in place[0])}) m of its body"
+    low, high = mesh.extent
+    wall, size = _only(mesh.walls_at(place[0]), mesh.faces.names, where), float(np.linalg.norm(high - low))
+    sides = [Mount.on(mesh.faces, wall, sign, size) for sign in (1.0, -1.0)]
+    if isinstance(end.flush, bool):
+        outside = [side for side in sides if mesh.is_closed and not mesh.contains(side.lifted(place))[0]]
+        if len(outside) != 1:
+            raise InputError("flush", f"must be a direction off the face for {where}, which has no inside")
+        side = outside[0]
+    else:
+        side = _facing(mesh, sides, end.flush)
+    return replace(Trajectory.fixed(side.lifted(place, 2.0)[0]), turning=own.turning)
 
 
 def _inside(room: Room, sides: list[Mount], place: Floats, where: str) -> Mount:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
 _SCAN_BLOCK = 65536  # instants among which the nearest approach is sought
+_SAME = 1e-9  # m, up to which two places count as one
 
 
 def check_motions(room: Room, ends: Sequence[tuple[str, Placed]], slowest: float) -> None:
@@ -78,9 +79,21 @@ def _places(ends: Sequence[Placed]) -> Floats:
     return np.stack([end.trajectory.position(0.0) for end in ends])
 
 
+def together(source: Source, receiver: Receiver) -> bool:
+    """Test whether a source and a receiver are at the same place all the time, as one transducer is that does both."""
+    last = min(source.time_range[1], receiver.trajectory.end)
+    static = source.trajectory.is_static and receiver.trajectory.is_static
+    for times in (np.zeros(1), np.linspace(0.0, last, 1 if static else _SCAN_BLOCK)):
+        apart = receiver.trajectory.position(times) - source.trajectory.position(times)
+        if np.abs(apart).max() > _SAME:
+            return False
+    return True
+
+
 def check_distances(field_name: str, source: Source, receivers: Sequence[Receiver], nearest: float) -> None:
-    """Refuse a source that comes closer to a receiver than allowed, in m, with the time."""
+    """Refuse a source that comes closer to a receiver than allowed, m, with the time; both may be at one place."""
     last = source.time_range[1]
+    receivers = [r for r in receivers if not together(source, r)]
     static = [r for r in receivers if r.trajectory.is_static]
     if static:
         instants = Instants(0.0, last, _SCAN_RATE)

@@ -62,7 +62,7 @@ TEXTS = {
     "baseband": "Complex envelopes about a carrier instead of sound.",
     "phases": "One per magnitude, rad.",
     "aim": "A fixed direction in which the axis points, or `\"forward\"` for that of the motion; for trajectories without orientations of their own.",
-    "flush": "Whether it sits in a wall, or the direction off the wall that it sits in.",
+    "flush": "Whether it sits in a wall, or in a face of the body that carries it, or the direction off that wall or face.",
     "rear": "Beyond the last angle of the table: as there, mirrored, or nothing.",
     "side": "Which side of a table of -180° to 180° counts.",
     "outside": "`\"hold\"`: outside its frequencies as at the nearest; an error where left out.",

@@ -148,7 +148,8 @@ class _Look:
         way = np.diff(place, axis=1)
         way /= np.maximum(np.linalg.norm(way, axis=2), 1e-300)[..., None]
         with np.errstate(divide="ignore"):
-            slides = most[:, None] * (1.0 + 2.0 / np.linalg.norm(np.diff(way, axis=1), axis=2))
+            bends = 1.0 + 2.0 / np.linalg.norm(np.diff(way, axis=1), axis=2)
+            slides = np.multiply(most[:, None], bends, out=np.zeros_like(bends), where=most[:, None] > 0.0)
         slides = np.where(most[:, None] > 0.0, slides, 0.0)
         return self._free(place, when, slides, (late, pace))
 
