@@ -7,14 +7,14 @@ SITE := out/site
 # Tests start some hundred processes: with bytecode on disk each of them is there in half the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo docs test test-exhaustive test-all measured drivers study-kills fuzz kills attacks clean
+.PHONY: demo docs test test-exhaustive test-all test-gate measured drivers study-kills fuzz kills attacks clean
 
 demo: .venv/installed
 	$(BIN)/clsim run examples/circle.toml -o out/demo --force
 	@echo "The spectrogram is in out/demo/ceiling_spectrogram.png, the sound in out/demo/ceiling.wav, the path table in out/demo/paths.npz"
 
 # Tests run several at a time: threads of linear algebra would only wait for each other.
-test test-exhaustive test-all measured: export OPENBLAS_NUM_THREADS = 1
+test test-exhaustive test-all test-gate measured: export OPENBLAS_NUM_THREADS = 1
 
 # What runs at every change. What is long and seldom fails is in `test-exhaustive`, of which this has a few of each kind.
 test: .venv/tested
@@ -24,9 +24,13 @@ test: .venv/tested
 test-exhaustive: .venv/tested
 	$(BIN)/python -m pytest -m exhaustive -n 3
 
-# Both at once, each test once: what the gate runs. Three at a time were not quicker here.
+# Both at once, each test once. Three at a time were not quicker here.
 test-all: .venv/tested
 	$(BIN)/python -m pytest -m ""
+
+# What the gate runs: `test-all` without most of what is drawn at random.
+test-gate: .venv/tested
+	$(BIN)/python -m pytest -m "not long"
 
 # The figures in docs/validation.md, by all tests that note one: some minutes.
 measured: .venv/tested

@@ -88,7 +88,7 @@ def samples(out: Path, **options: Any) -> Any:
         return None
 
 
-@pytest.mark.parametrize("part", few(range(PARTS)))
+@pytest.mark.parametrize("part", few(range(PARTS), many=True))
 def test_damaged_results_are_refused_or_right(part: int, finished: Path, tmp_path: Path, capsys: Any) -> None:
     out, found = tmp_path / "out", []
     whole = {kind: samples(finished / kind) for kind in KINDS[:3]}
@@ -135,7 +135,7 @@ def _quiet() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_quiet")
-@pytest.mark.parametrize("part", few(range(PARTS)))
+@pytest.mark.parametrize("part", few(range(PARTS), many=True))
 def test_files_of_others_stay(part: int, finished: Path, tmp_path: Path, capsys: Any) -> None:
     """Whatever is in the way, or beside it, under names that clsim uses: its bytes are there afterwards."""
     found = []

@@ -64,6 +64,7 @@ def test_drawn_walks() -> None:
 
 
 @pytest.mark.exhaustive
+@pytest.mark.long
 @pytest.mark.parametrize(("order", "walks"), [(0, 400), (1, 80), (2, 20)])
 def test_many_drawn_walks(order: int, walks: int) -> None:
     assert sum(check_walk(drawn(1000 * (order + 1) + seed), order) for seed in range(walks)) > 10 * walks

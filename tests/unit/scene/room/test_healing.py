@@ -75,7 +75,7 @@ def delays(room: clsim.MeshRoom) -> np.ndarray:
 
 
 @pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")  # of edges, which are left out
-@pytest.mark.parametrize("number", few(range(200), kept=range(0, 12)))
+@pytest.mark.parametrize("number", few(range(200), kept=range(0, 12), many=True))
 def test_a_damaged_room_is_the_room_that_it_was(number: int, rng: np.random.Generator) -> None:
     room, damage = rooms()[number % 10], DAMAGES[(number + number // 10) % 6]
     corners, polygons, moved = damaged(room, damage, rng)
