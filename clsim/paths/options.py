@@ -45,9 +45,9 @@ class PathOptions:
         Largest number of scatterers that a path meets one after another, 1 or 2. Paths by two go straight from the
         first to the second, with up to `scattering_order` reflections by walls before and after them.
     edge_scattering : bool
-        Whether paths over one edge of the room and by one scatterer are found, in either order and straight from one to
-        the other, with up to `scattering_order` reflections by walls elsewhere; with `diffraction` 2 also those with an
-        edge on either side of the scatterer.
+        Whether paths over one edge of the room and by one scatterer are found, in either order, with up to
+        `scattering_order` reflections by walls before the scatterer and after it; with `diffraction` 2 also those with
+        an edge on either side of it.
     body_order : int, optional
         Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
     body_step : float

@@ -56,6 +56,8 @@ def decibels(ratio: float) -> float:
     return 20.0 * math.log10(max(ratio, 1e-300))
 
 
+FLOOR_OF = clsim.Material.from_porous(20e3, 0.05, outside="extend")
+SOME_KINDS = ["static scatterer", "static edge scatterer", "static scatterer edge", "static edge scatterer edge"]
 SOURCE, POINT, RECEIVER = (-1.0, -1.2, 0.1), (-0.7, 1.5, 0.3), (-0.2, 2.6, -0.4)
 
 
@@ -111,7 +113,7 @@ def test_all_that_moves_is_heard_as_two_delays_in_a_row(edge_first: bool, engine
     kind = "static edge scatterer" if edge_first else "static scatterer edge"
     paths = mixed(found(SCREEN, (ways[0], ways[2]), [clsim.Scatterer.point("p", 0.0, ways[1])]), kind)
     row = int(
-        np.argmax(paths.families[0].vertex.edges[0 if edge_first else 1].frame[:, 0, 0] > -1e-9)
+        np.argmax(paths.families[0].vertex.edges[0 if edge_first else 1].edge.frame[:, 0, 0] > -1e-9)
     )  # over the edge along z
 
     def emitted(time: float) -> float:
@@ -207,6 +209,57 @@ def test_a_point_between_two_edges_is_a_receiver_and_a_source() -> None:
     assert np.allclose(places[2], spot, atol=1e-12)
     legs = np.linalg.norm(np.diff(places[:5], axis=0), axis=1)
     assert legs.sum() / C == pytest.approx(family.arrivals(np.arange(1), np.zeros(1)).delay[0, 0], rel=1e-12)
+
+
+FLOOR = clsim.MeshRoom([(-9, -9, -1), (9, -9, -1), (9, 9, -1), (-9, 9, -1)], [(0, 1, 2), (0, 2, 3)], FLOOR_OF)
+STANDING = clsim.MeshRoom(
+    [(0, 0, -0.9), (0, 0, 2), (-6, 0, 2), (-6, 0, -0.9)], [(0, 1, 2), (0, 2, 3)], clsim.Material.from_reflection(0.9)
+)
+
+
+def test_a_floor_between_edge_and_point_is_a_mirror() -> None:
+    """With a factor that depends on the angle: the field over the edge to the mirrored point, times the factor.
+
+    The screen's upper parts send to the image alone what the floor reflects.
+    """
+    spot, ends = (0.3, 1.5, -0.6), (FIXED((-1.0, -1.2, 0.9)), FIXED((0.4, 2.6, 0.2)))
+    paths = found(clsim.MeshRoom.joined([STANDING, FLOOR]), ends, [clsim.Scatterer.point("p", 0.0, FIXED(spot))], 1)
+    mine = mixed(paths, "static edge scatterer")
+    family = mine.families[0]
+    wanted_kinds = [1, 0, 2] + [-1] * (family.interactions.shape[1] - 3)
+    rows = np.flatnonzero(np.all(family.interactions == wanted_kinds, axis=1))
+    upright = [r for r in rows if np.abs(family.vertex.edges[0].edge.frame[r, 0, :2]).max() < 1e-9]
+    upright = np.array([r for r in upright if family.vertex.edges[0].edge.over_end[r] < 0])
+    assert len(upright) == 1
+    got = field(PathSet(mine.scene, (family.part(upright),)), np.zeros(1), TONE)[0]
+    mirrored = (*spot[:2], -2.0 - spot[2])
+    over = found(STANDING, (ends[0], FIXED(mirrored)))
+    edge = next(f for f in over.families if f.kind == "static edge")
+    row = np.flatnonzero((np.abs(edge.vertex.frame[:, 0, :2]).max(axis=1) < 1e-9) & (edge.vertex.over_end < 0))
+    there = PathSet(over.scene, (edge.part(row),))
+    places = family.vertices(upright, 0.0)[0]
+    down = places[2] - places[1]
+    factor = FLOOR_OF.reflection_at(TONE, abs(down[2]) / np.linalg.norm(down), C)
+    apart = math.dist(spot, ends[1].position(0.0))
+    wanted = field(there, np.zeros(1), TONE)[0] * factor * np.exp(-2j * np.pi * TONE * apart / C) / apart
+    assert decibels(abs(got - wanted) / abs(wanted)) < -120.0
+    assert places[2][2] == pytest.approx(-1.0, abs=1e-12)
+    assert np.allclose(places[3], spot, atol=1e-12)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("turned", [False, True])
+def test_echoes_by_a_floor_make_no_step(turned: bool) -> None:
+    """A sphere over a floor comes out of the shadow of a screen, each leg reflected or not: jumps below -60 dB."""
+    ends = FIXED((-1.0, -1.0, 0.1)), FIXED((0.3, 2.0, 0.0))
+    ball = clsim.Scatterer.sphere("b", 0.03, LINE((0.6, 1.0, -0.2), (1.4, 1.0, -0.2), 0.4))
+    room = clsim.MeshRoom.joined([SCREEN, FLOOR])
+    paths = found(room, ends[:: -1 if turned else 1], [ball], 1, diffraction=2)
+    some = [family for family in paths.families if family.kind in SOME_KINDS]
+    times = np.concatenate([[*family.start, *family.end] for family in some])
+    events = np.unique(times[np.isfinite(times) & (times < 0.4)])
+    assert len(events) > 4
+    assert max(map(decibels, jumps(paths, events, TONE))) < -60.0
 
 
 def test_a_whole_period_later_all_is_the_same() -> None:

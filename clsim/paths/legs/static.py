@@ -58,12 +58,14 @@ class StaticLinks(Links):
         before, after = self.surfaces
         first, *between, last = self.vertex.places(self, (emitted_at, heard_at), now, kinematics)
         there = path_vertices(planes, before, emitted_at, first)
-        back, more, inner = path_vertices(planes, after, heard_at, last), int(first is not last), len(between)
+        back, more = path_vertices(planes, after, heard_at, last), int(first is not last)
         vertices = np.full((len(self), self.chain.objects.shape[1] + 2, 3), np.nan)
         for p, (walls, others) in enumerate(zip(before, after, strict=True)):
             n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
             vertices[p, : n + 2] = there[p, : n + 2]
-            vertices[p, n + 2 : n + 2 + inner] = np.reshape([place[p] for place in between], (inner, 3))
+            points = [place[p] for place in between if not np.isnan(place[p, 0])]
+            inner = len(points)
+            vertices[p, n + 2 : n + 2 + inner] = np.reshape(points, (inner, 3))
             vertices[p, n + inner + 2 : n + inner + m + more + 3] = back[p, m + more :: -1]
         return vertices
 
@@ -82,10 +84,11 @@ class StaticLinks(Links):
         if self.vertex is None:
             return (self.all_surfaces,)
         kinds, walls = self.chain.interactions[self.rows], self.all_surfaces
-        place, step = np.argmax(kinds > SPECULAR, axis=1)[:, None], np.arange(kinds.shape[1])
+        met, step = kinds > SPECULAR, np.arange(kinds.shape[1])
+        place, last = np.argmax(met, axis=1)[:, None], len(step) - 1 - np.argmax(met[:, ::-1], axis=1)[:, None]
         before = np.where(step < place, walls, -1)
         backwards = self.chain.order[self.rows][:, None] - 1 - step  # the last one first
-        kept = (backwards > place) & (np.take_along_axis(kinds, np.maximum(backwards, 0), axis=1) == SPECULAR)
+        kept = (backwards > last) & (np.take_along_axis(kinds, np.maximum(backwards, 0), axis=1) == SPECULAR)
         return before, np.where(kept, np.take_along_axis(walls, np.maximum(backwards, 0), axis=1), -1)
 
     @property

@@ -10,10 +10,10 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
-from clsim.paths.family import DIFFRACTION, NONE, SCATTERING, SPECULAR
+from clsim.paths.family import NONE, SCATTERING, SPECULAR
 from clsim.paths.search.scatterers import as_heard, heard_after
 from clsim.paths.support import check_support
-from clsim.paths.vertices.edge_scatterer import EdgeScattererVertex
+from clsim.paths.vertices.edge_scatterer import EdgeBeside, EdgeScattererVertex
 from clsim.scene.scatterer import Scatterer
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.legs.static import StaticLeg
     from clsim.paths.search.scatterers import Side
-    from clsim.paths.vertices.edge import EdgeVertex
     from clsim.scene.scene import Scene
 
     Rows = NDArray[np.int64]
@@ -38,7 +37,7 @@ def edge_scatterer_paths(
     """Find the paths that meet the edge first, those that meet the scatterer first, and those between two edges.
 
     `sides` and `over_edges` are the paths by walls, and over edges, from sources to scatterers and from there to
-    receivers. Between edge and scatterer sound goes straight. The last kind is found with `both` alone.
+    receivers. The last kind is found with `both` alone.
     """
     check_support("static edge scatterer", scene.air)
     plain = _Half.straight(sides[0], True), _Half.straight(sides[1], False)
@@ -110,7 +109,7 @@ class _Half:
     kinds: Any  # (n, N) interactions
     objects: Any  # likewise
     leg: StaticLeg  # of the end, as what is next to it sees it
-    edge: EdgeVertex | None
+    edge: EdgeBeside | None
 
     @staticmethod
     def straight(side: Side, first: bool) -> _Half:
@@ -121,11 +120,10 @@ class _Half:
 
     @staticmethod
     def over(edges: Chain, first: bool) -> _Half:
-        """Take those over edges that go straight from there to the scatterer, or from it to there."""
-        last = np.maximum(np.sum(edges.interactions != NONE, axis=1) - 1, 0)
-        beside = last if first else np.zeros(len(edges), dtype=np.int64)
-        edges = edges.part(np.flatnonzero(edges.interactions[np.arange(len(edges)), beside] == DIFFRACTION))
-        return _Half(edges, edges.interactions, edges.objects, edges.legs[0 if first else 1], edges.vertex)
+        """Take those over edges."""
+        end, between = edges.legs if first else edges.legs[::-1]
+        walls = edges.links(slice(None)).surfaces[1 if first else 0]
+        return _Half(edges, edges.interactions, edges.objects, end, EdgeBeside(edges.vertex, between, walls))
 
     def heard(self, scene: Scene, frequency: float, motions: tuple[Any, Any], rows: Rows, events: Floats) -> Floats:
         """Find when (n,) the second motion hears what the first one sends at times (n,), s."""

@@ -1,8 +1,9 @@
-"""An edge of the room and a scatterer in either order as vertices between static legs.
+"""An edge of the room and a scatterer in either order, or between two edges, as vertices between static legs.
 
-From one side the scatterer is reached straight on, from the other over the edge: its centre has the image of that end
-at the length of the path over the edge, in the direction in which the path arrives, with the edge's field there. On a
-shadow boundary this is the end itself, whatever the scatterer's size, so that nothing jumps as the centre passes it.
+From one side the scatterer is reached by a leg alone, from the other over the edge and a leg between both. There its
+centre has the image of that end at the length of the path over the edge, in the direction in which the path arrives,
+with the edge's field there. On a shadow boundary this is the end itself, whatever the scatterer's size, so that nothing
+jumps as the centre passes it.
 Images move with the end and with the scatterer, which Mach numbers take into account.
 """
 
@@ -16,6 +17,7 @@ import numpy as np
 from clsim.acoustics.diffraction import ON_LINE, edge_way
 from clsim.errors import InputError
 from clsim.paths.family import ends_at
+from clsim.paths.legs.places import path_vertices
 from clsim.paths.propagation import straight
 from clsim.paths.vertices.edge_lengths import EdgeView, towards_edge
 from clsim.paths.vertices.scatterer import ScattererVertex
@@ -29,7 +31,8 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Columns, Links, Pair
+    from clsim.paths.legs.static import StaticLeg
+    from clsim.paths.links import Columns, Integers, Links, Pair
     from clsim.paths.response import SceneResponse
     from clsim.paths.vertices.edge import EdgeVertex
     from clsim.scene.scatterer import Scatterer
@@ -38,10 +41,28 @@ _ROUNDS, _CLOSE, _SETTLED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeScattererVertex(ScattererVertex):
-    """Scatterers (P,) that P paths meet straight after an edge, straight before one, or both."""
+class EdgeBeside:
+    """Edges on one side of scatterers (P,), and what reflects between both."""
 
-    edges: tuple[EdgeVertex | None, EdgeVertex | None]  # (P,) before and after; None for straight legs
+    edge: EdgeVertex
+    leg: StaticLeg  # image of the scatterer as the edge sees it
+    walls: Integers  # (P, N) from the scatterer's side, -1 behind the last
+
+    def part(self, rows: Rows) -> EdgeBeside:
+        """Take some of them."""
+        return EdgeBeside(self.edge.part(rows), self.leg.part(rows), self.walls[rows])
+
+    @property
+    def view(self) -> EdgeView:
+        """View of scatterers from the edges."""
+        return EdgeView.of(self.leg.matrix, self.leg.offset, self.edge.frame)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeScattererVertex(ScattererVertex):
+    """Scatterers (P,) that P paths meet after an edge, before one, or both."""
+
+    edges: tuple[EdgeBeside | None, EdgeBeside | None]  # (P,) before and after; None for legs alone
 
     kind: ClassVar[str] = "edge scatterer"
 
@@ -67,8 +88,8 @@ class EdgeScattererVertex(ScattererVertex):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of edges and their ends, and of scatterers."""
-        edge = next(edge for edge in self.edges if edge is not None)
-        return (*edge.names, *(scatterer.name for scatterer in self.scatterers))
+        beside = next(beside for beside in self.edges if beside is not None)
+        return (*beside.edge.names, *(scatterer.name for scatterer in self.scatterers))
 
     def part(self, rows: Rows) -> EdgeScattererVertex:
         """Return some of the vertices."""
@@ -77,34 +98,42 @@ class EdgeScattererVertex(ScattererVertex):
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
-        for edge in self.edges:
-            if edge is not None:
-                yield from edge.named(moving)
-                yield "model", edge.model
+        for beside in self.edges:
+            if beside is not None:
+                yield from beside.edge.named(moving)
+                yield "model", beside.edge.model
+                yield from beside.leg.named("between")
         for name in ("scatterer", "fastest", "nearest"):
             yield name, getattr(self, name)
 
     def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> tuple[Floats, ...]:
-        """Points (P, 3), m, where sound that is received at a time (1,) is diffracted and scattered, in their order."""
-        found: dict[int, Floats] = {n: np.empty((len(self), 3)) for n in range(3) if n == 1 or self.edges[n // 2]}
+        """Points (P, 3), m, where sound that is received at a time (1,) is diffracted, reflected and scattered."""
+        place, apexes = np.empty((len(self), 3)), np.empty((2, len(self), 3))
         for mine in self.groups():
             some = links.part(mine)
             way = _solved(some, times, kinematics.retarded)
-            found[1][mine] = way.place[:, 0]
-            for n, (edge, over) in enumerate(zip(some.vertex.edges, way.overs, strict=True)):
+            place[mine] = way.place[:, 0]
+            for apex, beside, over in zip(apexes, some.vertex.edges, way.overs, strict=True):
                 if over is not None:
-                    found[2 * n][mine] = edge.frame[:, 0] + over.along * edge.frame[:, 3]
-        return tuple(found.values())
+                    apex[mine] = beside.edge.frame[:, 0] + over.along * beside.edge.frame[:, 3]
+        faces = links.chain.scene.room.faces
+        met: tuple[list[Floats], list[Floats]] = ([], [])
+        for apex, beside, found in zip(apexes, self.edges, met, strict=True):
+            if beside is not None:
+                points = path_vertices((faces.normals, faces.offsets), beside.walls, place, apex)
+                points[np.arange(len(self)), np.sum(beside.walls >= 0, axis=1) + 1] = np.nan  # the edge, added last
+                found += [*np.moveaxis(points[:, 1:-1], 1, 0), apex]
+        return (*met[0][::-1], place, *met[1])
 
     def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
         """Lengths (P,) by the centres at times, between images of endpoints (P, 3), m."""
         centre, found = ends_at(self.scatterers, self.scatterer, times), np.zeros(len(self))
-        for edge, image in zip(self.edges, images, strict=True):
-            if edge is None:
+        for beside, image in zip(self.edges, images, strict=True):
+            if beside is None:
                 found += np.linalg.norm(image - centre, axis=1)
             else:
-                view = _from_edges(edge)
-                found += _Over.of(edge, view.places(image[:, None]), view.places(centre[:, None])).length[:, 0]
+                beyond, seen = _from_edges(beside.edge).places(image[:, None]), beside.view.places(centre[:, None])
+                found += _Over.of(beside.edge, beyond, seen).length[:, 0]
         return found
 
     def _columns(self, kinematics: Kinematics, links: Links, times: Floats) -> Columns:
@@ -131,6 +160,7 @@ class EdgeScattererVertex(ScattererVertex):
                 strength = strength * over.length
                 ends = np.moveaxis(over.end, 0, -1), np.moveaxis(over.seen, 0, -1)
                 over_edges |= {f"end_{n}": ends[0], f"seen_{n}": ends[1], f"at_edge_{n}": at_edge}
+                over_edges |= {f"towards_{n}": way.towards[n]}
         return over_edges | {
             "delay": delay, "delay_rate": rate, "departure": way.departure, "arrival": way.arrival,
             "length": sum(way.lengths), "through": sum(way.lengths),
@@ -143,22 +173,24 @@ class EdgeScattererVertex(ScattererVertex):
         """Responses (P, T, F) by the fields of edges and scatterers, and by what air and legs let pass, (P, T, F)."""
         more, wave = found.more, 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
         response = passing * (found.mach_factor * more["strength"])[..., None].astype(np.complex128)
-        for n, edge in enumerate(self.edges):
-            if edge is not None:
+        for n, beside in enumerate(self.edges):
+            if beside is not None:
                 names = (f"end_{n}", f"seen_{n}") if n == 0 else (f"seen_{n}", f"end_{n}")
                 sent, heard = (np.moveaxis(more[name], -1, 0) for name in names)
-                response *= edge.static_field(sent, heard, wave * more[f"at_edge_{n}"][..., None], at)
+                response *= beside.edge.static_field(sent, heard, wave * more[f"at_edge_{n}"][..., None], at)
+                response *= at.reflection(beside.walls)[:, None, :]
+                at.apply_angular_walls(response, beside.walls, more[f"towards_{n}"])
         return self._sent_on(response, more, wave)
 
     def largest(self, links: Links, at: SceneResponse) -> Floats:
         """Bounds (P, F) of what edges and scatterers send on, times the lengths of the paths."""
-        loudest = [edge.loudest for edge in self.edges if edge is not None]
+        loudest = [beside.edge.loudest for beside in self.edges if beside is not None]
         return np.asarray(np.prod(loudest) * ScattererVertex.largest(self, links, at))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScattererEdgeVertex(EdgeScattererVertex):
-    """Scatterers (P,) that P paths meet, and go straight on to an edge."""
+    """Scatterers (P,) that P paths meet before an edge."""
 
     kind: ClassVar[str] = "scatterer edge"
 
@@ -234,6 +266,7 @@ class _Way:
     delays: Floats  # (2, P, T) to the scatterer, and from there, s
     lengths: tuple[Floats, Floats]  # likewise, m
     overs: tuple[_Over | None, _Over | None]
+    towards: tuple[Any, Any]  # directions (P, T, 3) of these from the scatterer
     departure: Floats  # (P, T, 3)
     arrival: Floats  # likewise
     place: Floats  # (P, T, 3) of the scatterer, m
@@ -253,6 +286,7 @@ class _Image:
     by_end: Floats
     by_scatterer: Floats | float
     over: _Over | None  # the path over the edge, if any
+    towards: Floats | None  # (P, T, 3) direction of that from the scatterer
 
 
 class _Sides:
@@ -263,8 +297,8 @@ class _Sides:
         self._centre, (self._source, receiver) = links.vertex.one.trajectory, links.motions
         self._heard_at = receiver.position(times)[None], receiver.velocity(times)[None]
         self._views = [
-            edge and (EdgeView.of(leg.matrix, leg.offset, edge.frame), _from_edges(edge))
-            for edge, leg in zip(self._edges, self._legs, strict=True)
+            beside and (EdgeView.of(leg.matrix, leg.offset, beside.edge.frame), beside.view)
+            for beside, leg in zip(self._edges, self._legs, strict=True)
         ]
 
     def images(self, emitted: Floats, events: Floats) -> tuple[_Image, _Image]:
@@ -275,16 +309,17 @@ class _Sides:
 
     def _image(self, n: int, end: Pair, centre: Pair) -> _Image:
         """Image of one end, from places and velocities of it and of the scatterer."""
-        edge, leg = self._edges[n], self._legs[n]
-        if edge is None:
-            return _Image(leg.image(end[0]), leg.turned(end[1]), 0.0, None)
-        beyond, here = self._views[n]
+        beside, leg = self._edges[n], self._legs[n]
+        if beside is None:
+            return _Image(leg.image(end[0]), leg.turned(end[1]), 0.0, None, None)
+        (beyond, here), edge = self._views[n], beside.edge
         over = _Over.of(edge, beyond.places(end[0]), here.places(centre[0]))
         moves = beyond.directions(end[1]), here.directions(centre[1])
         by_end = over.image_velocity(edge, moves[0], 0.0 * moves[1])
         by_centre = over.image_velocity(edge, 0.0 * moves[0], moves[1])
         place = centre[0] + here.back(over.image - over.seen)
-        return _Image(place, here.back(by_end), here.back(by_centre), over)
+        towards = here.back(towards_edge(over.seen, over.along)[0])
+        return _Image(place, here.back(by_end), here.back(by_centre), over, towards)
 
     def leaving(self, n: int, image: _Image, direction: Floats) -> Floats:
         """Directions (P, T, 3) in which paths leave an end, which the scatterer sees in a direction from there."""
@@ -322,8 +357,8 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _Way:
         if done and body.change <= _SETTLED and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
             departure, arrival = sides.leaving(0, source, coming_to), sides.leaving(1, receiver, -onwards)
             return _Way(
-                delays, (first, second), (source.over, receiver.over), departure, arrival, place, mach, coming, leaving,
-                receding, *body.strength(shape),
+                delays, (first, second), (source.over, receiver.over), (source.towards, receiver.towards), departure,
+                arrival, place, mach, coming, leaving, receding, *body.strength(shape),
             )  # fmt: skip
     raise InputError(
         "scatterers",
