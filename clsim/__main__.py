@@ -11,6 +11,7 @@ from clsim.process import (
     ignore_interrupts,
     open_streams,
     raise_on_interrupt,
+    was_interrupted,
 )
 
 
@@ -25,7 +26,9 @@ def run() -> NoReturn:
         raise_on_interrupt()
         status = main()
         ignore_interrupts()
-    except KeyboardInterrupt:
+    except BaseException:
+        if not was_interrupted():  # else a library may have made another error of it
+            raise
         ignore_interrupts()
         if status is None:
             print("clsim: interrupted; nothing half-written was left", file=sys.stderr)

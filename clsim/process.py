@@ -22,6 +22,7 @@ _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *rang
 _AGAIN = 0.02  # s after which an interrupt is tried again that came during an import or in a callback
 _SWALLOWED = 0.25  # s after which it is raised again, unless it is being handled: some libraries catch everything
 _IMPORTS = "<frozen importlib._bootstrap>"  # file of the frames that import
+_raised: list[bool] = []  # for each Ctrl-C that was raised
 
 
 def is_command() -> bool:
@@ -87,7 +88,13 @@ def _raise(number: int, frame: FrameType | None) -> None:
             return
         frame = frame.f_back
     _raise_later(_SWALLOWED)
+    _raised.append(True)
     raise KeyboardInterrupt
+
+
+def was_interrupted() -> bool:
+    """Tell whether Ctrl-C was raised in this process, whatever a library made of it."""
+    return bool(_raised)
 
 
 def _raise_later(seconds: float = _AGAIN) -> None:

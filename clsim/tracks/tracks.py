@@ -108,7 +108,7 @@ class Tracks(ABC):
         rows: NDArray[np.int64] | None = None,
         every: int = 1,
     ) -> list[tuple[Floats, Floats, Floats]]:
-        """Return what `evaluate` does of pairs of the same `paths_of`.
+        """Tracks as of `evaluate`, of pairs of the same `paths_of`.
 
         Parameters
         ----------
@@ -352,7 +352,7 @@ class SceneTracks(Tracks):
         rows: NDArray[np.int64] | None = None,
         every: int = 1,
     ) -> list[tuple[Floats, Floats, Floats]]:
-        """Return what `evaluate` does of pairs with the same paths, as those of both ears: they are solved once."""
+        """Solve the paths once that pairs have in common, as those of both ears."""
         of_pairs = [self.pair_paths[i] if rows is None else self.pair_paths[i].part(rows) for i in pairs]
         paths = of_pairs[0]
         receiver = self.scene.receivers[paths.receiver]

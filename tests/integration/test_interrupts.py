@@ -144,6 +144,34 @@ def test_an_interrupt_is_one_line(number: int, folder: Path, rng: np.random.Gene
     assert not temporary(folder)
 
 
+# Some extension modules make an error of their own of what is raised while they begin.
+CONVERTED = """
+import os, signal, sys, time
+from clsim import __main__, cli
+def main():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.0)
+    except KeyboardInterrupt:
+        raise ImportError("numpy must be defined") from None
+cli.main = main
+sys.argv = ["clsim", "check"]
+__main__.run()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
+def test_an_interrupt_of_which_a_library_makes_another_error_is_one_line() -> None:
+    command = [
+        sys.executable,
+        "-c",
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + CONVERTED,
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
+    assert done.returncode == 130
+    assert [line.startswith(MESSAGE) for line in done.stderr.splitlines()] == [True]
+
+
 # Threads of Zarr are slow: to write, so that an interrupt comes meanwhile; to end, once the command has.
 SLOW_ZARR = """
 import os, signal, sys, time

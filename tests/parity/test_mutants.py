@@ -230,7 +230,7 @@ ELSEWHERE = {
     "one phase for both": ("doubled", "branches", "at % OVERSAMPLING * (stride", "0 * (stride"),
     "delays in the recording's samples": ("doubled", "tracks", "branch_rate = run.oversampling * run.sampling_rate", "branch_rate = run.sampling_rate"),
     "rates in the recording's samples": ("doubled", "tracks", "0.5 * run.oversampling * run.block_samples", "0.5 * run.block_samples"),
-    "receiver's direction": ("lopsided", "tracks", "-(float)inner(receiver_frame[1]", "(float)inner(receiver_frame[1]"),
+    "receiver's direction": ("lopsided", "tracks", "-(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r)", "(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r)"),
     "turned the other way": ("airy", "tracks", "turn(r, b, of_air(s->lead,", "turn(r, b, -of_air(s->lead,"),
     "another frequency's lead": ("airy", "tracks", "of_air(s->lead, b,", "of_air(s->lead, BIN_VECTORS - 1 - b,"),
     "lead of what is emitted": ("airy", "tracks", "of_air(s->lead, b, raised)", "of_air(s->lead, b, 0.0f)"),
