@@ -21,6 +21,8 @@ FAR = 0.1  # rad; where the first of Newton's steps is longer, they are watched
 _STEPS = 40  # of these, at most
 FOUND = 1e-3  # rad; the next step is about its square
 LONGEST_STEP = 0.5  # rad
+ELONGATED = 4.0  # ratio of semi-axes above which the first step tells nothing of how far the search is from its end
+OUTWARD_STEPS = 8
 PENUMBRA = 0.25  # cosine of the angle of incidence about which bodies stop to be mirrors
 _OPPOSITE = 1e-9  # rad from opposite directions, below which their bisector is none
 _SMALL = 1e-100  # in divisors: what is divided by it is squared, too
@@ -144,18 +146,20 @@ def _search(
 ) -> tuple[Floats, Floats]:
     """Return unit vectors (3, n) of the shortest paths, and their change by the last step."""
     u, change = _newton(scale, s, r, begin, weight, LONGEST_STEP)
-    rest = np.flatnonzero(change > FAR)
+    is_long = _is_long(scale)
+    rest = np.flatnonzero(change > (-1.0 if is_long else FAR))
     if len(rest):
         some = weight[rest] if isinstance(weight, np.ndarray) else weight
-        u[:, rest], change[rest] = _careful(scale, s[:, rest], r[:, rest], between[:, rest], u[:, rest], some)
+        other = _outwards(scale, between[:, rest]) if is_long else _unit(between[:, rest])
+        u[:, rest], change[rest] = _careful(scale, s[:, rest], r[:, rest], other, u[:, rest], some)
     return u, change
 
 
 def _careful(
-    scale: Floats, s: Floats, r: Floats, between: Floats, u: Floats, weight: Floats | float
+    scale: Floats, s: Floats, r: Floats, other: Floats, u: Floats, weight: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Return the same as `_search` by steps that shorten the path, from the nearest point between the ends or `u`."""
-    guesses = (u, _unit(between))
+    """Return unit vectors as of `_search`, by steps that shorten the path, from the shorter of two guesses (3, n)."""
+    guesses = (u, other)
     ways = [_way(scale, s, r, v, weight) for v in guesses]
     u, way = np.where(ways[0] <= ways[1], *guesses), np.minimum(*ways)
     longest = np.full(len(way), LONGEST_STEP)
@@ -168,6 +172,25 @@ def _careful(
         if not np.any(change > FOUND):
             break
     return u, change
+
+
+def _is_long(scale: Floats) -> bool:
+    return bool(scale.max() > ELONGATED * scale.min())
+
+
+def _outwards(scale: Floats, between: Floats) -> Floats:
+    """Return unit vectors u (3, n) of the points ``A u`` of the surface nearest to ``A between`` outside.
+
+    ``u = A^2 b / (A^2 + m)`` with ``|u| = 1``. Newton's method on ``1 / |u|``, concave in m, approaches it from below
+    (J. J. More and D. C. Sorensen, SIAM J. Sci. Stat. Comput. 4(3), 1983, section 3).
+    """
+    squared = scale**2
+    m = np.maximum((squared * (np.abs(between) - 1.0)).max(axis=0), 0.0)
+    for _ in range(OUTWARD_STEPS):
+        u = squared * between / (squared + m)
+        size = np.maximum(_dot(u, u), _SMALL)
+        m = m + np.maximum((np.sqrt(size) - 1.0) * size / _dot(u, u / (squared + m)), 0.0)
+    return _unit(squared * between / (squared + m))
 
 
 def _bisector(s: Floats, r: Floats) -> Floats:
@@ -202,27 +225,31 @@ def _bend(scale: Floats, s: Floats, r: Floats, u: Floats, weight: Floats | float
     other[0], other[1], other[2] = b, sign + u[1] * u[1] * a, -u[1]
     p, q, place = scale * one, scale * other, scale * u
     pp, pq, qq = _dot(p, p), _dot(p, q), _dot(q, q)
-    gp = gq = h11 = h12 = h22 = inward = np.zeros(u.shape[1])
+    gp = gq = h11 = h12 = h22 = inward = nearest = np.zeros(u.shape[1])
     for end, w in ((s, 1.0), (r, weight)):
         away = place - end
         near = 1.0 / np.sqrt(_dot(away, away))
+        nearest = np.maximum(nearest, near)
         along, across, size = _dot(p, away) * near, _dot(q, away) * near, w * near
         gp, gq, inward = gp + w * along, gq + w * across, inward - size * _dot(place, away)
         h11 = h11 + (pp - along * along) * size
         h12 = h12 + (pq - along * across) * size
         h22 = h22 + (qq - across * across) * size
     h11, h22 = h11 + np.abs(inward), h22 + np.abs(inward)  # below 0 on the far side alone: it is still a slope
-    return h11 * h22 - h12**2, (one, other, gp, gq, h11, h12, h22)
+    return h11 * h22 - h12**2, (one, other, gp, gq, h11, h12, h22, nearest)
 
 
 def _newton(
     scale: Floats, s: Floats, r: Floats, u: Floats, weight: Floats | float, longest: float | Floats
 ) -> tuple[Floats, Floats]:
     """Return unit vectors (3, n) one step nearer to the shortest way, and by how much they have changed (n,), rad."""
-    determinant, (one, other, gp, gq, h11, h12, h22) = _bend(scale, s, r, u, weight)
+    determinant, (one, other, gp, gq, h11, h12, h22, nearest) = _bend(scale, s, r, u, weight)
     size = np.maximum(determinant, _SMALL)
     first, second = (h12 * gq - h22 * gp) / size, (h12 * gp - h11 * gq) / size
-    length = np.hypot(first, second)
+    step = first * one + second * other
+    shift = scale * step
+    # Of long bodies the place moves by much where u turns by little.
+    length = np.maximum(np.hypot(first, second), nearest * np.sqrt(_dot(shift, shift)))
     held = np.minimum(1.0, longest / np.maximum(length, _SMALL))
-    moved = u + held * (first * one + second * other)
-    return _unit(moved), length * held
+    moved = u + held * step
+    return _outwards(scale, moved) if _is_long(scale) else _unit(moved), length * held

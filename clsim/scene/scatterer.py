@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MODELS = ("series", "geometrical", "outline")
 _STRONGEST = 60.0  # dB re 1 m, a target strength that no thing in a room exceeds
+_LONGEST_ASPECT = 1e4  # of semi-axes: of thinner bodies the specular point is lost in rounding
 _LARGEST_KA = 2000.0  # of a series
 
 
@@ -415,7 +416,7 @@ class Scatterer:
         name : str
             Unique among the scene's scatterers.
         semi_axes : array_like (3,)
-            Along its own x, y and z, m, above 0.
+            Along its own x, y and z, m, above 0; the longest at most 10 000 times the shortest.
         trajectory : Trajectory
             Where its centre is, and how it is turned.
         fluctuation : TargetFluctuation, optional
@@ -444,6 +445,12 @@ class Scatterer:
         axes = as_floats("semi_axes", semi_axes, (3,), within=FARTHEST)
         for i, axis in enumerate(axes.tolist()):
             as_number(f"semi_axes[{i}]", axis, above=0.0, unit="m")
+        if axes.max() > _LONGEST_ASPECT * axes.min():
+            raise InputError(
+                "semi_axes",
+                f"must be at most {_LONGEST_ASPECT:g} times as long as the shortest of them, but are {axes.max():g} "
+                f"and {axes.min():g} m; a long rod is a capsule",
+            )
         return Scatterer(name, EllipsoidShape(read_only(axes), as_flag("shadow", shadow)), trajectory, fluctuation)
 
     @staticmethod

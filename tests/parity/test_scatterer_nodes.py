@@ -128,6 +128,26 @@ def test_device_and_host_make_the_same(case: str, monkeypatch: pytest.MonkeyPatc
     assert difference_db(**CASES[case]) < EVERY_NODE_DB
 
 
+def test_device_and_host_find_the_specular_points_of_poles() -> None:
+    """160 times as long as thin: the place moves by metres where the unit vector u hardly turns."""
+    pole = clsim.Scatterer.ellipsoid(
+        "pole", (16.0, 0.2, 0.1), clsim.Trajectory.line((2.2, 2.2, 0.8), (2.3, 2.5, 0.8), 0.1)
+    )
+    sweep = clsim.Signal.chirp(34e3, 46e3, 0.06, RATE, window="tukey")
+    scene = clsim.Scene(
+        clsim.Shoebox((4.0, 3.0, 2.0), clsim.Material.from_reflection(0.0)),
+        clsim.Air(),
+        [clsim.Source("s", sweep, clsim.Trajectory.fixed((1.0, 1.0, 1.0)))],
+        [clsim.Receiver(f"r{i}", clsim.Trajectory.line((3.0, 1.0 + i, 1.0), (3.0, 1.1, 1.0), 0.1)) for i in range(2)],
+        scatterers=[pole],
+    )
+    found = PathSet(scene, clsim.find_paths(scene, 0, scattering_order=0).families[-1:])
+    assert len(found) == 2
+    got, wanted = heard(found, CPU_LAYOUT, NodeMaker), by_host(found)
+    away = np.linalg.norm(got - wanted, axis=1) / np.linalg.norm(wanted, axis=1)
+    assert 20.0 * np.log10(away.max()) < TOLERANCE_DB
+
+
 def test_the_scene_has_all_that_such_paths_do() -> None:
     found = paths(phased=True).families[0]
     before, after = found.links(slice(None)).surfaces

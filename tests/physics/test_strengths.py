@@ -79,6 +79,59 @@ def test_ellipsoids_reflect_where_the_way_is_shortest(rng: np.random.Generator) 
         assert ellipsoid_strength(axes, source, receiver, glint)[0] == pytest.approx(wanted, rel=1e-4)
 
 
+def nearest_on(axes: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the points (n, 3) of an ellipsoid nearest to places (n, 3) outside: bisection of the secular equation."""
+    low, high = np.zeros(len(places)), np.linalg.norm(axes * places, axis=1)
+    for _ in range(200):
+        m = 0.5 * (low + high)
+        outside = np.linalg.norm(axes * places / (axes**2 + m[:, None]), axis=1) > 1.0
+        low, high = np.where(outside, m, low), np.where(outside, high, m)
+    return axes**2 * places / (axes**2 + high[:, None])
+
+
+def shortest_ways(axes: np.ndarray, source: np.ndarray, receiver: np.ndarray) -> np.ndarray:
+    """Return the lengths (n,) of the shortest ways by an ellipsoid: bisection over points between both ends (n, 3).
+
+    The specular point x is nearest to the point between the ends that divides them as both distances from x are.
+    """
+    low, high = np.zeros(len(source)), np.ones(len(source))
+    for _ in range(100):
+        share = 0.5 * (low + high)
+        place = nearest_on(axes, source + share[:, None] * (receiver - source))
+        to, back = (np.linalg.norm(place - end, axis=1) for end in (source, receiver))
+        short = share * back < (1.0 - share) * to
+        low, high = np.where(short, share, low), np.where(short, high, share)
+    return np.asarray(to + back)
+
+
+@pytest.mark.parametrize("aspect", [1.0, 3.9, 10.0, 80.0, 1e4])
+@pytest.mark.parametrize("plate", [False, True])
+def test_long_ellipsoids_reflect_where_the_way_is_shortest(
+    aspect: float, plate: bool, rng: np.random.Generator
+) -> None:
+    """Ends near poles and plates, both seen from a place of the surface: to 1e-9 m, after two steps from nearby."""
+    count = 0
+    for _ in range(4):
+        axes = 0.1 * rng.permutation([aspect, 0.7 * aspect if plate else 0.8, 0.7])
+        u = rng.normal(size=(100, 3))
+        u /= np.linalg.norm(u, axis=1)[:, None]
+        normal = u / axes / np.linalg.norm(u / axes, axis=1)[:, None]
+        source, receiver = (
+            axes * u + normal * rng.uniform(0.05, 3.0, (100, 1)) + rng.uniform(-2.0, 2.0, (100, 3)) for _ in range(2)
+        )
+        free = np.linalg.norm(np.stack([source, receiver]) / axes, axis=2).min(axis=0) > 1.02
+        source, receiver = source[free], receiver[free]
+        glint = ellipsoid_glint(axes, source.T, receiver.T)
+        for _ in range(2):
+            glint = ellipsoid_glint(axes, source.T, receiver.T, glint)
+        assert glint.change < 1e-3
+        lit = ~glint.hidden
+        way = sum(np.linalg.norm(glint.place.T - end, axis=1)[lit] for end in (source, receiver))
+        np.testing.assert_allclose(way, shortest_ways(axes, source[lit], receiver[lit]), rtol=0.0, atol=1e-9)
+        count += lit.sum()
+    assert count > 200
+
+
 def test_far_ellipsoids_and_planes() -> None:
     axes, out = np.array([0.3, 0.2, 0.1]), np.array([0.6, 0.48, 0.64])
     far = 1e7 * out[:, None]

@@ -12,7 +12,7 @@ from clsim.acoustics import fock, silhouette
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE, partner_reflections
 from clsim.acoustics.edge_end import AT_CORNER, END_TERMS
-from clsim.acoustics.scattering import FAR, FOUND, LONGEST_STEP, PENUMBRA
+from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.errors import InputError
 from clsim.paths.cubics import FACE_COLUMNS, POSE_COLUMNS, face_knots, face_rate, pose_knots, pose_rate
@@ -47,6 +47,7 @@ _FACE_SHARE = 0.1  # of a source's allowed error: a mirror's error displaces ima
 OF_DELAYS = {
     "STATIC": STATIC, "MOVING": MOVING, "NONE": NONE, "EDGE": EDGE, "SCATTERER": SCATTERER,
     "POINT": POINT, "CAPSULE": CAPSULE,
+    "ELONGATED": ELONGATED, "OUTWARD_STEPS": OUTWARD_STEPS,
     "LONGEST_STEP": LONGEST_STEP, "SPECULAR_FAR": FAR, "SPECULAR_FOUND": FOUND, "SETTLED": _SETTLED,
     "FLATTEST": FLATTEST, "NO_PATH": NO_PATH, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
     "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,

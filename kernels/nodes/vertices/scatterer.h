@@ -44,7 +44,7 @@ static triples nearest_between(const scatterer_frame* g, triples* specular, choi
         return nearest;
     }
     const triples nearest = between_ends(g, hidden);
-    *specular = of_length_one(nearest);
+    *specular = is_long(g) ? outwards(g, nearest) : of_length_one(nearest);
     return along_axes(g->scale, nearest);
 }
 
@@ -100,7 +100,7 @@ static void locate_specular(__global const view* seen, const pose* p, triples so
     const triples between = nearest_between(&g, &other, &hidden), before = begin_from(&g, b->specular, first);
     b->hidden = first == LASTING ? hidden | b->hidden : hidden;
     b->specular = step_closer(&g, before, (reals)LONGEST_STEP, &b->change);
-    const choices far = b->change > SPECULAR_FAR;
+    const choices far = b->change > (g.shape != CAPSULE && is_long(&g) ? -1.0 : SPECULAR_FAR);
     if (first > KNOWN && ANY(far)) {
         reals change;
         const triples found = specular_search(&g, before, other, &change);
