@@ -64,9 +64,12 @@ def edges() -> Arrays:
 
 @scene
 def bodies() -> Arrays:
-    """Render a sheet that turns and a box that drives: mirrors, shadows, edges of bodies."""
+    """Render a sheet that turns and a box that drives: mirrors, shadows, edges of bodies, and two edges of the box."""
     moving = in_the_box(0.1, chirp(0.02), bodies=[door(0.2), crate(0.2)])
-    return prefixed(mirrors=rendered(moving, 1), edges=rendered(moving, 1, diffraction=1))
+    driving = in_the_box(0.1, chirp(0.02), bodies=[crate(0.2)])
+    return prefixed(
+        mirrors=rendered(moving, 1), edges=rendered(moving, 1, diffraction=1), two=rendered(driving, 0, diffraction=2)
+    )
 
 
 @scene

@@ -38,6 +38,7 @@ _IDENTITIES = {
     "moving": "moving.family.BodyPaths",
     "moving edge": "moving.edge_family.MovingEdgePaths",
     "moving exact edge": "moving.edge_family.MovingEdgePaths",
+    "moving edge pair": "moving.edge_family.MovingEdgePairPaths",
     "moving scatterer": "moving.scattered.BodyScatteredPaths",
 }
 

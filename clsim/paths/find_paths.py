@@ -13,6 +13,7 @@ from clsim.keywords import keywords_of
 from clsim.paths.options import FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
+from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths
 from clsim.paths.search.body_edges import moving_edge_paths
 from clsim.paths.search.cross_talk import direct_levels, with_direct
 from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
@@ -78,8 +79,8 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
         bodies = BodySearch(scene, options)
         found = tuple(behind_bodies(bodies, family, next(parts).tell) for family in found)
         found = (*found, bodies.paths(next(parts).tell))
-        if edges:
-            found = (*found, moving_edge_paths(bodies, found))
+        for of_bodies in (moving_edge_paths, moving_edge_pair_paths)[:edges]:
+            found = (*found, of_bodies(bodies, found))
     if scene.scatterers:
         found = (*found, *_scattered(scene, options))
     paths = PathSet(scene, with_direct(found, levels))

@@ -74,8 +74,8 @@ class Vertex(Protocol):
         Number of the kind, see `PathFamily`.
     names : tuple of str
         Objects that can be vertices.
-    objects : ndarray (P,)
-        Number of each vertex among the names.
+    objects : ndarray (P,) or (P, 2)
+        Number of each vertex, or of both edges of each, among the names.
     moves : bool
         Whether any vertex moves.
     radius : ndarray (P,) or float
@@ -228,7 +228,7 @@ def met_in_order(
     faces = walls + sum(len(body.faces) for body in scene.bodies if of_bodies)
     things = before
     if vertex is not None and after is not None:
-        things = np.concatenate([before, faces + vertex.objects[:, None], after], axis=1)
+        things = np.concatenate([before, faces + np.atleast_2d(vertex.objects.T).T, after], axis=1)
     things = np.take_along_axis(things, np.argsort(things < 0, axis=1, kind="stable"), axis=1)
     at_vertex = NONE if vertex is None else vertex.interaction
     kinds = np.select([things < 0, things < walls, things < faces], [NONE, SPECULAR, BODY], at_vertex)

@@ -71,6 +71,7 @@ SUPPORT = {  # by `Chain.kind`
     "moving": Support("bodies", (DEVICE, DEVICE, REFUSED, REFUSED), "bodies", _BODIES),
     "moving edge": Support("bodies and an edge", _BEHIND_BODIES, refusal=_BODIES),
     "moving exact edge": Support('bodies and an edge, `diffraction_model="btm"`', _BEHIND_BODIES, refusal=_BODIES),
+    "moving edge pair": Support("bodies and two edges of one face", _BEHIND_BODIES, refusal=_BODIES),
     "moving scatterer": Support("bodies and a scatterer", _BEHIND_BODIES, refusal=_BODIES),
 }
 

@@ -106,8 +106,10 @@ def dipoles(x: np.ndarray, points: np.ndarray, weights: np.ndarray, normals: np.
     return out
 
 
-def field_behind(size: tuple[float, float], frequency: float, elements: float = 9.0) -> np.ndarray:
-    """Return the total over the free field at `RECEIVERS`, with so many elements in a wavelength."""
+def field_behind(
+    size: tuple[float, float], frequency: float, elements: float = 9.0, at: list[tuple[float, float]] = RECEIVERS
+) -> np.ndarray:
+    """Total over the free field at places, with so many elements in a wavelength."""
     k = 2.0 * np.pi * frequency / C
     points, weights, normals = outline(size, C / frequency / elements)
     middles = np.einsum("ngi,ng->ni", points, weights) / weights.sum(axis=1)[:, None]
@@ -122,7 +124,7 @@ def field_behind(size: tuple[float, float], frequency: float, elements: float = 
     told = np.concatenate([free(middles), free(inside)])
     adjoint = matrix.conj().T
     pressure = np.linalg.solve(adjoint @ matrix, adjoint @ told)
-    receivers = np.array(RECEIVERS)
+    receivers = np.array(at)
     return 1.0 + dipoles(receivers, points, weights, normals, k) @ pressure / free(receivers)
 
 

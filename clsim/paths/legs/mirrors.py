@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.body import Body
+    from clsim.scene.room.edges import Edges
     from clsim.scene.scene import Scene
 
     Integers = NDArray[np.signedinteger[Any]]
@@ -147,6 +148,7 @@ class EdgeLines:
     owner: NDArray[np.int64]  # (E,) index of the body, `ROOM` for edges of the room
     names: tuple[str, ...]  # of each
     bodies: tuple[Body, ...]  # of the scene
+    parts: tuple[Edges, ...]  # edges of the room, and of each body
 
     @staticmethod
     def of(scene: Scene, of_bodies: bool = True) -> EdgeLines:
@@ -165,10 +167,20 @@ class EdgeLines:
             read_only(np.repeat(np.arange(-1, len(bodies)), [len(edges) for edges in found])),
             tuple(name for edges in found for name in edges.names),
             bodies,
+            tuple(found),
         )
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def pairs(self) -> tuple[Integers, Integers]:
+        """Edges (n, 2) of one object that share a face, in either order, and which face of each that is, 0 or 1."""
+        first = np.cumsum([0, *(len(edges) for edges in self.parts)])
+        found = [edges.pairs() for edges in self.parts]
+        return (
+            np.concatenate([pair + f for (pair, _), f in zip(found, first[:-1], strict=True)]),
+            np.concatenate([face for _, face in found]),
+        )
 
     def placed(self, edge: Integers, along: Floats, times: Floats) -> Floats:
         """Positions (P, T, 3), m, at times (P, T), s, of points at places (P, T) along edges (P,), m."""

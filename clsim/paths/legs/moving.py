@@ -49,8 +49,8 @@ class MovingLinks(Links):
                 found[p, : n + 2] = first.place[i, 0, : n + 2]
                 if last is None:  # the receiver stands behind all mirrors
                     continue
-                m = int(np.sum(some.legs[1].surfaces[i] >= 0))
-                found[p, n + 2 : n + m + 3] = last.place[i, 0, 1 : m + 2]
+                m, two = int(np.sum(some.legs[1].surfaces[i] >= 0)), some.vertex.objects.ndim - 1
+                found[p, n + 2 : n + m + 3 + two] = last.place[i, 0, 1 - two : m + 2]
         return found
 
     def lengths(self, source: Floats, receiver: Floats, times: Instant) -> Floats:

@@ -23,6 +23,8 @@ from clsim.paths.vertices.edge_events import Chains, EdgeSolver
 from clsim.paths.visibility.subdivision import ROUNDS, coded
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -30,13 +32,14 @@ if TYPE_CHECKING:
     from clsim.paths.family import PathFamily
     from clsim.paths.legs.events import Events
     from clsim.paths.search.bodies import BodySearch, PairQuery
+    from clsim.paths.vertices.edge_events import EdgeEvents
 
     Rows = NDArray[np.int64]
-    Codes = NDArray[np.int8]
+    Codes = NDArray[np.signedinteger[Any]]
 
 _INNER = 1e-9  # share of a way between two hits, from which on the one is not at the other
-_ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends
-_END, _HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
+ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends
+_END, HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 
 
 def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
@@ -45,30 +48,33 @@ def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Cha
     others: paths without edges, and over those of the room: where an edge path takes over from one of them, that one's
     time is taken.
     """
-    finder, scene = _EdgeFinder(search), search.scene
-    found = [finder.paths(s, r) for s in range(len(scene.sources)) for r in range(len(scene.receivers))]
-    columns: dict[str, Any] = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
-    if len(columns["edge"]) > search.search.path_limit:
-        raise InputError(
-            "body_order", f"must give at most {search.search.path_limit} paths over edges (path_limit), but gives more"
-        )
-    held = {name: read_only(column) for name, column in columns.items()}
+    finder, scene = EdgeFinder(search), search.scene
+    held = finder.every_path()
     own: dict[str, Any] = {name: held[name] for name in COLUMNS}
-    vertex = EdgeVertex(**own, lines=EdgeLines.of(scene), model=search.search.diffraction_model)
+    vertex = EdgeVertex(**own, lines=finder.lines, model=search.search.diffraction_model)
     return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
 
 
-class _EdgeFinder:
-    """Looks for paths over edges, pair by pair."""
+class EdgeFinder:
+    """Looks for paths over edges, from each source to each receiver."""
 
     def __init__(self, search: BodySearch) -> None:
-        self._search, self._lines = search, EdgeLines.of(search.scene)
+        self._search, self.lines = search, EdgeLines.of(search.scene)
         self._mirrors, self._order = search.obstacles.mirrors, search.order
-        self._held = self._lines.in_planes(self._mirrors, search.room.walls.size)
+        self._held = self.lines.in_planes(self._mirrors, search.room.walls.size)
         self._reached = cache(self._find_reached)
 
-    def paths(self, source: int, receiver: int) -> dict[str, Any]:
-        """Return the paths between two ends as columns."""
+    def every_path(self) -> dict[str, Any]:
+        """Columns of the paths of all sources and receivers."""
+        scene, limit = self._search.scene, self._search.search.path_limit
+        found = [self._paths(s, r) for s in range(len(scene.sources)) for r in range(len(scene.receivers))]
+        columns: dict[str, Any] = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+        if len(columns["edge"]) > limit:
+            raise InputError("body_order", f"must give at most {limit} paths over edges (path_limit), but gives more")
+        return {name: read_only(column) for name, column in columns.items()}
+
+    def _paths(self, source: int, receiver: int) -> dict[str, Any]:
+        """Columns of the paths between a source and a receiver."""
         pair = self._search.pair(source, receiver)
         chains, looks, count = [], [], 0
         for span, met in self._search.cells(pair.times[-1], partial(self._chains, source, receiver)):
@@ -77,46 +83,64 @@ class _EdgeFinder:
             inner = pair.times[(pair.times > span[0]) & (pair.times < span[1])]
             looks.append((rows, np.unique([span[0], *inner, span[1]])))
             count += len(rows)
-        every = Chains(*(np.concatenate([getattr(c, f.name) for c in chains]) for f in fields(Chains)))
-        row, begin, end, code = coded(_Look(self._search, self._lines, pair, every), looks, pair.resolution)
+        kind = type(chains[0])
+        every = kind(*(np.concatenate([getattr(c, f.name) for c in chains]) for f in fields(kind)))
+        row, begin, end, code = coded(self._look(pair, every), looks, pair.resolution)
         met, begin, end, code = _joined(every.part(row), begin, end, code)
         begin, end = pair.bounded(begin, end)
         return self._columns((source, receiver), met, (begin, end), code)
 
-    def _columns(
-        self, ends: tuple[int, int], chains: Chains, heard: tuple[Floats, Floats], code: Codes
+    def _look(self, pair: PairQuery, chains: Chains) -> Callable[[Rows, Floats], Codes]:
+        return _Look(self._search, self.lines, pair, chains)
+
+    def _columns(self, ends: tuple[int, int], chains: Any, heard: tuple[Floats, Floats], code: Codes) -> dict[str, Any]:
+        return _with_joined_ends(self._own_columns(ends, chains, heard, code))
+
+    def _own_columns(
+        self, ends: tuple[int, int], chains: Any, heard: tuple[Floats, Floats], code: Codes
     ) -> dict[str, Any]:
+        """Columns of paths over one edge, as they are looked for."""
         count, met = len(code), np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
         lit = np.where(code[:, None] & (1 << np.arange(TERMS)), 1, -1)
-        lit[met[:, None] + partner_reflections(self._lines.n[chains.edge]) > self._order] = 0
+        lit[met[:, None] + partner_reflections(self.lines.n[chains.edge]) > self._order] = 0
         side = np.where(chains.end < 0, 0, np.where(code & _END, 1, -1))
-        columns = {
+        return {
             "source": np.full(count, ends[0], dtype=np.int32), "receiver": np.full(count, ends[1], dtype=np.int32),
             "order": (met + 1).astype(np.int32), "start": heard[0], "end": heard[1], "before": chains.before,
             "after": chains.after, "edge": chains.edge, "over_end": chains.end.astype(np.int8),
             "lit": lit.astype(np.int8), "end_side": side.astype(np.int8),
-            "beside": np.column_stack([np.where(code & bit, 1, -1) for bit in _HALVES]).astype(np.int8),
+            "beside": np.column_stack([np.where(code & bit, 1, -1) for bit in HALVES]).astype(np.int8),
         }  # fmt: skip
-        return _with_joined_ends(columns)
 
     def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> Chains:
         """Objects that paths may meet within an interval of time."""
-        width, owner = max(self._order, 1), self._mirrors.owner
-        from_source = self._reached(source, None, span)
-        to_receiver = self._reached(source, receiver, span)
-        parts = [(np.empty((0, width), np.int32),) * 2 + (np.empty(0, np.int64),) * 2]
-        fewest = partner_reflections(self._lines.n).min(axis=1)
-        for edge in range(len(self._lines)):
-            before, after = from_source[edge], to_receiver[edge]
-            i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
-            before, after = before[i], after[j]
-            kept = np.sum(before >= 0, axis=1) + np.sum(after >= 0, axis=1) <= self._order - fewest[edge]
-            if self._lines.owner[edge] == ROOM:
-                kept &= np.any(np.append(owner, ROOM)[np.concatenate([before, after], axis=1)] >= 0, axis=1)
-            before, after = before[kept], after[kept]
-            for end in (-1, *np.flatnonzero(self._lines.free[edge]).tolist()):
+        sides = self._reached(source, None, span), self._reached(source, receiver, span)
+        parts = [(np.empty((0, self.width), np.int32),) * 2 + (np.empty(0, np.int64),) * 2]
+        fewest = partner_reflections(self.lines.n).min(axis=1)
+        for edge in range(len(self.lines)):
+            before, after = self._met(sides, (edge, edge), self._order - fewest[edge])
+            for end in (-1, *np.flatnonzero(self.lines.free[edge]).tolist()):
                 parts.append((before, after, np.full(len(before), edge), np.full(len(before), end)))
         return Chains(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
+
+    def _met(self, sides: tuple[Any, Any], edges: tuple[int, int], most: int) -> tuple[Any, Any]:
+        """Mirrors (n, order) before the first and after the last of some edges, not more than `most` together.
+
+        Of edges of the room a mirror must belong to a body: other paths are those of a room without any.
+        """
+        before, after = sides[0][edges[0]], sides[1][edges[1]]
+        i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
+        both = np.concatenate([before[i], after[j]], axis=1)
+        kept = np.sum(both >= 0, axis=1) <= most
+        if self.lines.owner[edges[0]] == ROOM:
+            kept &= np.any(np.append(self._mirrors.owner, ROOM)[both] >= 0, axis=1)
+        before, after = np.hsplit(both[kept], 2)
+        return before, after
+
+    @property
+    def width(self) -> int:
+        """Columns of mirrors."""
+        return max(self._order, 1)
 
     def _find_reached(self, source: int, receiver: int | None, span: tuple[float, float]) -> list[NDArray[np.int32]]:
         """Return for each edge the mirrors (n, order) by which one end may reach it, both from the source's side.
@@ -129,7 +153,7 @@ class _EdgeFinder:
         middle = 0.5 * (begin - longest + end)
         moved = self._search.moved(middle, times)
         slack = 2.0 * (self._order + 1) * moved
-        at_rest, lines = np.full((len(self._lines), 1), middle), self._lines
+        at_rest, lines = np.full((len(self.lines), 1), middle), self.lines
         everyone = np.arange(len(lines))
         spheres = BoundingSpheres(
             lines.placed(everyone, 0.5 * lines.length[:, None], at_rest)[:, 0], 0.5 * lines.length + slack
@@ -162,7 +186,7 @@ class _EdgeFinder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """How paths of a pair are at some times, as codes: `_ABSENT`, or bits for what of theirs is seen."""
+    """How paths of a pair are at some times, as codes: `ABSENT`, or bits for what of theirs is seen."""
 
     search: BodySearch
     lines: EdgeLines
@@ -179,20 +203,26 @@ class _Look:
         on = (end >= 0)[:, None] | (events.along > 0.0) & (events.along < length[:, None])
         for angle in (t_s, t_r):
             on &= (angle > 0.0) & (angle < np.pi * n[:, None])
-        p, t = np.nonzero(on)
-        for mirrors, legs, when in ((chains.before, events.first, events.time), (chains.after, events.last, times)):
-            there = _free(self.search, mirrors[p], legs, when, p, t)
-            p, t = p[there], t[there]
-        code = np.full(times.shape, _ABSENT, dtype=np.int8)
+        p, t = free_legs(self.search, chains, events, times, on)
+        code = np.full(times.shape, ABSENT, dtype=np.int8)
         seen = lit_angles(n[p], t_s[p, t], t_r[p, t]) >= 0.0
         apex = edge_way(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
         met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
         seen &= met[p, None] + partner_reflections(n[p]) <= self.search.order
         inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
         code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside
-        for bit, angle in zip(_HALVES, (t_s, t_r), strict=True):
+        for bit, angle in zip(HALVES, (t_s, t_r), strict=True):
             code[p, t] += bit * (angle[p, t] > 0.5 * np.pi * n[p])
         return code
+
+
+def free_legs(search: BodySearch, chains: Chains, events: EdgeEvents, times: Floats, on: Any) -> tuple[Rows, Rows]:
+    """Paths (n,) and times (n,) of those among `on` (P, T) of which both legs are free."""
+    p, t = np.nonzero(on)
+    for mirrors, legs, when in ((chains.before, events.first, events.time), (chains.after, events.last, times)):
+        there = _free(search, mirrors[p], legs, when, p, t)
+        p, t = p[there], t[there]
+    return p, t
 
 
 def _free(search: BodySearch, mirrors: NDArray[np.int32], legs: Events, when: Floats, p: Rows, t: Rows) -> Any:
@@ -220,9 +250,10 @@ def _with_joined_ends(columns: dict[str, Any]) -> dict[str, Any]:
 
 
 def _joined(chains: Chains, begin: Floats, end: Floats, code: Codes) -> tuple[Chains, Floats, Floats, Codes]:
-    """Sort paths by order, edge, mirrors and time, and join what goes on from one stretch of time to the next."""
+    """Sort paths by order, edges, mirrors and time, and join what goes on from one stretch of time to the next."""
     met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
-    keys = np.column_stack([met, chains.edge, chains.end, chains.before, chains.after])
+    edges = [getattr(chains, f.name) for f in fields(chains)[2:]]
+    keys = np.column_stack([met, *edges, chains.before, chains.after])
     rows = np.lexsort([begin, *keys.T[::-1]])
     chains, begin, end, code, keys = chains.part(rows), begin[rows], end[rows], code[rows], keys[rows]
     first = np.ones(len(rows), dtype=bool)

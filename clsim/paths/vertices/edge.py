@@ -110,6 +110,11 @@ class EdgeVertex:
         return self.lines.n[self.edge]
 
     @property
+    def wedges(self) -> tuple[Floats, Floats]:
+        """Exterior angles over π of the first and of the last edge of each path, (P,)."""
+        return self.n, self.n
+
+    @property
     def faces(self) -> NDArray[np.int64]:
         """Surfaces (P, 2) that are the 0-face and the n-face."""
         return self.lines.faces[self.edge]
@@ -184,7 +189,9 @@ class EdgeVertex:
         """Solve paths between moving legs."""
         before, after = links.legs
         chains = Chains(before.surfaces, after.surfaces, self.edge, self.over_end)
-        return EdgeSolver(before.mirrors, self.lines, links.motions, medium, kinematics.retarded).find(chains, times)
+        solver = EdgeSolver(before.mirrors, self.lines, links.motions, medium, kinematics.retarded)
+        found: EdgeEvents = solver.find(chains, times)
+        return found
 
     def passed(self, events: EdgeEvents, kinematics: Kinematics) -> Columns:
         """Columns of arrivals on moving legs.
@@ -195,12 +202,15 @@ class EdgeVertex:
         turns or speeds up during a period.
         """
         stretch = events.carried / events.doppler if kinematics.retarded else np.ones_like(events.doppler)
-        length = np.hypot(*events.source[::2]) + np.hypot(*events.receiver[::2])
         return {
-            "length": length / events.carried, "mach_factor": stretch**-kinematics.exponent,
+            "length": self._seen_length(events) / events.carried, "mach_factor": stretch**-kinematics.exponent,
             "emitted_at": np.stack(events.source, axis=-1), "heard_at": np.stack(events.receiver, axis=-1),
             "doppler": events.doppler, "carried": events.carried,
         }  # fmt: skip
+
+    def _seen_length(self, events: EdgeEvents) -> Floats:
+        """Lengths (P, T) of paths on moving legs as their edges see them, m."""
+        return np.asarray(np.hypot(*events.source[::2]) + np.hypot(*events.receiver[::2]))
 
     def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> Pair:
         """Locate the first and last edge's points (P, 3), m, of paths between endpoints (P, 3) on static legs."""
@@ -214,20 +224,25 @@ class EdgeVertex:
 
     def moving_lengths(self, links: Links, places: Pair, times: Instant) -> Floats:
         """Lengths (P,) between endpoints (P, 3) on moving legs, with all where it is at times, m."""
+        (r_s, z_s), (r_r, z_r) = self._rested(links, places, (self.edge, self.edge), times)
+        over = np.where(self.over_end == 1, self.lines.length[self.edge], 0.0)
+        place = np.where(self.over_end < 0, edge_way(r_s, z_s, r_r, z_r).apex, over)
+        return np.asarray(np.hypot(r_s, place - z_s) + np.hypot(r_r, place - z_r))
+
+    def _rested(self, links: Links, places: Pair, edges: tuple[Any, Any], times: Instant) -> tuple[Pair, Pair]:
+        """Distances r and places z (P,) about an edge of both endpoints' images, with all where it is at times, m."""
         count = len(self)
         now, none = np.array(np.broadcast_to(times, count)[:, None]), np.zeros((count, 1))
-        (before, after), ends = links.legs, []
-        for place, walls in zip(places, (before.surfaces.T, after.surfaces.T[::-1]), strict=True):
+        (before, after), found = links.legs, []
+        for place, walls, edge in zip(places, (before.surfaces.T, after.surfaces.T[::-1]), edges, strict=True):
             image = place[:, None]
             for met in walls:
                 plane = before.mirrors.planes(met, now, none, None)
                 image = image - 2.0 * plane.height(none, image)[..., None] * plane.normal
-            ends.append(image[:, 0] - self.lines.placed(self.edge, none, now)[:, 0])
-        along = self.lines.axes(self.edge, now)[2][:, 0]
-        (r_s, z_s), (r_r, z_r) = ((np.linalg.norm(np.cross(x, along), axis=1), np.sum(x * along, axis=1)) for x in ends)
-        over = np.where(self.over_end == 1, self.lines.length[self.edge], 0.0)
-        place = np.where(self.over_end < 0, edge_way(r_s, z_s, r_r, z_r).apex, over)
-        return np.asarray(np.hypot(r_s, place - z_s) + np.hypot(r_r, place - z_r))
+            away = image[:, 0] - self.lines.placed(edge, none, now)[:, 0]
+            along = self.lines.axes(edge, now)[2][:, 0]
+            found.append((np.linalg.norm(np.cross(away, along), axis=1), np.sum(away * along, axis=1)))
+        return found[0], found[1]
 
     def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
         """Responses (P, T, F) by the field at the edge, and by what air and legs let pass, (P, T, F).
@@ -239,7 +254,7 @@ class EdgeVertex:
         if links.legs[0].moving:
             ends = (np.moveaxis(found.more[name], 2, 0) for name in ("emitted_at", "heard_at"))
             (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
-            t_s, t_r = (_turned(self.n, side, t) for side, t in zip(self.beside.T, (t_s, t_r), strict=True))
+            t_s, t_r = (_turned(n, side, t) for n, side, t in zip(self.wedges, self.beside.T, (t_s, t_r), strict=True))
             wave = wave * found.more["doppler"][..., None]
             response = self._field((r_s, t_s, z_s), (r_r, t_r, z_r), np.zeros((1, 1)), wave, at)
             response *= passing
@@ -254,8 +269,8 @@ class EdgeVertex:
 
     def static_field(self, emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) of endpoints seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
-        seen = zip((emitted_at, heard_at), self.beside.T, strict=True)
-        source, receiver = (cylindrical(self.n, x, side) for x, side in seen)
+        seen = zip(self.wedges, (emitted_at, heard_at), self.beside.T, strict=True)
+        source, receiver = (cylindrical(n, x, side) for n, x, side in seen)
         return self._field(source, receiver, self.end_place[:, None], wave, at)
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:

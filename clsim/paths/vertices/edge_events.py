@@ -26,10 +26,12 @@ if TYPE_CHECKING:
     from clsim.paths.propagation import UniformAir
     from clsim.scene.motion.motion import Motion
 
+    Triple = tuple[Floats, Floats, Floats]
+
 _ROUNDS = 20  # of `find_events`
-_STEPS = 12  # of Newton's method along the edge
-_FOUND = 1e-8  # m along the edge: what that leaves of the way is its square over the distances
-_BEYOND = 1.0  # lengths of the edge, by which places of paths that are not there may lie off it
+STEPS = 12  # of Newton's method along the edge
+FOUND = 1e-8  # m along the edge: what that leaves of the way is its square over the distances
+BEYOND = 1.0  # lengths of the edge, by which places of paths that are not there may lie off it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +68,7 @@ class EdgeEvents:
     doppler: Floats  # (P, T) frequency at the edge, as it sees it, over that emitted
     carried: Floats  # (P, T) what the wind makes of that where all rests in the room
 
-    def put(self, rows: NDArray[np.int64], other: EdgeEvents) -> None:
+    def put(self, rows: NDArray[np.int64], other: Any) -> None:
         """Write others in place of some of the paths."""
         for mine, theirs in zip(_arrays(self), _arrays(other), strict=True):
             mine[rows] = theirs
@@ -91,7 +93,7 @@ class EdgeSolver:
     retarded: bool = True  # whether all is where it was when the sound passed, or rests where it is at reception
     rounds: int = _ROUNDS  # of the search for events at mirrors, at the most
 
-    def find(self, chains: Chains, times: Floats) -> EdgeEvents:
+    def find(self, chains: Chains, times: Floats) -> Any:
         """Events at edges of sound that is received at times (T,) or (P, T), s.
 
         As the edge sees it, both images rest, and the shortest way over the line of the edge meets it where `edge_way`
@@ -101,26 +103,30 @@ class EdgeSolver:
         begin.
         """
         now = np.array(np.broadcast_to(times, (len(chains.edge), np.shape(times)[-1])))
-        along = np.repeat(0.5 * self.lines.length[chains.edge, None], now.shape[1], axis=1)
+        along = self._middles(chains, now.shape[1])
         few = few_of(np.asarray(times)) if self.retarded else None
         if few is not None:
             from scipy.interpolate import make_interp_spline
 
-            coarse = self._found(chains, now[:, few], along[:, few]).along
+            coarse = self._found(chains, now[:, few], along[..., few]).along
             along = coarse @ make_interp_spline(times[few], np.eye(len(few)), k=5)(times).T
         return self._found(chains, now, along)
 
-    def _found(self, chains: Chains, now: Floats, along: Floats) -> EdgeEvents:
+    def _middles(self, chains: Any, count: int) -> Floats:
+        """Middles of the edges (P, T), m, from which on places are looked for."""
+        return np.repeat(0.5 * self.lines.length[chains.edge, None], count, axis=1)
+
+    def _found(self, chains: Any, now: Floats, along: Floats) -> EdgeEvents:
         """Return events from about where they are on the edges (P, T), m, on."""
         length = self.lines.length[chains.edge, None]
         over_end = chains.end >= 0
         along = np.where(over_end[:, None], np.where(chains.end[:, None] == 1, length, 0.0), along)
         found = self._at(chains, now, along)
         rows = np.flatnonzero(~over_end)
-        for _ in range(_STEPS):
+        for _ in range(STEPS):
             step = edge_way(*(x[rows] for x in (*found.source[::2], *found.receiver[::2]))).apex
-            place = np.clip(along[rows] + step, -_BEYOND * length[rows], (1.0 + _BEYOND) * length[rows])
-            left = np.abs(place - along[rows]).max(axis=1, initial=0.0) > _FOUND
+            place = np.clip(along[rows] + step, -BEYOND * length[rows], (1.0 + BEYOND) * length[rows])
+            left = np.abs(place - along[rows]).max(axis=1, initial=0.0) > FOUND
             rows = rows[left]
             if not len(rows):
                 break
@@ -128,41 +134,60 @@ class EdgeSolver:
             found.put(rows, self._at(chains.part(rows), now[rows], along[rows]))
         return found
 
-    def _at(self, chains: Chains, now: Floats, along: Floats) -> EdgeEvents:
+    def _at(self, chains: Any, now: Floats, along: Floats) -> EdgeEvents:
         """Return events with the places on the edges (P, T) given, m."""
-        point: Any = EdgePoint(self.lines, chains.edge, along)
-        source, receiver = self.ends
-        asked = self.medium, now, self.retarded, self.rounds
-        last = find_events(self.mirrors, chains.after, (point, receiver), *asked)
-        time = now - last.delay if self.retarded else now
-        asked = self.medium, time, self.retarded, self.rounds
-        first = find_events(self.mirrors, chains.before, (source, point), *asked)
-        return EdgeEvents(along, time, first, last, *self._seen(chains.edge, point.velocity(time), time, first, last))
+        point = EdgePoint(self.lines, chains.edge, along)
+        last = self.leg(chains.after, (point, self.ends[1]), now)
+        time = self.begun(last, now)
+        first = self.leg(chains.before, (self.ends[0], point), time)
+        source, doppler, carried = self.source_seen(point, time, first)
+        return EdgeEvents(along, time, first, last, source, self.receiver_seen(point, time, last), doppler, carried)
 
-    def _seen(
-        self, edge: NDArray[np.int64], velocity: Floats, time: Floats, first: Events, last: Events
-    ) -> tuple[tuple[Floats, Floats, Floats], tuple[Floats, Floats, Floats], Floats, Floats]:
-        """Return both ends as edges see them, and frequencies there.
+    def leg(self, surfaces: NDArray[np.signedinteger[Any]], ends: tuple[Any, Any], times: Floats) -> Events:
+        """Events of ways by mirrors (P, N) between two ends that are received at times (P, T), s."""
+        return find_events(self.mirrors, surfaces, ends, self.medium, times, self.retarded, self.rounds)
+
+    def begun(self, leg: Events, times: Floats) -> Floats:
+        """When sound begins legs at whose ends it is at times (P, T), s."""
+        return times - leg.delay if self.retarded else times
+
+    def source_seen(self, point: EdgePoint, time: Floats, first: Events) -> tuple[Triple, Floats, Floats]:
+        """Place r, θ and z of the emission's image about points on edges, and frequencies there, see `EdgeEvents`."""
+        coming, wind = -first.arrival, self._wind
+        source = self._seen(point, time, coming, first.distance, -1.0)
+        doppler = np.hypot(source[0], source[2]) / (first.distance * first.stretch)
+        axes, c = self.lines.axes(point.edge, time), self.medium.speed_of_sound
+        still = _from_moving(np.broadcast_to(-wind / c, coming.shape), axes, coming, np.ones(time.shape), -1.0)
+        return source, doppler, np.linalg.norm(still, axis=0) / first.carried
+
+    def receiver_seen(self, point: EdgePoint, time: Floats, last: Events) -> Triple:
+        """Place r, θ and z of the reception's image about points on edges.
+
+        The image by moving mirrors is as far as the invariant ``d (1 - n V / c)`` says, which mirrors do not change.
+        """
+        moved = self._moved(point, time)
+        ahead = last.distance * last.stretch / (1.0 - dot(last.departure, moved) / self.medium.speed_of_sound)
+        return self._seen(point, time, last.departure, ahead, 1.0)
+
+    @property
+    def _wind(self) -> Floats:
+        return np.array(self.medium.wind or (0.0, 0.0, 0.0))
+
+    def _moved(self, point: EdgePoint, time: Floats) -> Floats:
+        """Velocities (P, T, 3) of points on edges in the air's frame, m/s."""
+        velocity = point.velocity(time)
+        return np.asarray((velocity if self.retarded else 0.0 * velocity) - self._wind)
+
+    def _seen(self, point: EdgePoint, time: Floats, direction: Floats, distance: Floats, sign: float) -> Triple:
+        """Place r, θ and z of images in the air about points on edges.
 
         With n and d the direction and the distance of an image in the air, what is at ``(t, x) = (d / c, d n)`` from
         the edge, or at ``-(d / c, d n)``, is at ``x + g² / (g + 1) (x b) b - g c t b`` there, with ``b = V / c`` for
-        the velocity V across the edge and ``g = 1 / sqrt(1 - b²)``. The image of the reception by moving mirrors is as
-        far as the invariant ``d (1 - n V / c)`` says, which mirrors do not change.
+        the velocity V across the edge and ``g = 1 / sqrt(1 - b²)``.
         """
-        axes, c = self.lines.axes(edge, time), self.medium.speed_of_sound
-        wind = np.array(self.medium.wind or (0.0, 0.0, 0.0))
-        onwards, coming = last.departure, -first.arrival
-        moved = (velocity if self.retarded else 0.0 * velocity) - wind
-        ahead = last.distance * last.stretch / (1.0 - dot(onwards, moved) / c)
-        places = [
-            _from_moving(moved / c, axes, direction, distance, sign)
-            for direction, distance, sign in ((coming, first.distance, -1.0), (onwards, ahead, 1.0))
-        ]
-        plain = np.zeros(len(edge), dtype=np.int8)
-        source, receiver = (cylindrical(self.lines.n[edge], place, plain) for place in places)
-        doppler = np.hypot(source[0], source[2]) / (first.distance * first.stretch)
-        still = _from_moving(np.broadcast_to(-wind / c, moved.shape), axes, coming, np.ones(time.shape), -1.0)
-        return source, receiver, doppler, np.linalg.norm(still, axis=0) / first.carried
+        axes, velocity = self.lines.axes(point.edge, time), self._moved(point, time) / self.medium.speed_of_sound
+        place = _from_moving(velocity, axes, direction, distance, sign)
+        return cylindrical(self.lines.n[point.edge], place, np.zeros(len(point.edge), dtype=np.int8))
 
 
 def _from_moving(

@@ -62,6 +62,20 @@ class RolledOut:
         columns = np.stack([-other_inward, other[:, 3]], axis=2)
         return RolledOut(np.einsum("pai,pi->pa", axes, other[:, 0] - frame[:, 0]), axes @ columns)
 
+    @staticmethod
+    def between(frames: tuple[Floats, Floats], n: tuple[Floats, Floats], face: Any) -> tuple[RolledOut, RolledOut]:
+        """Make the views from both edges of pairs beyond each other.
+
+        Shapes: frames (P, 4, 3) of the first and of the second edges; n (P,); face (P, 2) which face of each is shared.
+        """
+        angles = np.pi * np.where(face == 1, np.stack(n, axis=1), 0.0)
+        inward = [
+            np.cos(angle)[:, None] * frame[:, 1] + np.sin(angle)[:, None] * frame[:, 2]
+            for frame, angle in zip(frames, angles.T, strict=True)
+        ]
+        one, other = (frames[0], inward[0]), (frames[1], inward[1])
+        return RolledOut.of(*one, *other), RolledOut.of(*other, *one)
+
     def __call__(self, r: Floats, z: Floats) -> tuple[Floats, Floats]:
         """Return r and z (P, T) as the edges see what is at r and z about the others, m."""
         (a, b), (c, d) = np.moveaxis(self.matrix, 0, 2)[..., None]

@@ -10,8 +10,9 @@ import numpy as np
 from clsim.acoustics.diffraction import ON_LINE, edge_way, lit_angles, wedge_terms
 from clsim.acoustics.double_edge import double_tie, double_transition
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
-from clsim.paths.vertices.edge_field import cylindrical, face_factor
+from clsim.paths.vertices.edge_field import face_factor
 from clsim.paths.vertices.edge_lengths import EdgeView, RolledOut
+from clsim.paths.vertices.edge_pair_events import EdgePairs, EdgePairSolver
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,9 +20,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.family import Rows
+    from clsim.paths.arrivals import Kinematics
+    from clsim.paths.family import Instant, Rows
     from clsim.paths.links import Links, Pair
+    from clsim.paths.propagation import UniformAir
     from clsim.paths.response import SceneResponse
+    from clsim.paths.vertices.edge import Triple
+    from clsim.paths.vertices.edge_events import EdgeEvents
+    from clsim.paths.vertices.edge_pair_events import EdgePairEvents
 
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
@@ -52,9 +58,19 @@ class EdgePairVertex(EdgeVertex):
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
         yield from EdgeVertex.named(self, moving)
-        for name in ("frame", "n", "faces", "lit"):
+        for name in ("edge", "lit") if moving else ("frame", "n", "faces", "lit"):
             yield f"last_{name}", getattr(self.last, name)
         yield "shared", self.shared
+
+    @property
+    def objects(self) -> NDArray[np.int64]:
+        """Numbers of both edges among the names, (P, 2)."""
+        return np.stack([self.edge, self.last.edge], axis=1)
+
+    @property
+    def wedges(self) -> tuple[Floats, Floats]:
+        """Exterior angles over π of both edges, (P,)."""
+        return self.n, self.last.n
 
     def views(self, links: Links) -> tuple[EdgeView, EdgeView]:
         """Take the views of the endpoints from the first and the last edge of each path."""
@@ -64,14 +80,25 @@ class EdgePairVertex(EdgeVertex):
 
     def beyond(self) -> tuple[RolledOut, RolledOut]:
         """Take the views from both edges beyond each other, across the shared face."""
-        frames, angles = (self.frame, self.last.frame), np.pi * np.stack([self.n, self.last.n], axis=1)
-        turned = np.where(self.shared == 1, angles, 0.0)
-        inward = [
-            np.cos(angle)[:, None] * frame[:, 1] + np.sin(angle)[:, None] * frame[:, 2]
-            for frame, angle in zip(frames, turned.T, strict=True)
-        ]
-        one, other = (frames[0], inward[0]), (frames[1], inward[1])
-        return RolledOut.of(*one, *other), RolledOut.of(*other, *one)
+        return RolledOut.between((self.frame, self.last.frame), self.wedges, self.shared)
+
+    def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> EdgePairEvents:
+        """Solve paths between moving legs."""
+        before, after = links.legs
+        pairs = EdgePairs(before.surfaces, after.surfaces, self.edge, self.over_end, self.last.edge, self.shared)
+        solver = EdgePairSolver(before.mirrors, self.lines, links.motions, medium, kinematics.retarded)
+        found: EdgePairEvents = solver.find(pairs, times)
+        return found
+
+    def _seen_length(self, events: EdgeEvents) -> Floats:
+        (r_s, _, z_s), (r_r, _, z_r) = events.source, events.receiver
+        return edge_way(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length
+
+    def moving_lengths(self, links: Links, places: Pair, times: Instant) -> Floats:
+        """Lengths (P,) between endpoints (P, 3) on moving legs, with all where it is at times, m."""
+        first, last = self._rested(links, places, (self.edge, self.last.edge), times)
+        (r_s, z_s), (r_r, z_r) = ((r[:, None], z[:, None]) for r, z in (first, last))
+        return edge_way(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length[:, 0]
 
     def _apexes(self, links: Links, ends: Pair) -> Pair:
         coordinates = [view.places(x[:, None]) for view, x in zip(self.views(links), ends, strict=True)]
@@ -84,17 +111,14 @@ class EdgePairVertex(EdgeVertex):
         )
         return np.asarray(one), np.asarray(other)
 
-    def static_field(self, emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse) -> Any:
-        """Field (P, T, F) beyond both edges, without its phase.
+    def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
+        """Field (P, T, F) beyond both edges, without its phase, of endpoints at r, θ, z about the first and the last.
 
         Along a rigid face all is twice as loud as what comes from either side, which the second edge has twice again:
         what the two edges make of it is halved, and for other faces divided by one and the face's factor. Paths whose
         terms by faces are left out have neither.
         """
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = (
-            cylindrical(n, seen, beside)
-            for n, seen, beside in zip((self.n, self.last.n), (emitted_at, heard_at), self.beside.T, strict=True)
-        )
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = source, receiver
         beyond = self.beyond()
         heard, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
         ways = edge_way(r_s, z_s, *heard), edge_way(r_r, z_r, *sent)

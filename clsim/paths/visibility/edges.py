@@ -20,7 +20,7 @@ comes nearer to the other than δ.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -231,7 +231,7 @@ class FaceLegs:
 
     def __init__(self, visibility: EdgeVisibility, walls: Walls) -> None:
         self._visibility, self._walls = visibility, walls
-        self._footprint = cache(self._find_footprint)
+        self._footprint = cache(partial(footprint, visibility.edges, walls))
 
     def hindered(self, rows: Rows) -> Bools:
         """Mask of candidates (n,) with an obstacle between their edges."""
@@ -252,35 +252,35 @@ class FaceLegs:
         for i, row in enumerate(which.tolist()):
             edge, face = seen.candidates.edge[row].tolist(), seen.candidates.face[row].tolist()
             lines = self._footprint(*edge, face[0])
-            way = np.stack([self._in_face(edge[0], face[0], apex[i]) for apex in stance.apexes])
-            crosses, apart = _lines_apart(way, lines)
+            way = np.stack([in_face(seen.edges, edge[0], face[0], apex[i]) for apex in stance.apexes])
+            crosses, apart = lines_apart(way, lines)
             free[i] = not crosses.any()
             clear[i] = apart.min(initial=EVER) if free[i] else apart[crosses].max()
         return free, moves_within(clear, moves) * stance.reach, stance.reach
 
-    def _in_face(self, edge: int, face: int, places: Floats) -> Floats:
-        """Return coordinates (..., 2) of places (..., 3), into a face of an edge and along it, m."""
-        edges = self._visibility.edges
-        axes = np.stack([edges.inward(np.array(edge), np.array(face)), edges.along[edge]])
-        return np.asarray((places - edges.start[edge]) @ axes.T)
 
-    def _find_footprint(self, edge: int, other: int, face: int) -> Floats:
-        """Return lines (n, 2, 2) of what stands on the face between two edges, as `_in_face` has them, m."""
-        from scipy.spatial import ConvexHull
+def in_face(edges: Edges, edge: int, face: int, places: Floats) -> Floats:
+    """Coordinates (..., 2) of places (..., 3), into a face of an edge and along it, m."""
+    axes = np.stack([edges.inward(np.array(edge), np.array(face)), edges.along[edge]])
+    return np.asarray((places - edges.start[edge]) @ axes.T)
 
-        edges = self._visibility.edges
-        angle = np.pi * (edges.n[edge] - 0.5 if face else 0.5)  # off the face, into the air
-        normal = np.cos(angle) * edges.across[edge] + np.sin(angle) * edges.out[edge]
-        height = float(normal @ edges.start[edge]) + _ABOVE
-        ends = np.stack([x[e] for e in (edge, other) for x in (edges.start, edges.stop)])
-        hull = ConvexHull(self._in_face(edge, face, ends)).equations
-        found = [
-            self._in_face(edge, face, line)
-            for wall in range(len(self._walls))
-            for line in _cut(self._walls.edges_of(wall), self._walls.normal[wall], normal, height)
-        ]
-        kept = [line for line in found if _enters(line, hull, _INSIDE * self._walls.size)]
-        return np.array(kept).reshape(-1, 2, 2)
+
+def footprint(edges: Edges, walls: Walls, edge: int, other: int, face: int) -> Floats:
+    """Lines (n, 2, 2) of what stands on the face between two edges, as `in_face` has them, m."""
+    from scipy.spatial import ConvexHull
+
+    angle = np.pi * (edges.n[edge] - 0.5 if face else 0.5)  # off the face, into the air
+    normal = np.cos(angle) * edges.across[edge] + np.sin(angle) * edges.out[edge]
+    height = float(normal @ edges.start[edge]) + _ABOVE
+    ends = np.stack([x[e] for e in (edge, other) for x in (edges.start, edges.stop)])
+    hull = ConvexHull(in_face(edges, edge, face, ends)).equations
+    found = [
+        in_face(edges, edge, face, line)
+        for wall in range(len(walls))
+        for line in _cut(walls.edges_of(wall), walls.normal[wall], normal, height)
+    ]
+    kept = [line for line in found if _enters(line, hull, _INSIDE * walls.size)]
+    return np.array(kept).reshape(-1, 2, 2)
 
 
 def _cut(outline: Floats, of_wall: Floats, normal: Floats, height: float) -> Floats:
@@ -305,7 +305,7 @@ def _enters(line: Floats, hull: Floats, within: float) -> bool:
     return bool(first < last)
 
 
-def _lines_apart(way: Floats, lines: Floats) -> tuple[Bools, Floats]:
+def lines_apart(way: Floats, lines: Floats) -> tuple[Bools, Floats]:
     """Mask of lines (n, 2, 2) that a segment (2, 2) crosses, and the least distance of any end to the other line, m."""
 
     def turn(a: Floats, b: Floats, c: Floats) -> Floats:

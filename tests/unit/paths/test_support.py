@@ -31,6 +31,7 @@ FOUND = {
     "static scatterer pair": ({"scatterers_in_row": 2}, "scatterers twice"),
     "moving": ({}, "bodies"),
     "moving edge": ({"diffraction": 1}, "bodies"),
+    "moving edge pair": ({"diffraction": 2}, "bodies"),
     "moving scatterer": ({"scattering_order": 0}, "bodies scatterers"),
 }
 

@@ -1,0 +1,154 @@
+"""Every path over two edges of one face of a body, or over two of the room by bodies, and when each is heard."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.diffraction import TERMS, lit_angles, partner_reflections
+from clsim.paths.legs.moving import moving_paths
+from clsim.paths.search.body_edges import ABSENT, HALVES, EdgeFinder, free_legs
+from clsim.paths.search.edge_chains import tied
+from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
+from clsim.paths.vertices.edge_pair import EdgePairVertex
+from clsim.paths.vertices.edge_pair_events import EdgePairs, EdgePairSolver
+from clsim.paths.visibility.edges import footprint, in_face, lines_apart
+from clsim.paths.visibility.subdivision import ROUNDS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
+    from clsim.paths.family import PathFamily
+    from clsim.paths.legs.mirrors import EdgeLines
+    from clsim.paths.search.bodies import BodySearch, PairQuery
+    from clsim.paths.vertices.edge_pair_events import EdgePairEvents
+
+    Rows = NDArray[np.int64]
+    Codes = NDArray[np.int16]
+
+_SECOND = 8 << TERMS  # of the codes of `body_edges`: the first bit for the terms of the second edge
+
+
+def moving_edge_pair_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
+    """Find every path over two edges of one face of which the edges or a mirror belong to a body.
+
+    others: paths over fewer edges, and over two of the room: where one of these is taken over from, its time is taken.
+    """
+    finder, scene = _EdgePairFinder(search), search.scene
+    held = finder.every_path()
+    own: dict[str, Any] = {name: held[name] for name in COLUMNS}
+    alike: dict[str, Any] = {"lines": finder.lines, "model": "utd"}
+    last = EdgeVertex(**(own | {"edge": held["last_edge"], "lit": held["last_lit"]}), **alike)
+    vertex = EdgePairVertex(**own, **alike, last=last, shared=held["shared"])
+    return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
+
+
+class _EdgePairFinder(EdgeFinder):
+    """Looks for paths over two edges, from each source to each receiver."""
+
+    def __init__(self, search: BodySearch) -> None:
+        super().__init__(search)
+        self._faces = _FacesBetween(search, self.lines)
+
+    def _look(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Codes]:
+        return _PairLook(self._search, self._faces, pair, chains)
+
+    def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> EdgePairs:
+        sides = self._reached(source, None, span), self._reached(source, receiver, span)
+        parts: list[Any] = [(*(np.empty((0, self.width), np.int32),) * 2, *(np.empty(0, np.int64),) * 3)]
+        shared = [np.empty((0, 2), np.int64)]
+        for (edge, last), face in zip(*(x.tolist() for x in self.lines.pairs()), strict=True):
+            before, after = self._met(sides, (edge, last), self._order)
+            parts.append((before, after, *(np.full(len(before), x) for x in (edge, -1, last))))
+            shared.append(np.tile(face, (len(before), 1)))
+        before, after, edges, none, others = (np.concatenate([part[i] for part in parts]) for i in range(5))
+        return EdgePairs(before, after, edges, none, others, np.concatenate(shared))
+
+    def _columns(
+        self, ends: tuple[int, int], chains: EdgePairs, heard: tuple[Floats, Floats], code: Codes
+    ) -> dict[str, Any]:
+        columns = self._own_columns(ends, chains, heard, code)
+        met, bits = columns["order"] - 1, _SECOND << np.arange(TERMS)
+        last_lit = np.where(code[:, None] & bits, 1, -1).astype(np.int8)
+        last_lit[met[:, None] + partner_reflections(self.lines.n[chains.last]) > self._order] = 0
+        more = {"order": columns["order"] + 1, "last_edge": chains.last, "last_lit": last_lit, "shared": chains.face}
+        return columns | more
+
+
+class _FacesBetween:
+    """What stands on the faces between two edges, and hides one from the other."""
+
+    def __init__(self, search: BodySearch, lines: EdgeLines) -> None:
+        meshes = search.scene.room.as_mesh(), *(body.mesh for body in lines.bodies)
+        self.lines, self._walls = lines, [mesh.walls for mesh in meshes]
+        self._first = np.cumsum([0, *(len(edges) for edges in lines.parts)])
+        self._standing = cache(self._find)
+
+    def free(self, pairs: EdgePairs, along: Floats) -> NDArray[np.bool_]:
+        """Mask (n,) of pairs between whose places (n, 2) nothing stands, m."""
+        free = np.ones(len(along), dtype=bool)
+        for i, (edge, last, face) in enumerate(np.column_stack([pairs.edge, pairs.last, pairs.face[:, 0]]).tolist()):
+            standing = self._standing(edge, last, face)
+            if len(standing):
+                frames, (edges, own) = self.lines.frames[[edge, last]], self._owned(edge)
+                places = frames[:, 0] + along[i][:, None] * frames[:, 3]
+                free[i] = not lines_apart(in_face(edges, own, face, places), standing)[0].any()
+        return free
+
+    def _owned(self, edge: int) -> tuple[Any, int]:
+        """Edges of the object that an edge belongs to, and its number among them."""
+        owner = int(self.lines.owner[edge]) + 1
+        return self.lines.parts[owner], edge - int(self._first[owner])
+
+    def _find(self, edge: int, last: int, face: int) -> Floats:
+        (edges, one), (_, other) = self._owned(edge), self._owned(last)
+        return footprint(edges, self._walls[int(self.lines.owner[edge]) + 1], one, other, face)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PairLook:
+    """How paths over two edges are at some times, as codes: `ABSENT`, or bits for what of theirs is seen."""
+
+    search: BodySearch
+    faces: _FacesBetween
+    pair: PairQuery
+    pairs: EdgePairs
+
+    def __call__(self, rows: Rows, times: Floats) -> Codes:
+        lines, pair = self.faces.lines, self.pair
+        solver = EdgePairSolver(self.search.obstacles.mirrors, lines, pair.ends, pair.medium, rounds=ROUNDS)
+        pairs = self.pairs.part(rows)
+        events: Any = solver.find(pairs, times)
+        p, t = free_legs(self.search, pairs, events, times, self._on(solver, pairs, events))
+        there = self.faces.free(pairs.part(p), events.along[p, :, t])
+        p, t = p[there], t[there]
+        n, last_n = lines.n[pairs.edge[p]], lines.n[pairs.last[p]]
+        (t_s, t_r), face = (end[1][p, t] for end in (events.source, events.receiver)), np.pi * pairs.face[p]
+        met = np.sum(pairs.before[p] >= 0, axis=1) + np.sum(pairs.after[p] >= 0, axis=1)
+        code = np.full(times.shape, ABSENT, dtype=np.int16)
+        code[p, t] = 0
+        for first, wedge, angles in ((1, n, (t_s, face[:, 0] * n)), (_SECOND, last_n, (face[:, 1] * last_n, t_r))):
+            seen = (lit_angles(wedge, *angles) >= 0.0) & (
+                met[:, None] + partner_reflections(wedge) <= self.search.order
+            )
+            code[p, t] += (seen @ (first << np.arange(TERMS))).astype(np.int16)
+        for bit, wedge, angle in zip(HALVES, (n, last_n), (t_s, t_r), strict=True):
+            code[p, t] += (bit * (angle > 0.5 * np.pi * wedge)).astype(np.int16)
+        return code
+
+    def _on(self, solver: EdgePairSolver, pairs: EdgePairs, events: EdgePairEvents) -> NDArray[np.bool_]:
+        """Mask (P, T) of paths that meet both edges, from the air, with each end beyond the other's edge."""
+        lines, edges = solver.lines, np.stack([pairs.edge, pairs.last], axis=1)
+        on = np.all((events.along > 0.0) & (events.along < lines.length[edges][..., None]), axis=1)
+        for edge, (_, angle, _) in zip(edges.T, (events.source, events.receiver), strict=True):
+            on &= (angle > 0.0) & (angle < np.pi * lines.n[edge][:, None])
+        for r, _ in solver.ahead(pairs, events):
+            on &= r > 0.0
+        return np.asarray(on)
