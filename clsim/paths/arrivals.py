@@ -73,8 +73,8 @@ class Arrivals:
     frequency_ratio: Floats  # (P, T) frequency on the way over that emitted: ``1 / (1 - M)``
     more: dict[str, Floats] = field(default_factory=dict)
 
-    def part(self, rows: NDArray[np.int64], times: slice = slice(None)) -> Self:
-        """Arrivals of some of the paths at some of the times."""
+    def part(self, rows: NDArray[np.int64], times: slice | NDArray[np.int64] = slice(None)) -> Self:
+        """Arrivals of some of the paths at some of the times; of rows and times (n, 1) each path at its own."""
         columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "more"}
         some: dict[str, Any] = {name: None if x is None else x[rows, times] for name, x in columns.items()}
         return replace(self, **some, more={name: x[rows, times] for name, x in self.more.items()})

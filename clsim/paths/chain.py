@@ -102,6 +102,11 @@ class Chain(PathFamily):
         return self.vertex is not None and self.vertex.varies
 
     @property
+    def one_by_one(self) -> bool:
+        """Whether `response` takes an instant of its own for each path: not with a vertex, which asks for its pose."""
+        return self.vertex is None
+
+    @property
     def costly(self) -> bool:
         """Whether responses are taken at few instants where they change slowly."""
         return self.vertex is not None and self.vertex.costly

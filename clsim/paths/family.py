@@ -147,6 +147,11 @@ class PathFamily(ABC):
         return False
 
     @property
+    def one_by_one(self) -> bool:
+        """Whether `response` takes an instant of its own for each path: times (P, 1) in place of (T,)."""
+        return False
+
+    @property
     def moves(self) -> bool:
         """Whether paths change though both ends rest."""
         return self.scene.air.fluctuation is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -140,12 +141,13 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picked:
-    """Paths of a pair at an instant, drawn by their energy, and the number of paths that each represents."""
+    """Paths of a pair at instants, drawn by their energy, and the number of paths that each represents."""
 
-    paths: PairPaths  # which
-    found: Arrivals  # theirs at that instant
-    times: Floats  # (1,) the instant, s
+    paths: PairPaths  # which, P of all instants together
+    found: Arrivals  # of each at its instant, (P, 1)
+    times: Floats  # (P, 1) the instants, s, or (1,) of a single one
     scale: Floats  # (P, 1) root of how many paths each stands for, over the level of all of the pair
+    first: tuple[int, ...]  # where the paths of each instant begin, and P at the end
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,11 +188,24 @@ def picked_paths(
         heard = (times >= start[:, None]) & (times < end[:, None])
         level = np.where(heard, np.abs(paths.gain(found, times)), 0.0)
         level[level < _SILENT] = 0.0
-        for t in np.flatnonzero(level.any(axis=0)).tolist():
-            rows, standing_for = _picked(level[:, t], -(-count // (len(pairs) * instants)), rng)
-            one = slice(t, t + 1)
-            scale = (np.sqrt(standing_for) / np.linalg.norm(level[:, t]))[:, None]
-            yield Picked(paths.part(rows), found.part(rows, one), times[one], scale)
+        heard_at = np.flatnonzero(level.any(axis=0)).tolist()
+        drawn = [(t, *_picked(level[:, t], -(-count // (len(pairs) * instants)), rng)) for t in heard_at]
+        for some in [drawn] if paths.family.one_by_one else [[one] for one in drawn]:
+            yield from _at_instants(paths, found, times, level, some)
+
+
+def _at_instants(
+    paths: PairPaths, found: Arrivals, times: Floats, level: Floats, drawn: list[tuple[int, NDArray[np.int64], Floats]]
+) -> Iterator[Picked]:
+    """Yield paths of a pair at instants together: index of each, rows, and how many paths each row stands for."""
+    if not drawn:
+        return
+    counts = [len(rows) for _, rows, _ in drawn]
+    scale = np.concatenate([np.sqrt(standing) / np.linalg.norm(level[:, t]) for t, _, standing in drawn])[:, None]
+    rows, at = np.concatenate([rows for _, rows, _ in drawn]), np.repeat([t for t, _, _ in drawn], counts)[:, None]
+    when = times[at] if paths.family.one_by_one else times[at[0]]
+    first = tuple(np.cumsum([0, *counts]).tolist())
+    yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
 
 
 def sampled_responses(scene: Scene, source: int, picked: Iterable[Picked], band: Band) -> Sample:
@@ -201,7 +216,8 @@ def sampled_responses(scene: Scene, source: int, picked: Iterable[Picked], band:
         along = some.paths.shapes(some.found, some.times, at)[:, :, 0]
         if band.late != 0.0:
             along = along * np.conj(band.turn)
-        made += list(along * some.scale)
+        along = along * some.scale
+        made += [channel[begin:end] for begin, end in pairwise(some.first) for channel in along]
     if not made:
         return _nothing(band)
     return Sample(band, np.concatenate(made), np.cumsum([0, *(len(rows) for rows in made[:-1])]))
@@ -219,8 +235,12 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
         return sounding, np.ones(len(sounding))
     loud = level[sounding]
     chance = np.minimum(count * loud / loud.sum(), 1.0)
+    before = None
     for _ in range(8):
         sure = chance >= 1.0
+        if before is not None and np.array_equal(sure, before):  # nothing changes any more
+            break
+        before = sure
         left = max(count - int(sure.sum()), 1)
         chance = np.where(sure, 1.0, np.minimum(left * loud / max(float(loud[~sure].sum()), 1e-300), 1.0))
     at = np.searchsorted(np.cumsum(chance), rng.random() + np.arange(math.floor(chance.sum())))
