@@ -45,6 +45,7 @@ from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 from clsim.scene_file import load_scene
+from clsim.study.batch import RenderedScene, render_batch
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
 from clsim.version import __version__ as __version__
@@ -82,6 +83,7 @@ __all__ = [
     "Receiver",
     "Recording",
     "RenderOptions",
+    "RenderedScene",
     "Rendering",
     "RoomMeasures",
     "Scatterer",
@@ -114,6 +116,7 @@ __all__ = [
     "positions_from_file",
     "receiver_array",
     "render",
+    "render_batch",
     "render_chunks",
     "render_tracks",
     "room_measures",

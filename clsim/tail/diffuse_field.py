@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.scene.room.enclosure import enclosure_of
+
 if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.scene import Scene
@@ -28,27 +30,23 @@ class DiffuseField:
     @classmethod
     def of(cls, scene: Scene, frequencies: Floats) -> DiffuseField | None:
         """Average a scene's walls over angles of incidence; None in a room that is not closed."""
-        mesh = scene.room.as_mesh()
-        if mesh.volume is None:
+        volume, area, materials = enclosure_of(scene.room)
+        if volume is None:
             return None
-        corners = mesh.vertices[mesh.triangles]
-        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        triangles = 0.5 * np.linalg.norm(sides, axis=1)
-        area = np.bincount(mesh.walls.of_triangle, triangles, minlength=len(mesh.faces.materials))
         c, surface = scene.air.speed_of_sound, float(area.sum())
         # Gauss's rule over the squared sine of the angle of incidence, as which a diffuse field is spread.
         places, weights = np.polynomial.legendre.leggauss(_ANGLES)
         cosine, weights = np.sqrt(0.5 * (1.0 - places))[:, None], 0.5 * weights
         absorbed, scattered = np.zeros((2, len(frequencies)))
-        for material in dict.fromkeys(mesh.faces.materials):
-            mine = float(area[[m is material for m in mesh.faces.materials]].sum())
+        for material in dict.fromkeys(materials):
+            mine = float(area[[m is material for m in materials]].sum())
             at = np.clip(frequencies, *material.band)
             shape = len(cosine), len(frequencies)
             met = cosine if material.depends_on_angle else 1.0
             absorbed += mine * (weights @ np.broadcast_to(1.0 - material.energy_at(at, met, c), shape))
             scattered += mine / surface * (weights @ np.broadcast_to(material.scattered_share(at, cosine, c), shape))
         air = scene.air.absorption_at(frequencies) * (math.log(10.0) / 10.0)
-        return cls(mesh.volume, surface, absorbed, scattered, air)
+        return cls(volume, surface, absorbed, scattered, air)
 
     def left_db(self, max_order: int) -> Floats:
         """Energy that images up to an order leave, dB re all but the direct sound's (F,): a geometric series."""

@@ -188,10 +188,10 @@ def picked_paths(
         heard = (times >= start[:, None]) & (times < end[:, None])
         level = np.where(heard, np.abs(paths.gain(found, times)), 0.0)
         level[level < _SILENT] = 0.0
-        heard_at = np.flatnonzero(level.any(axis=0)).tolist()
-        drawn = [(t, *_picked(level[:, t], -(-count // (len(pairs) * instants)), rng)) for t in heard_at]
-        for some in [drawn] if paths.family.one_by_one else [[one] for one in drawn]:
-            yield from _at_instants(paths, found, times, level, some)
+        share = -(-count // (len(pairs) * instants))
+        drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]
+        for together in [drawn] if paths.family.one_by_one else [[one] for one in drawn]:
+            yield from _at_instants(paths, found, times, level, together)
 
 
 def _at_instants(

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 SEGMENT_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
+_TOGETHER = 32  # windows of a short-time spectrum that are read together
 _WINDOW = 0.04  # s, of a short-time spectrum
 _QUIET_WINDOW = 1e-6  # energy of a window relative to the loudest, below which it is taken relative to this level
 _LONGEST = 1e7  # s
@@ -185,24 +186,34 @@ class Signal:
             Pa² times samples, which is that of `energy_spectrum` to the last bit where its segments are as long.
         """
         length = 2 ** int(np.clip(round(math.log2(_WINDOW * self.sampling_rate)), 6, 14))
-        hop, window = length // 2, _hann(length)
+        hop = length // 2
         found, levels, weights, whole = [], [], [], np.zeros(hop + 1)
-        for k, share in zip(*_picked_segments(self.count, hop), strict=True):
-            around = self.read((int(k) - 1) * hop, (int(k) + 1) * hop + length)
-            level = max(float(np.sum((around[i : i + length] * window) ** 2)) for i in (0, hop, 2 * hop)) * length
-            if not np.any(around[hop:-hop]) or level == 0.0:  # of 1e-162 Pa and less, squares are 0
-                continue
-            spectrum = np.abs(np.fft.rfft(around[hop:-hop] * window)) ** 2
-            whole += share * spectrum
-            spectrum[1:-1] *= 2.0
-            found.append(spectrum)
-            weights.append(share)
-            levels.append(level)
+        picked, shares = _picked_segments(self.count, hop)
+        for run in _runs(picked):
+            for k, level, spectrum in zip(run, *self._windows(picked[run], length), strict=True):
+                if level == 0.0:  # of 1e-162 Pa and less, squares are 0
+                    continue
+                whole += shares[k] * spectrum
+                spectrum[1:-1] *= 2.0
+                found.append(spectrum)
+                weights.append(shares[k])
+                levels.append(level)
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         if not found:
             return frequencies, np.zeros((0, hop + 1)), np.zeros(0), whole
         relative_to = np.maximum(levels, _QUIET_WINDOW * max(levels))
         return frequencies, np.array(found) / relative_to[:, None], np.array(weights), whole / length
+
+    def _windows(self, segments: NDArray[np.int64], length: int) -> tuple[Floats, Floats]:
+        """Return the levels (n,) about neighbouring windows, 0 for silent ones, and their energy spectra (n, F)."""
+        hop = length // 2
+        samples = self.read((int(segments[0]) - 1) * hop, (int(segments[-1]) + 1) * hop + length)
+        each = np.lib.stride_tricks.sliding_window_view(samples, length)[::hop]
+        windowed = each * _hann(length)
+        energy = np.sum(windowed**2, axis=1)
+        level = np.maximum(np.maximum(energy[:-2], energy[1:-1]), energy[2:]) * length
+        sounding = np.any(each[1:-1], axis=1)
+        return np.where(sounding, level, 0.0), np.abs(np.fft.rfft(windowed[1:-1], axis=1)) ** 2
 
     def band(self) -> tuple[float, float]:
         """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz.
@@ -611,6 +622,16 @@ def _picked_segments(count: int, hop: int) -> tuple[NDArray[np.int64], Floats]:
     inner = np.unique(8 + (place * (last - 16)).astype(np.int64))
     picked = np.concatenate([np.arange(-1, 8), inner, np.arange(last - 8, last)])
     return picked, np.gradient(picked.astype(np.float64))
+
+
+def _runs(segments: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Return the places of neighbouring segments that are read together, 32 at most."""
+    last = 0
+    begins = [0]
+    for place in range(1, len(segments)):
+        if segments[place] != segments[place - 1] + 1 or place - last == _TOGETHER:
+            begins.append(last := place)
+    return np.split(np.arange(len(segments)), begins[1:])
 
 
 def _hann(length: int) -> Floats:
