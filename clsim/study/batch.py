@@ -75,7 +75,7 @@ def render_batch(
     workers : int
         Processes of this machine; with 1 all is rendered in this process.
     truth_rate : float
-        Instants of the ground truth per second.
+        Instants of the ground truth per second, Hz.
     paths : mapping, optional
         Other options of `find_paths`, by name.
     **options
@@ -118,8 +118,8 @@ def render_batch(
     >>> scenes = [clsim.Scene(room, clsim.Air(), [talker], [ear]) for talker in talkers]
     >>> for one in clsim.render_batch(scenes, 16e3, max_order=1, duration=0.03):
     ...     one.index, one.recording.samples.shape, (1e3 * one.truth.delay[0, 0, 0]).round(2)
-    (0, (1, 480), np.float64(6.68))
-    (1, (1, 480), np.float64(8.36))
+    (0, (1, 480), np.float64(6.66))
+    (1, (1, 480), np.float64(8.35))
     """
     workers = as_count("workers", workers, at_least=1)
     rate = as_number("truth_rate", truth_rate, above=0.0, at_most=1e6, unit="Hz")
