@@ -28,6 +28,7 @@ from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
+from clsim.scene.shaded import hidden_by_several
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -109,6 +110,9 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
     order, limit = search.scattering_order, search.path_limit
     found: list[PathFamily] = [scattered_paths(scene, before, after, order, limit) for before, after in both]
     first, second = by_walls
+    several = hidden_by_several(scene)
+    if several:
+        warn(f"{several}: their shadows add up, and too much is heard behind them; let only one of them cast a shadow")
     if search.scatterers_in_row > 1:
         straight_on = partial(_unreflected, search=given)
         found.append(scatterer_pair_paths(scene, (first, second), straight_on, limit))

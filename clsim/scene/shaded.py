@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _INSTANTS = 1001  # of a run at which lines of sight are looked at
 _PLACES = np.linspace(-1.0, 1.0, 33)[:, None]  # about the place nearest to a centre, in largest radii
 _PAIRS = 8  # that are told of one by one
+_LOOKS = 301  # of a signal at which several scatterers may stand in the line of sight at once
 
 
 def shaded_pairs(scene: Scene, duration: float) -> list[str]:
@@ -38,6 +39,35 @@ def shaded_pairs(scene: Scene, duration: float) -> list[str]:
         if by:
             lines.append(f"shadows: {source.name} to {receiver.name} by {'; '.join(by)}")
     return lines
+
+
+def hidden_by_several(scene: Scene) -> str | None:
+    """Words for the first line of sight that several scatterers with shadows stand in at once; None for no such.
+
+    Shadows add up: of two in a row the second takes the sound away that the first has taken already. The first eight
+    pairs are looked at.
+    """
+    casting = [scatterer for scatterer in scene.scatterers if scatterer.shape.shadows]
+    if len(casting) < 2:
+        return None
+    for source, receiver in [(s, r) for s in scene.sources for r in scene.receivers][:_PAIRS]:
+        last = min(source.end, receiver.trajectory.end, *(one.trajectory.end for one in casting))
+        times = np.linspace(max(source.start, 0.0), max(last, source.start, 0.0), _LOOKS)
+        cut = np.array([_cut(source, receiver, one, times) for one in casting])
+        several = np.flatnonzero(cut.sum(axis=0) > 1)
+        if len(several):
+            names = " and ".join(
+                repr(one.name) for one, is_cut in zip(casting, cut[:, several[0]], strict=True) if is_cut
+            )
+            at = f"from {source.name!r} to {receiver.name!r} at {times[several[0]]:.3g} s"
+            return f"{names} stand in the line of sight {at}"
+    return None
+
+
+def _cut(source: Source, receiver: Receiver, scatterer: Scatterer, times: Floats) -> NDArray[np.bool_]:
+    """Mask (T,) of times at which a scatterer stands in a line of sight."""
+    begin, end = (seen_by(scatterer.trajectory, each.trajectory).position(times) for each in (source, receiver))
+    return _in_zone(scatterer, begin, end, 0.0)
 
 
 def _spans(source: Source, receiver: Receiver, scatterer: Scatterer, numbers: tuple[float, float]) -> list[str]:

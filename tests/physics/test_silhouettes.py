@@ -3,6 +3,8 @@
 Levels are relative to the free field, where the exact one is above -20 dB.
 """
 
+import re
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,6 +14,7 @@ from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
 from clsim.paths.response import SceneResponse
+from clsim.scene.shaded import hidden_by_several
 
 C = 343.0
 SILENT = clsim.Material.from_reflection(0.0)
@@ -217,3 +220,35 @@ def test_shadows_on_the_device(thing: str, device: str, measured: Callable[..., 
     )
     still = clsim.render(clsim.find_paths(replace(paths.scene, scatterers=()), 0), 192e3, duration=0.06).samples
     assert np.sqrt(np.mean(wanted**2)) < 0.9 * np.sqrt(np.mean(still**2))
+
+
+def test_shadows_in_a_row_are_told() -> None:
+    """Two ellipsoids in one line of sight: their shadows add up, and a warning names both; not for one, nor beside."""
+    tone = clsim.Signal.tone(40e3, 0.02, 192e3)
+    places = [MIDDLE + np.array(place) for place in ((-1.2, 0.0, 0.0), (1.2, 0.02, 0.01))]
+    ends = (
+        [clsim.Source("s", tone, clsim.Trajectory.fixed(places[0]))],
+        [clsim.Receiver("r", clsim.Trajectory.fixed(places[1]))],
+    )
+    arm = clsim.Trajectory.line(MIDDLE + np.array([0.3, 0.6, 0.0]), MIDDLE + np.array([0.3, 0.1, 0.0]), 0.05)
+    chest = clsim.Trajectory.fixed(MIDDLE + np.array([-0.3, 0.03, 0.02]))
+    aside = clsim.Trajectory.fixed(MIDDLE + np.array([0.3, 0.6, 0.0]))
+    for way, told in ((arm, True), (aside, False)):
+        bodies = [
+            clsim.Scatterer.ellipsoid(name, axes, moved, shadow=True)
+            for name, axes, moved in (("chest", (0.12, 0.2, 0.3), chest), ("arm", (0.1, 0.4, 0.35), way))
+        ]
+        scene = clsim.Scene(clsim.Shoebox((60.0, 60.0, 60.0), SILENT), AIR, *ends, scatterers=bodies)
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            clsim.find_paths(scene, 0, scattering_order=0)
+        several = [str(w.message) for w in found if "shadows add up" in str(w.message)]
+        assert len(several) == told
+    moved = hidden_by_several(replace(scene, scatterers=[bodies[0], replace(bodies[1], trajectory=arm)]))
+    assert moved is not None
+    named, time = re.fullmatch(
+        r"('chest' and 'arm') stand in the line of sight from 's' to 'r' at (.*) s", moved
+    ).groups()
+    assert named
+    # At 10 m/s the rim, 0.4 m before the centre, is on the line of sight after 0.6 - 0.4 - 0.013 m; 0.07 ms are a look.
+    assert float(time) == pytest.approx(0.0187, abs=2e-3)
