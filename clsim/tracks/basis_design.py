@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,13 +102,26 @@ def _in_db(ratio: float) -> float:
 
 def _unresolved(sample: Sample) -> float:
     """Return the largest error of responses at 3 F frequencies as made of every third, Chebyshev points as well."""
+    responses = sample.responses
+    made = _in_parts_by(responses[:, 1::3], _between(responses.shape[1]))
+    return float(sample.relative(made - responses).max())
+
+
+def _in_parts_by(values: Floats | Complexes, matrix: Floats) -> Floats | Complexes:
+    """Return values (n, F) times a real matrix (F, m); real products take half the time of complex ones."""
+    if not np.iscomplexobj(values):
+        return np.asarray(values @ matrix)
+    return np.asarray(values.real @ matrix + 1j * (values.imag @ matrix))
+
+
+@lru_cache(maxsize=len(GRIDS))  # 5 MB at most
+def _between(count: int) -> Floats:
+    """Return the matrix (F, 3 F) by which values at every third of `count` Chebyshev points make those at all."""
     from scipy.fft import idct
 
-    responses = sample.responses
-    coefficients = _chebyshev_coefficients(responses[:, 1::3])
+    coefficients = _chebyshev_coefficients(np.eye(count // 3))
     coefficients[:, 0] *= 2.0
-    made = idct(coefficients * responses.shape[1], type=2, n=responses.shape[1], axis=1)
-    return float(sample.relative(made - responses).max())
+    return np.asarray(idct(coefficients * count, type=2, n=count, axis=1))
 
 
 def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) -> Basis:
@@ -164,7 +178,7 @@ class _Rows:
         """Return rows of responses; axes along which there is nothing but rounding are left out."""
         weight = sample.importance
         weighted = in_parts(sample.responses * weight, 1 + int(np.iscomplexobj(sample.responses)))
-        _, sizes, axes = np.linalg.svd(weighted, full_matrices=False)
+        _, sizes, axes = np.linalg.svd(_square(weighted), full_matrices=False)
         axes = axes[: max(int(np.count_nonzero(sizes > 1e-9 * sizes[0])), 1)]
         return _Rows(sample, weight, weighted @ axes.T, axes)
 
@@ -201,7 +215,7 @@ class _Functions:
         lengths = np.diff([*first.tolist(), len(rows.places)])
         for _ in range(_EMPHASES):
             each = np.repeat(emphasis, lengths)[:, None]
-            _, _, vectors = np.linalg.svd(each * rows.places, full_matrices=False)
+            _, _, vectors = np.linalg.svd(_square(each * rows.places), full_matrices=False)
             found = vectors[:count] @ rows.axes
             shapes: Floats | Complexes = found[:, :frequencies] / weight
             if rows.parts == 2:
@@ -231,6 +245,11 @@ class _Functions:
         left = gains @ self.shapes - sample.responses
         at_nodes, heard = (sample.by_frame(r[:, self.nodes] * weight).sum(axis=1) for r in (left, sample.responses))
         return np.asarray(np.maximum(sample.relative(left), np.sqrt(at_nodes / np.maximum(heard, 1e-300))))
+
+
+def _square(rows: Floats) -> Floats:
+    """Return a matrix with the same singular values and vectors along rows, of no more rows than columns."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > 2 * rows.shape[1] else rows
 
 
 def _spread(count: int, among: int) -> NDArray[np.int64]:

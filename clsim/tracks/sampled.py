@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.response import SceneResponse
+from clsim.scene.directivity.patterns import Omni
+from clsim.scene.room.faces import NEAREST
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -30,6 +32,7 @@ _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
 _TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 _FRAMES = 48  # of all pairs, about
+_PER_DISTANCE = 12  # instants for ends that go as far as they are apart at least
 _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
@@ -175,7 +178,7 @@ def picked_paths(
     few = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
     for i in pairs:
         paths, start, end = tracks.pair_paths[i], tracks.pairs[i].start, tracks.pairs[i].end
-        instants, last = few, until
+        instants, last = _instants(tracks, i, until, few), until
         if paths.family.varies:
             last = until + _BEYOND
             instants = max(few, min(_MOST_TIMES, count // (len(pairs) * max(len(start), 1))))
@@ -192,6 +195,23 @@ def picked_paths(
         drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]
         for together in [drawn] if paths.family.one_by_one else [[one] for one in drawn]:
             yield from _at_instants(paths, found, times, level, together)
+
+
+def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
+    """Return the number of instants that tell of a pair, at least 3: fewer the less its ends approach each other.
+
+    Ends that hear alike in all directions, go a quarter of their distance and have the same paths all the time are
+    told of by beginning, end and one instant between them.
+    """
+    paths, scene = tracks.pair_paths[pair], tracks.scene
+    source, receiver = scene.sources[paths.source], scene.receivers[paths.receiver]
+    alike = isinstance(source.directivity, Omni) and isinstance(receiver.directivity, Omni)
+    if not (alike and paths.family.one_by_one and tracks.pairs[pair].always_heard) or paths.family.moves:
+        return most
+    way = until * float(tracks.speeds.source[paths.source] + tracks.speeds.receiver[paths.receiver])
+    begin = np.zeros(1)
+    apart = float(np.linalg.norm(source.trajectory.position(begin) - receiver.trajectory.position(begin)))
+    return int(np.clip(math.ceil(_PER_DISTANCE * way / max(apart - way, 1e-3 * way, NEAREST)), 3, most))
 
 
 def _at_instants(
