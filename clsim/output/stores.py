@@ -10,7 +10,7 @@ import shutil
 import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -327,18 +327,22 @@ class _ZarrStore(SoundStore):
 
     def create(self) -> None:
         """Write coordinates, and an array without chunks yet, of one receiver and one chunk of the run each."""
+        path = self.paths[0]
+        shutil.rmtree(path, ignore_errors=True)
+        write_zarr(self._sound.coordinates(), path, "w-")
+        self._create_array("r+")
+        consolidate(path)
+        tree_to_disk(path)
+
+    def _create_array(self, mode: Literal["r+", "w-"]) -> None:
         import zarr
 
-        path, sound = self.paths[0], self._sound
-        shutil.rmtree(path, ignore_errors=True)
-        write_zarr(sound.coordinates(), path, "w-")
+        sound, group = self._sound, zarr.open_group(self.paths[0], mode=mode, zarr_format=3)
         uninterrupted(
-            zarr.open_group(path, mode="r+").create_array, "sound", shape=(len(sound.receiver_names), sound.samples),
+            group.create_array, "sound", shape=(len(sound.receiver_names), sound.samples),
             chunks=(1, min(sound.chunk, sound.samples)), dtype=sound.sample_type, fill_value=np.nan,
             dimension_names=("receiver", "time"), attributes=sound.sound_attributes, compressors=_compressors(),
         )  # fmt: skip
-        consolidate(path)
-        tree_to_disk(path)
 
     def recover(self) -> None:
         """Delete chunks that a process left half written."""
@@ -378,6 +382,19 @@ class _ZarrStore(SoundStore):
         import zarr
 
         return _ArrayRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], row)
+
+
+class _MemberStore(_ZarrStore):
+    """Sound of a member of a study, whose group gets all else when it is finished, and is flushed then."""
+
+    def create(self) -> None:
+        """Write an array without chunks yet, alone."""
+        self._create_array("w-")
+
+
+def member_store(folder: Path, sound: StoredSound) -> SoundStore:
+    """Return a store for the sound of a member of a study in an empty folder: without coordinates."""
+    return _MemberStore(folder, sound, ())
 
 
 class _ArrayRow:

@@ -16,7 +16,7 @@ from clsim.arrays import texts
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
 from clsim.output.raw_rows import SampleFile
-from clsim.output.stores import STORES
+from clsim.output.stores import member_store
 from clsim.paths.ground_truth import SCALARS, VECTORS
 from clsim.paths.labelled import ATTRIBUTES
 from clsim.recording import Recording
@@ -50,7 +50,7 @@ def computed(study: Study, member: Member, device: str | None, folder: Path) -> 
     content.attrs |= {
         "parameters": json.dumps(member.parameters), "identity": json.dumps(run_identity(planned)),
     }  # fmt: skip
-    store = STORES["zarr"](folder, sound, ())
+    store = member_store(folder, sound)
     recording = _recorded(planned, store if "recording" in study.keep else None, folder if study.metrics else None)
     if "ground_truth" in study.keep or "paths" in study.keep:
         _add_tables(content, study, planned)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -102,26 +101,13 @@ def _in_db(ratio: float) -> float:
 
 def _unresolved(sample: Sample) -> float:
     """Return the largest error of responses at 3 F frequencies as made of every third, Chebyshev points as well."""
-    responses = sample.responses
-    made = _in_parts_by(responses[:, 1::3], _between(responses.shape[1]))
-    return float(sample.relative(made - responses).max())
-
-
-def _in_parts_by(values: Floats | Complexes, matrix: Floats) -> Floats | Complexes:
-    """Return values (n, F) times a real matrix (F, m); real products take half the time of complex ones."""
-    if not np.iscomplexobj(values):
-        return np.asarray(values @ matrix)
-    return np.asarray(values.real @ matrix + 1j * (values.imag @ matrix))
-
-
-@lru_cache(maxsize=len(GRIDS))  # 5 MB at most
-def _between(count: int) -> Floats:
-    """Return the matrix (F, 3 F) by which values at every third of `count` Chebyshev points make those at all."""
     from scipy.fft import idct
 
-    coefficients = _chebyshev_coefficients(np.eye(count // 3))
+    responses = sample.responses
+    coefficients = _chebyshev_coefficients(responses[:, 1::3])
     coefficients[:, 0] *= 2.0
-    return np.asarray(idct(coefficients * count, type=2, n=count, axis=1))
+    made = idct(coefficients * responses.shape[1], type=2, n=responses.shape[1], axis=1)
+    return float(sample.relative(made - responses).max())
 
 
 def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) -> Basis:

@@ -176,6 +176,8 @@ def picked_paths(
     if len(pairs) > _MOST_PAIRS:
         pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
     few = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
+    centre = np.array([tracks.scene.sources[source].emitted.centre_frequency])
+    at_centre = SceneResponse(tracks.scene, source, centre)
     for i in pairs:
         paths, start, end = tracks.pair_paths[i], tracks.pairs[i].start, tracks.pairs[i].end
         instants, last = _instants(tracks, i, until, few), until
@@ -189,7 +191,7 @@ def picked_paths(
         times[[0, -1]] = 0.0, last
         found = paths.arrivals(times, tracks.kinematics)
         heard = (times >= start[:, None]) & (times < end[:, None])
-        level = np.where(heard, np.abs(paths.gain(found, times)), 0.0)
+        level = np.where(heard, np.abs(paths.response(found, times, at_centre)[..., 0]), 0.0)
         level[level < _SILENT] = 0.0
         share = -(-count // (len(pairs) * instants))
         drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]
