@@ -1,0 +1,75 @@
+"""Draws of paths by which functions of frequency are made: instants of a pair together are those one by one."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clsim
+from clsim.paths.response import SceneResponse
+from clsim.tracks import sampled
+from clsim.tracks.tracks import SceneTracks, track
+
+
+def tracks(speed: float, turning: bool = False, material: Any = None, head: bool = False) -> SceneTracks:
+    """Return the tracks of a source that goes along x for a second, 3 m from a receiver."""
+    walls = material or clsim.Material.from_reflection(0.9)
+    tone = clsim.Signal.chirp(20e3, 40e3, 0.1, 192e3)
+    way = clsim.Trajectory.line((2.0, 1.0, 1.2), (2.0 + speed, 1.0, 1.2), 1.0)
+    beam = clsim.Piston(radius=0.01) if turning else clsim.Omni()
+    source = clsim.Source("s", tone, way, directivity=beam, aim="forward" if turning else None)
+    place = clsim.Trajectory.fixed((2.0, 4.0, 1.2))
+    ear = clsim.Receiver.ambisonic("r", place, order=1) if head else clsim.Receiver("r", place)
+    room = clsim.Shoebox((6.0, 5.0, 2.5), walls)
+    return track(clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], [ear]), 2))
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        {"speed": 2.0},
+        {"speed": 2.0, "turning": True},
+        {"speed": 2.0, "material": clsim.Material.from_porous(20e3, 0.05)},
+        {"speed": 2.0, "head": True},
+    ],
+    ids=["plain", "beam", "angular", "channels"],
+)
+def test_instants_together_are_those_one_by_one(made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    of_scene = tracks(**made)
+    band = sampled.Band(20e3, 40e3, sampled.chebyshev_points(20e3, 40e3, 9), np.ones((1, 9)) / 9)
+    draws = []
+    for together in (True, False):
+        monkeypatch.setattr("clsim.paths.chain.Chain.one_by_one", property(lambda self, here=together: here))
+        picked = list(sampled.picked_paths(of_scene, 0, 1.0, 400, np.random.default_rng(1)))
+        draws.append((len(picked), sampled.sampled_responses(of_scene.scene, 0, picked, band)))
+    (few, stacked), (many, single) = draws
+    assert few < many
+    assert np.array_equal(stacked.first, single.first)
+    scale = np.abs(single.responses).max()
+    np.testing.assert_allclose(stacked.responses, single.responses, rtol=0.0, atol=1e-14 * scale)
+
+
+def test_responses_are_those_of_the_paths_at_their_own_instants() -> None:
+    of_scene = tracks(3.0)
+    band = sampled.Band(20e3, 40e3, np.array([20e3, 30e3, 40e3]), np.ones((1, 3)) / 3)
+    (picked,) = sampled.picked_paths(of_scene, 0, 1.0, 400, np.random.default_rng(1))
+    made = sampled.sampled_responses(of_scene.scene, 0, [picked], band).responses / picked.scale
+    at = SceneResponse(of_scene.scene, 0, band.frequencies)
+    for row in range(0, len(made), 7):
+        alone, when = picked.paths.part(np.array([row])), picked.times[row]
+        wanted = alone.response(alone.arrivals(when), when, at)[0, 0]
+        np.testing.assert_allclose(made[row], wanted, rtol=1e-12)
+
+
+def test_ends_that_hardly_move_need_few_instants() -> None:
+    """From a distance d less the way on: 12 instants for each such distance, 3 at least."""
+    most = 24
+    assert sampled._instants(tracks(0.1), 0, 1.0, most) == 3
+    assert sampled._instants(tracks(1.0), 0, 1.0, most) == 7  # 12 x 1.02 / (3 - 1.02) = 6.2
+    assert sampled._instants(tracks(3.5), 0, 1.0, most) == most
+    assert sampled._instants(tracks(0.1, turning=True), 0, 1.0, most) == most
+    assert sampled._instants(tracks(0.1, head=True), 0, 1.0, most) == most
+    slow = tracks(0.1)
+    heard = dataclasses.replace(slow.pairs[0], end=np.where(np.arange(len(slow.pairs[0])) == 1, 0.5, np.inf))
+    assert sampled._instants(dataclasses.replace(slow, pairs=(heard,)), 0, 1.0, most) == most
