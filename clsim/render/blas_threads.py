@@ -22,8 +22,12 @@ def blas_threads() -> int:
 def with_blas_threads(count: int) -> Iterator[None]:
     """Have matrices multiplied by so many threads within a ``with``.
 
-    Where they are small, threads would wait for each other, the longer the busier the machine.
+    Where they are small, threads would wait for each other, the longer the busier the machine. SciPy has a library of
+    its own: one that is loaded within the ``with`` would have as many threads as it likes, and a process's first
+    rendering other bits than its second.
     """
+    import scipy.linalg  # noqa: F401
+
     with _libraries().limit(limits=count, user_api="blas"):
         yield
 
