@@ -15,10 +15,11 @@ from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths
 from clsim.paths.search.body_edges import moving_edge_paths
+from clsim.paths.search.corner_events import at_one_time
 from clsim.paths.search.cross_talk import direct_levels, with_direct
 from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
 from clsim.paths.search.edges import double_edge_paths, edge_paths
-from clsim.paths.search.mesh import mesh_paths, report
+from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.scatterer_pairs import scatterer_pair_paths
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.search.shoebox import shoebox_paths
@@ -76,6 +77,8 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     found = tuple(find(scene, next(parts)) for find in finders.values())
     for kind in (edge_paths, double_edge_paths)[:edges]:
         found = (*found, kind(scene, next(parts), found))
+    if edges:
+        found = at_one_time(scene, found, resolution_of(scene, options.resolution))
     if scene.bodies:
         bodies = BodySearch(scene, options)
         found = tuple(behind_bodies(bodies, family, next(parts).tell) for family in found)

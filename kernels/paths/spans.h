@@ -52,13 +52,18 @@ static void subdivide(const search* s, __global progress* p, int path, double re
             continue;
         }
         const double within = 0.5 * (now.end - now.begin), middle = now.begin + within;
-        double clear, reach, unused;
+        double clear, reach;
         const int valid = evaluate(s, middle, within, &clear, &reach);
         evaluations++;
         int done = clear > reach || 2.0 * within <= resolution || reach < smallest_move;
         if (!done && clear < graze && within <= 0.5 * GRAZE_TIME) {
-            done = evaluate(s, now.begin, 0.0, &unused, &unused) == valid && evaluate(s, now.end, 0.0, &unused, &unused) == valid;
-            evaluations += 2;
+            done = 1;
+            for (int k = 0; k < 2 && done; k++) {
+                double beside, most;
+                done = evaluate(s, k ? now.end : now.begin, within, &beside, &most) == valid
+                       && beside < fmin(graze, ALONG * most);
+                evaluations++;
+            }
         }
         if (done) {
             if (valid) put(p, now.begin, now.end, path, found, count);

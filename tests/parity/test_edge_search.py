@@ -13,6 +13,7 @@ from same_intervals import same
 import clsim
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edges import _candidates, _sequences
+from clsim.paths.search.mesh import sides_of_air
 from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch
@@ -69,11 +70,16 @@ def query(name: str) -> VisibilityQuery:
     return VisibilityQuery(ROOM.walls, ends, UniformAir(343.0, GALES.get(name)), np.zeros(len(last)), last, STEP)
 
 
+def search(name: str, on_device: bool = False) -> EdgeSearch:
+    asked = query(name)
+    return EdgeSearch(asked, EDGES, DeviceSearch(asked) if on_device else None, sides_of_air(asked))
+
+
 def candidates(name: str) -> list[EdgeCandidates]:
     ends = trajectory_tables(*CASES[name])
     spheres = BoundingSpheres(0.5 * (EDGES.start + EDGES.stop), 0.5 * EDGES.length)
-    sent = _sequences(ROOM.walls, ends.sphere(0, -0.1), EDGES, spheres, ORDER)
-    heard = [_sequences(ROOM.walls, ends.sphere(1 + r), EDGES, spheres, ORDER) for r in range(len(CASES[name][1]))]
+    reached = partial(_sequences, search(name), spheres, ORDER)
+    sent, heard = reached(ends.sphere(0, -0.1)), [reached(ends.sphere(1 + r)) for r in range(len(CASES[name][1]))]
     kinds = (partial(_candidates, pairs=False), partial(_candidates, pairs=True))
     return [c for kind in kinds for _, c in kind(ROOM.walls, sent, heard, EDGES, ORDER)]
 
@@ -85,15 +91,14 @@ def wanted(once) -> Callable[[str], list[tuple[EdgeCandidates, Intervals]]]:
 
 
 def found_on_host(name: str) -> list[tuple[EdgeCandidates, Intervals]]:
-    search = EdgeSearch(query(name), EDGES, None)
-    return [(c, search.find(c)) for c in candidates(name)]
+    finder = search(name)
+    return [(c, finder.find(c)) for c in candidates(name)]
 
 
 def agree(wanted: dict[str, list[tuple[EdgeCandidates, Intervals]]]) -> bool:
     for name, parts in wanted.items():
-        asked = query(name)
-        search = EdgeSearch(asked, EDGES, DeviceSearch(asked))
-        if not all(same(search.find(c), twin, STEP) for c, twin in parts):
+        finder = search(name, on_device=True)
+        if not all(same(finder.find(c), twin, STEP) for c, twin in parts):
             return False
     return True
 

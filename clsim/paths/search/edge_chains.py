@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     Sides = NDArray[np.int8]
 
 
-_SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
+SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 _ROUNDS = 4  # of finding the time of emission
 _WITHIN = 1e-4  # s between two times at which the same event was found, at most
 
@@ -203,7 +203,7 @@ def _same_events(
         theirs = np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())
         when = 0.5 * (times[mine] + their_times[theirs])
         mine, theirs = rows[mine], others[theirs]
-        same = np.abs(_delays(family, mine, when) - _delays(family, theirs, when)) < _SAME_DELAY
+        same = np.abs(delays_of(family, mine, when) - delays_of(family, theirs, when)) < SAME_DELAY
         found.append(np.stack([mine[same], theirs[same]]))
     both = np.concatenate(found, axis=1)
     return both[0], both[1]
@@ -215,7 +215,7 @@ def _among(pair: Rows, times: Floats, other_pair: Rows, others: Floats) -> NDArr
     return np.array([moment in known for moment in zip(pair.tolist(), times.tolist(), strict=True)], dtype=bool)
 
 
-def _delays(family: Chain, rows: Rows, times: Floats) -> Floats:
+def delays_of(family: Chain, rows: Rows, times: Floats) -> Floats:
     """Return the delays (n,) of rows at times (n,), s, as near as tells whether two are the same."""
     scene, source = family.scene, family.source[rows]
     receiver = ends_at(scene.receivers, family.receiver[rows], times)
@@ -260,13 +260,13 @@ def _settled(times: Floats, delay: Floats, others: tuple[Floats, Floats, Floats]
     for place, i in enumerate(order.tolist()):
         near = slice(*np.searchsorted(theirs, (times[i] - _WITHIN, times[i] + _WITHIN)).tolist())
         apart = their_delay[near] + their_rate[near] * (times[i] - theirs[near]) - delay[i]
-        same = theirs[near][np.abs(apart) < _SAME_DELAY]
+        same = theirs[near][np.abs(apart) < SAME_DELAY]
         if len(same):
             found[i] = same[np.argmin(np.abs(same - times[i]))]
             continue
         before = order[:place][::-1]
         before = before[: int(np.searchsorted(times[i] - times[before], _WITHIN))]
-        mine = before[np.abs(delay[before] - delay[i]) < _SAME_DELAY]
+        mine = before[np.abs(delay[before] - delay[i]) < SAME_DELAY]
         found[i] = found[mine[0]] if len(mine) else times[i]
     return found
 

@@ -17,6 +17,7 @@ from clsim.paths.search.mesh import (
     BEAM_LIMIT,
     LARGEST_MESH_ORDER,
     float64_device,
+    sides_of_air,
     visibility_query,
 )
 from clsim.paths.support import check_support
@@ -103,13 +104,12 @@ def _source_rows(
     room = scene.room.as_mesh()
     query, longest = visibility_query(scene, room, scene.sources[source], order + 1, search.resolution)
     device = float64_device(search.engine, search.device)
-    finder = EdgeSearch(query, edges, None if device is None else DeviceSearch(query, device))
-    tables, found = query.trajectory_tables, []
+    tables, found, air = query.trajectory_tables, [], sides_of_air(query)
+    finder = EdgeSearch(query, edges, None if device is None else DeviceSearch(query, device), air)
     spheres = BoundingSpheres(0.5 * (edges.start + edges.stop), 0.5 * edges.length)
-    from_source = _sequences(room.walls, tables.sphere(0, -longest), edges, spheres, order)
-    to_receivers = [
-        _sequences(room.walls, tables.sphere(1 + r), edges, spheres, order) for r in range(len(scene.receivers))
-    ]
+    reached = partial(_sequences, finder, spheres, order)
+    from_source = reached(tables.sphere(0, -longest))
+    to_receivers = [reached(tables.sphere(1 + r)) for r in range(len(scene.receivers))]
     done = source / len(scene.sources)
     for share, candidates in _candidates(room.walls, from_source, to_receivers, edges, order, pairs):
         pieces = find_pieces(finder, candidates, order, partial(search.tell, done))
@@ -121,10 +121,11 @@ def _source_rows(
     return found, query.resolution
 
 
-def _sequences(walls: Walls, sphere: tuple[Floats, float], edges: Edges, spheres: BoundingSpheres, order: int) -> Sides:
+def _sequences(finder: EdgeSearch, spheres: BoundingSpheres, order: int, sphere: tuple[Floats, float]) -> Sides:
     """Return the sequences of walls by which each edge may be reached from a sphere, by number of walls."""
+    edges, walls = finder.edges, finder.query.walls
     found: list[list[list[Any]]] = [[[] for _ in range(order + 1)] for _ in range(len(edges))]
-    tree = BeamTree(walls, *sphere, spheres, BEAM_LIMIT)
+    tree = BeamTree(walls, *sphere, spheres, BEAM_LIMIT, finder.air)
     try:
         for batch in tree.candidates(order):
             count = batch.sequence.shape[1]

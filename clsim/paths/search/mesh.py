@@ -21,8 +21,8 @@ from clsim.paths.search.panels import THROUGH, divided, see_through
 from clsim.paths.search.ray_shooting import ShotRays
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
-from clsim.paths.visibility.intervals import VisibilityQuery, find_intervals
-from clsim.paths.visibility.occlusion import WallLookup, air_sides
+from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, ends_about, find_intervals
+from clsim.paths.visibility.occlusion import WallLookup, air_sides, in_air
 from clsim.scene.flush import find_mount
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from clsim.opencl.device import DeviceInfo
     from clsim.paths.options import PathOptions
     from clsim.paths.trajectory_tables import TrajectoryTables
-    from clsim.paths.visibility.intervals import Intervals
     from clsim.scene.ends import Source
     from clsim.scene.motion.motion import Motion
     from clsim.scene.room.mesh import MeshRoom
@@ -72,8 +71,8 @@ class MeshSearch:
         if scene.panels:
             query = replace(query, walls=see_through(room.walls, scene.panels))
         ends, last = query.trajectory_tables, query.last
-        device = float64_device(self.engine, self.device)
-        plant = _planter(query.walls, ends, device)
+        device, air = float64_device(self.engine, self.device), sides_of_air(query)
+        plant = _planter(query.walls, air, device)
         shoot = self._shoots(plant, room.walls.size, ends)
         if shoot and scene.panels:
             raise InputError("finder", 'must be "beam-tree" where walls let sound pass; or lower max_order')
@@ -91,7 +90,7 @@ class MeshSearch:
             try:
                 here = query.during(begin, end)
                 search = partial(find_intervals, here) if device is None else DeviceSearch(here, device).find
-                parts.append(self._heard(search, finder, source.name, part))
+                parts.append(self._heard(_InAir(here, air, search).find, finder, source.name, part))
                 if isinstance(finder, ShotRays):
                     _tell_missed(finder, parts[-1].walls, shoot)
             except TooManyBeamsError as error:
@@ -132,6 +131,23 @@ class MeshSearch:
         return FoundPaths.joined(parts)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _InAir:
+    """Answers a query for paths by walls without those that meet a closed shell from behind, see `in_air`."""
+
+    query: VisibilityQuery
+    air: NDArray[np.int64]  # (W,) see `air_sides`
+    search: Search  # of the query
+
+    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
+        """Return the intervals in which sequences (n, N) of walls are paths to receivers (n,)."""
+        query, found = self.query, self.search(sequence, receiver)
+        walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
+        source, _, _ = ends_about(query, walls, receiver[found.path], middle, np.zeros(len(middle)))
+        kept = np.flatnonzero(in_air(query.walls, self.air, walls, source))
+        return Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
+
+
 def visibility_query(
     scene: Scene, room: MeshRoom, source: Source, legs: int, resolution: float | None
 ) -> tuple[VisibilityQuery, float]:
@@ -149,8 +165,13 @@ def visibility_query(
             f"must surely stay below the speed of sound, {medium.slowest:.6g} m/s, for paths in a mesh, but "
             f"{source.name!r} is only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
         )
-    fine = resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
-    return VisibilityQuery(room.walls, ends, medium, np.zeros(len(last)), last, fine), longest
+    query = VisibilityQuery(room.walls, ends, medium, np.zeros(len(last)), last, resolution_of(scene, resolution))
+    return query, longest
+
+
+def resolution_of(scene: Scene, resolution: float | None) -> float:
+    """Time to which beginnings and ends of paths are found, s; a part of a sample if none is given."""
+    return resolution or _OF_A_SAMPLE / max(s.signal.sampling_rate for s in scene.sources)
 
 
 def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
@@ -232,12 +253,17 @@ def _tell_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> None:
     )
 
 
-def _planter(walls: Walls, ends: TrajectoryTables, device: tuple[DeviceInfo, Any] | None) -> Callable[..., BeamTree]:
+def sides_of_air(query: VisibilityQuery) -> NDArray[np.int64]:
+    """Sides (W,) of walls on which paths from a query's source can be; see `air_sides`."""
+    ends, source = query.trajectory_tables, np.zeros(1, dtype=np.int64)
+    start = ends.lifted(source, ends.position(source, np.zeros(1)) + PERTURBATIONS[0])[0]
+    return air_sides(query.walls, start)
+
+
+def _planter(walls: Walls, air: NDArray[np.int64], device: tuple[DeviceInfo, Any] | None) -> Callable[..., BeamTree]:
     """Return a function that makes beam trees in a room, from a sphere to others, as in `BeamTree`."""
     lookup = DeviceLookup(walls, device) if device is not None and len(walls) > _FEW_WALLS else WallLookup(walls)
-    source = np.zeros(1, dtype=np.int64)
-    start = ends.lifted(source, ends.position(source, np.zeros(1)) + PERTURBATIONS[0])[0]
-    return partial(BeamTree, walls, limit=BEAM_LIMIT, sides=air_sides(walls, start), lookup=lookup)
+    return partial(BeamTree, walls, limit=BEAM_LIMIT, sides=air, lookup=lookup)
 
 
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:

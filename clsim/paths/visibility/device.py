@@ -15,6 +15,7 @@ from clsim.paths.cubics import CUBIC_COLUMNS
 from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.paths.visibility.clearance import EVER, PARALLEL, TOUCHING
 from clsim.paths.visibility.intervals import (
+    ALONG,
     CERTAIN,
     GRAZE,
     GRAZE_TIME,
@@ -136,9 +137,9 @@ class DeviceSearch:
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
             "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(self._query.medium.wind is not None),
-            "GROUPED": int(self._query.walls.tree.has_groups), "GRAZE_TIME": GRAZE_TIME, "CERTAIN": CERTAIN,
-            "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL, "TOUCHING": TOUCHING,
-            "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
+            "GROUPED": int(self._query.walls.tree.has_groups), "GRAZE_TIME": GRAZE_TIME, "ALONG": ALONG,
+            "CERTAIN": CERTAIN, "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
+            "TOUCHING": TOUCHING, "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
             "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),
         }  # fmt: skip
         kernel = self._compiler.kernel(program, constants | own)

@@ -13,6 +13,7 @@ from clsim.errors import InputError
 from clsim.paths.search.edge_chains import joined_over_ends
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, ENDS_BESIDE, FAR, SIDES, EdgeVisibility, FaceLegs
 from clsim.paths.visibility.intervals import GRAZE_TIME, MOST_EVALUATIONS, Intervals, find_intervals, merged
+from clsim.paths.visibility.occlusion import in_air
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 
 
 _CHUNK = 20_000  # intervals looked at at a time, which bounds what waits
+APART = 2.0  # resolutions between the times at which different tests find the same event, at most
+NEAR = 1e-8  # of the room's size, which ends go in between; ten times the tolerance of an outline
+STEP = 1e-3  # s, in which it is looked how far ends go
+LONGEST = 1e-4  # s between these times, also where ends hardly move
 MOST_TOGETHER = 10_000_000  # evaluations of all paths of a batch: their intervals take 350 MB at most
 
 
@@ -39,9 +44,24 @@ class EdgeSearch:
     query: VisibilityQuery  # room, ends and resolution
     edges: Edges  # of the room
     device: DeviceSearch | None  # of the same query; NumPy when None
+    air: NDArray[np.int64]  # (W,) on which side of each wall paths can be, see `air_sides`
 
     def find(self, candidates: EdgeCandidates) -> Intervals:
-        """Return the intervals in which candidates are there.
+        """Return the intervals in which candidates are there."""
+        found = self._there(candidates)
+        row, walls = found.path, self.query.walls
+        stance = EdgeVisibility(self.edges, candidates).stance(
+            self.query, row, 0.5 * (found.begin + found.end), np.zeros(len(row))
+        )
+        met = [
+            in_air(walls, self.air, sequence[row], end)
+            for sequence, end in zip((candidates.before, candidates.after), stance.ends, strict=True)
+        ]
+        kept = np.flatnonzero(met[0] & met[1])
+        return Intervals(row[kept], found.begin[kept], found.end[kept], found.evaluations)
+
+    def _there(self, candidates: EdgeCandidates) -> Intervals:
+        """Return the intervals in which candidates are there within the tolerances of outlines.
 
         The side of the receiver is looked at while that of the source is there: most candidates are gone by then. The
         way between two edges comes last, on the host: mostly nothing stands there.
@@ -165,6 +185,15 @@ def _joined_pieces(
     starts = np.flatnonzero(first[: len(row)])
     stops = np.append(starts[1:], len(row))[: len(starts)] - 1
     return _over_ends(Pieces(candidates, row[starts], begin[starts], end[stops], sides[starts]))
+
+
+def indistinct(moved: Floats, resolution: float, size: float) -> Floats:
+    """Compute by how much times (n,) of the same event may differ, s, where ends go (n,) m within `STEP`.
+
+    Different tests find them, each to the resolution, s, and with tolerances of outlines in a room of a size, m.
+    """
+    slowest = NEAR * size / LONGEST * STEP
+    return np.asarray(APART * resolution + NEAR * size * STEP / np.maximum(moved, slowest))
 
 
 def _over_ends(pieces: Pieces) -> Pieces:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
 GRAZE = 1e-6  # of the room's size; paths that pass an edge nearer than this run along it
 GRAZE_TIME = 1e-3  # s; intervals shorter than this of such a path are one, if both ends agree with the middle
+ALONG = 0.02  # of what the ends can move meanwhile, by which a path that runs along an edge comes off it at most
 CERTAIN = 0.999  # of a clearance, what is relied on
 LEAST_SHARE = 0.05  # of an interval; less of it is not taken out of its middle
 MOST_EVALUATIONS = 3_000_000  # evaluations of one path
@@ -103,17 +104,16 @@ def find_intervals(
         if len(path) > _CHUNK:
             stack.append((path[_CHUNK:], begin[_CHUNK:], end[_CHUNK:]))
             path, begin, end = path[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
-        half = 0.5 * (end - begin)
-        middle = begin + half
+        half, middle = 0.5 * (end - begin), begin + 0.5 * (end - begin)
         valid, clear, reach = evaluate_at(query, sequence[path], receiver[path], middle, half)
         evaluations += len(path)
         done = (clear > reach) | (2.0 * half <= query.resolution) | (reach < SMALLEST_MOVE * query.walls.size)
         grazing = np.flatnonzero(~done & (clear < GRAZE * query.walls.size) & (half <= 0.5 * GRAZE_TIME))
         for instant in (begin, end) if len(grazing) else ():
-            still = np.zeros(len(grazing))
-            seen, _, _ = evaluate_at(query, sequence[path[grazing]], receiver[path[grazing]], instant[grazing], still)
-            grazing = grazing[seen == valid[grazing]]
-            evaluations += len(still)
+            asked = sequence[path[grazing]], receiver[path[grazing]]
+            seen, beside, most = evaluate_at(query, *asked, instant[grazing], half[grazing])
+            evaluations += len(grazing)
+            grazing = grazing[(seen == valid[grazing]) & (beside < np.minimum(GRAZE * query.walls.size, ALONG * most))]
         done[grazing] = True
         good = done & valid
         found.append((path[good], begin[good], end[good]))

@@ -176,6 +176,20 @@ def air_sides(walls: Walls, place: Floats) -> Ints:
     return np.asarray(np.where(inside[walls.shell], -walls.outward, walls.outward))
 
 
+def in_air(walls: Walls, sides: Ints, sequence: NDArray[np.int32], end: Floats) -> Bools:
+    """Mask of paths (n,) from ends (n, 3), m, that meet each wall of their sequences (n, N) from its side, `air_sides`.
+
+    A wall holds points that are within a tolerance beyond its outline, so that what grazes another face of a closed
+    shell may meet it there from behind for some microseconds.
+    """
+    met, image = np.ones(len(sequence), dtype=bool), end
+    for wall in sequence.T:
+        height = np.einsum("ni,ni->n", image, walls.normal[wall]) - walls.offset[wall]
+        met &= sides[wall] * height >= 0.0
+        image = image - 2.0 * height[:, None] * walls.normal[wall]
+    return met
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
     """n apertures as seen from balls, some through windows.
