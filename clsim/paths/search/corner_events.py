@@ -14,33 +14,36 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import read_only
+from clsim.paths.chain import Chain
 from clsim.paths.search.edge_chains import SAME_DELAY, delays_of
 from clsim.paths.visibility.edge_intervals import LONGEST, STEP, indistinct
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.chain import Chain
+    from clsim.paths.family import PathFamily
     from clsim.scene.scene import Scene
 
     Rows = NDArray[np.int64]
 
 
-def at_one_time(scene: Scene, found: tuple[Chain, ...], resolution: float) -> tuple[Chain, ...]:
+def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) -> tuple[PathFamily, ...]:
     """Return paths without and over edges with one time for all that begins and ends as a corner is passed.
 
     These are events of one source and one receiver which follow each other by no more than the resolution, s, or the
     tolerance of outlines explains, at which all paths are as long. The first one's time is that of all.
     """
-    bounds = [[np.array(family.start), np.array(family.end)] for family in found]
-    for group in _groups(scene, found, resolution):
+    chains = [family for family in found if isinstance(family, Chain)]
+    bounds = [[np.array(family.start), np.array(family.end)] for family in chains]
+    for group in _groups(scene, chains, resolution):
         time = min(bounds[family][side][row] for family, side, row in group)
         for family, side, row in group:
             bounds[family][side][row] = time
-    return tuple(_with_bounds(family, *each) for family, each in zip(found, bounds, strict=True))
+    changed = iter([_with_bounds(family, *each) for family, each in zip(chains, bounds, strict=True)])
+    return tuple(next(changed) if isinstance(family, Chain) else family for family in found)
 
 
 def _with_bounds(family: Chain, start: Floats, end: Floats) -> Chain:
@@ -50,17 +53,17 @@ def _with_bounds(family: Chain, start: Floats, end: Floats) -> Chain:
     return family.part(np.flatnonzero(start < end))
 
 
-def _groups(scene: Scene, found: tuple[Chain, ...], resolution: float) -> Iterator[list[tuple[int, int, int]]]:
+def _groups(scene: Scene, found: Sequence[Chain], resolution: float) -> Iterator[list[tuple[int, int, int]]]:
     """Yield groups of events that are one: numbers of the family, of the side (0 start, 1 end) and of the row."""
     parts: list[Any] = []
-    for number, family in enumerate(found):
-        pair = family.source.astype(np.int64) * len(scene.receivers) + family.receiver
-        for side, times in enumerate((family.start, family.end)):
-            rows = np.flatnonzero(np.isfinite(times))
-            parts.append((pair[rows], times[rows], np.full(len(rows), number), np.full(len(rows), side), rows))
-    pair, times, number, side, rows = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.lexsort((times, pair))
-    pair, times, number, side, rows = (column[order] for column in (pair, times, number, side, rows))
+    for place, family in enumerate(found):
+        pairs = family.source.astype(np.int64) * len(scene.receivers) + family.receiver
+        for end, bounds in enumerate((family.start, family.end)):
+            some = np.flatnonzero(np.isfinite(bounds))
+            parts.append((pairs[some], bounds[some], np.full(len(some), place), np.full(len(some), end), some))
+    columns: Any = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.lexsort((columns[1], columns[0]))
+    pair, times, number, side, rows = (column[order] for column in columns)
     gap = np.where(pair[1:] == pair[:-1], times[1:] - times[:-1], np.inf)
     near = gap <= LONGEST
     near[near] = gap[near] <= _explained(scene, pair[1:][near], times[1:][near], resolution)
