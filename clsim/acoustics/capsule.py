@@ -108,7 +108,9 @@ def _incidence_curvature(radius: float, half: float, source: Floats, at: tuple[F
     return np.asarray(np.maximum(share / radius, radius / (radius + half) ** 2))
 
 
-def capsule_field(wave: Floats, aspects: Floats, outline: silhouette.Outline | None = None) -> Complexes:
+def capsule_field(
+    wave: Floats, aspects: Floats, outline: silhouette.Outline | None = None, past: Complexes | float = 1.0
+) -> Complexes:
     """Return the field of a rigid capsule over its strength.
 
     Shapes: wave (F,) 1/m; aspects (..., 11), outlined (..., 22); result (..., F).
@@ -118,7 +120,7 @@ def capsule_field(wave: Floats, aspects: Floats, outline: silhouette.Outline | N
     lobes = _lobes(wave, aspects[..., :ASPECTS])
     if outline is None:
         return lobes
-    return silhouette.silhouette_field(outline, wave, aspects[..., ASPECTS:], lobes)
+    return silhouette.silhouette_field(outline, wave, aspects[..., ASPECTS:], lobes, past)
 
 
 def _lobes(wave: Floats, aspects: Floats) -> Complexes:

@@ -76,6 +76,10 @@ class Outline(Protocol):
         """Points of the outline as seen along the lines between endpoints (n, 3), `count` for each line."""
         ...
 
+    def clearance(self, source: Floats, receiver: Floats) -> Floats:
+        """Distances (n,) by which lines of sight (n, 3) pass it, about, m; negative where they meet it."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EllipsoidOutline:
@@ -97,6 +101,14 @@ class EllipsoidOutline:
         turn = (np.arange(count) + 0.5) * (2.0 * math.pi / count)
         ones = np.ones(count)
         return np.stack([np.cos(turn), np.sin(turn), ones, 0.0 * ones, 0.0 * ones, (2.0 * math.pi / count) * ones])
+
+    def clearance(self, source: Floats, receiver: Floats) -> Floats:
+        """Distances (n,) of lines of sight: that of the unit sphere in affine coordinates, scaled back there."""
+        begin, along = source / self.semi_axes, (receiver - source) / self.semi_axes
+        share = np.clip(-np.sum(begin * along, axis=1) / np.maximum(np.sum(along**2, axis=1), _LEAST), 0.0, 1.0)
+        nearest = begin + share[:, None] * along
+        out = np.maximum(np.linalg.norm(nearest, axis=1), _LEAST)
+        return np.asarray((1.0 - 1.0 / np.maximum(out, 0.5)) * np.linalg.norm(nearest * self.semi_axes, axis=1))
 
     def points(self, source: Floats, receiver: Floats, count: int) -> OutlinePoints:
         """Points at equal eccentric angles of the ellipse that is the body's projection along the line of sight.
@@ -154,6 +166,18 @@ class CapsuleOutline:
         along = np.where(on_side, 1.0 - 2.0 * at, 1.0)
         sign = np.where(piece >= 2, -1.0, 1.0)
         return np.stack([np.cos(turn), np.sin(turn), sign, on_side, along, dense / (count // 4)])
+
+    def clearance(self, source: Floats, receiver: Floats) -> Floats:
+        """Distances (n,) of lines of sight from the side's middle line, less the radius."""
+        along = receiver - source
+        level, slope, length = np.sum(along**2, axis=1), along[:, 2], np.sum(source * along, axis=1)
+        parted = np.maximum(level - slope**2, 1e-12 * level)
+        height = np.clip((source[:, 2] * level - slope * length) / parted, -self.half, self.half)
+        share = np.clip((height * slope - length) / np.maximum(level, _LEAST), 0.0, 1.0)
+        height = np.clip(source[:, 2] + share * slope, -self.half, self.half)
+        apart = source + share[:, None] * along
+        apart[:, 2] -= height
+        return np.asarray(np.linalg.norm(apart, axis=1) - self.radius)
 
     def points(self, source: Floats, receiver: Floats, count: int) -> OutlinePoints:
         """Points on both half circles and both sides.
@@ -229,13 +253,16 @@ def forward_share(wave: Floats, aspects: Floats) -> Floats:
     """Share (n, F) of the field about the outline; the rest is reflected as by a mirror. wave (F,) 1/m."""
     cosine, bend = aspects[:, 8:9], aspects[:, 9:10]
     fock = -2.0 * cosine * np.cbrt(0.5 * wave / bend)
-    return np.asarray(np.where(cosine < 0.0, 1.0, _fade(fock, FORWARD_FOCK) * _fade(cosine, FORWARD_COSINE)))
+    return np.asarray(np.where(cosine < 0.0, 1.0, faded(fock, FORWARD_FOCK) * faded(cosine, FORWARD_COSINE)))
 
 
-def silhouette_field(outline: Outline, wave: Floats, aspects: Floats, mirror: Complexes | float = 1.0) -> Complexes:
-    """Return the field of a smooth rigid body over its strength.
+def silhouette_field(
+    outline: Outline, wave: Floats, aspects: Floats, mirror: Complexes | float = 1.0, past: Complexes | float = 1.0
+) -> Complexes:
+    """Field of a smooth rigid body over its strength.
 
-    Shapes: wave (F,) 1/m; aspects (..., 11); mirror, a factor (..., F) of what is reflected; result (..., F).
+    Shapes: wave (F,) 1/m; aspects (..., 11); mirror, a factor (..., F) of what is reflected; past, a factor (..., F) of
+    the field about the outline, see `shade`; result (..., F).
 
     Near the forward direction it is the field about the outline, `outline_field`, elsewhere the specular reflection;
     one fades into the other where the reflection leaves the penumbra (V. A. Fock's parameter ``(k R / 2)^(1/3) cos
@@ -243,6 +270,7 @@ def silhouette_field(outline: Outline, wave: Floats, aspects: Floats, mirror: Co
     """
     flat = aspects.reshape(-1, ASPECTS)
     share = forward_share(wave, flat)
+    left = np.broadcast_to(np.asarray(past).reshape(-1, np.shape(past)[-1] if np.ndim(past) else 1), share.shape)
     found = flat[:, 7:8] * (1.0 - share) * np.reshape(mirror, (-1, np.shape(mirror)[-1] if np.ndim(mirror) else 1))
     found = found.astype(np.complex128)
     some = np.flatnonzero(share.any(axis=1))
@@ -252,7 +280,9 @@ def silhouette_field(outline: Outline, wave: Floats, aspects: Floats, mirror: Co
         each = max(_AT_A_TIME // (count * max(len(wave), 1)), 1)
         for first in range(0, len(alike), each):
             rows = alike[first : first + each]
-            found[rows] += share[rows] * outline_field(outline, wave, flat[rows], count)
+            about, sight = outline_field(outline, wave, flat[rows, 0:3], flat[rows, 3:6], count)
+            about *= np.exp(-1j * flat[rows, 10:11] * wave) * (flat[rows, 6:7] / sight)
+            found[rows] += share[rows] * left[rows] * about
     return np.asarray(found.reshape(*aspects.shape[:-1], len(wave)))
 
 
@@ -293,8 +323,12 @@ class PointsAsked:
         return np.asarray(counts[np.minimum(np.searchsorted(limits, np.minimum(asked, self.most)), len(limits) - 1)])
 
 
-def outline_field(outline: Outline, wave: Floats, aspects: Floats, count: int) -> Complexes:
-    """Field (n, F) that an outline adds to the free field, over the free field, for `silhouette_field`.
+def outline_field(
+    outline: Outline, wave: Floats, source: Floats, receiver: Floats, count: int
+) -> tuple[Complexes, Floats]:
+    """Field (n, F) that an outline adds to the free field, over the free field, and the lines of sight (n, 1), m.
+
+    Shapes: wave (F,) 1/m; source, receiver (n, 3) m.
 
     A line integral of our own derivation. Kirchhoff's field of a screen with that outline is ``1 + (1 / 2 pi) integral
     of (exp(-j k psi) - 1) d phi``, with the angle phi about the line of sight and the detour psi (A. Rubinowicz, Prog.
@@ -305,8 +339,7 @@ def outline_field(outline: Outline, wave: Floats, aspects: Floats, count: int) -
     about the ellipse in which the plane of the point cuts the body, and on either side of grazing the same function of
     it. Against rigid spheres it is right within 0.2 dB rms from 20 cm on.
     """
-    held = aspects[:, 6:7]
-    points = outline.points(aspects[:, 0:3], aspects[:, 3:6], count)
+    points = outline.points(source, receiver, count)
     sight = points.receiver - points.source
     string = _strings(points)
     detour = np.hypot(string.source, points.beside) + np.hypot(string.receiver, points.beside) - sight
@@ -319,13 +352,13 @@ def outline_field(outline: Outline, wave: Floats, aspects: Floats, count: int) -
     few, weights = _interpolated(wave)
     root = np.cbrt(0.5 * few)[:, None, None]
     fock = root * string.fock
-    known = _fade(fock, NEAR_FOCK) * weight * (edge - root * smooth * fock_hard(fock))
-    total = np.empty((len(aspects), len(wave)), dtype=np.complex128)
+    known = faded(fock, NEAR_FOCK) * weight * (edge - root * smooth * fock_hard(fock))
+    total = np.empty((len(source), len(wave)), dtype=np.complex128)
     for row, late in enumerate(detour):
         here = np.flatnonzero(np.abs(known[:, row]).max(axis=0) > _LEAST)
         total[row] = np.sum(weights * (known[:, row, here] @ np.exp(-1j * np.outer(late[here], wave))), axis=0)
     total -= np.sum(screen, axis=1)[:, None]
-    return np.asarray(total * np.exp(-1j * aspects[:, 10:11] * wave) * (held / sight[:, :1]))
+    return total, sight[:, :1]
 
 
 def _interpolated(wave: Floats) -> tuple[Floats, Floats]:
@@ -399,7 +432,7 @@ def _strings(at: OutlinePoints) -> _Strings:
     apart = tangents[0] * tangents[1] / (tangents[0] + tangents[1] + _LEAST)
     wide = np.sqrt(np.maximum(c1 * c2, 0.0))
     for tangent in tangents:
-        wide = wide * _fade(tangent**2 / (tangent**2 + at.beside**2 + _LEAST), GRAZING)
+        wide = wide * faded(tangent**2 / (tangent**2 + at.beside**2 + _LEAST), GRAZING)
     source, receiver = (tangent + 0.5 * arc for tangent in tangents)
     return _Strings(source, receiver, apart, fock, curve, apart * fock / curve, wide)
 
@@ -414,7 +447,7 @@ def silhouette_bound(largest: float, wave: Floats, nearest: Floats) -> Floats:
     return np.asarray(np.minimum(wave * largest**2 / nearest[:, None], _LARGEST))
 
 
-def _fade(x: Floats, ends: tuple[float, float]) -> Floats:
+def faded(x: Floats, ends: tuple[float, float]) -> Floats:
     """Go from 1 at the first of two numbers to 0 at the second, smoothly."""
     part = np.clip((x - ends[1]) / (ends[0] - ends[1]), 0.0, 1.0)
     return np.asarray(part * part * (3.0 - 2.0 * part))

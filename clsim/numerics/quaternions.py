@@ -28,6 +28,11 @@ def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
     return turned
 
 
+def inverse(quaternion: Floats) -> Floats:
+    """Quaternions (..., 4) that turn back."""
+    return np.asarray(quaternion * np.array([-1.0, -1.0, -1.0, 1.0]))
+
+
 def cross_product(a: Floats, b: Floats) -> Floats:
     """Return the cross products of vectors (..., 3), as `numpy.cross` does in a third of its time.
 

@@ -57,6 +57,11 @@ class Shape(Protocol):
         ...
 
     @property
+    def outlined(self) -> bool:
+        """Whether that is the field about its outline."""
+        ...
+
+    @property
     def aspects(self) -> int:
         """Number of arguments of `field` per path."""
         ...
@@ -69,7 +74,7 @@ class Shape(Protocol):
         """Return scattering strength (n,) between endpoints (3, n), m, and arguments (n, aspects) of `field`."""
         ...
 
-    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
+    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return factor (..., F) of the strength at wave numbers (F,), 1/m; None for 1."""
         ...
 
@@ -99,6 +104,7 @@ class PointShape:
     radius: ClassVar[float] = 0.0
     is_complex: ClassVar[bool] = False
     shadows: ClassVar[bool] = False
+    outlined: ClassVar[bool] = False
     aspects: ClassVar[int] = 1
 
     @property
@@ -112,7 +118,7 @@ class PointShape:
         one = np.ones(source.shape[1])
         return self.strongest * one, one[:, None]
 
-    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
+    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return None: it has no field of its own."""
         return None
 
@@ -163,10 +169,10 @@ class EllipsoidShape:
             return silhouette.silhouette_aspects((source, receiver), found, mirrored)
         return ellipsoid_strength(self.semi_axes, source, receiver, found), np.ones((source.shape[1], 1))
 
-    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
+    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return the reflection or, in the forward direction, the outline's field; None for geometrical optics."""
         if self.outlined:
-            return silhouette.silhouette_field(self.outline, wave, aspects)
+            return silhouette.silhouette_field(self.outline, wave, aspects, 1.0, past)
         return None
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
@@ -187,6 +193,7 @@ class SphereShape:
     kind: ClassVar[str] = "sphere"
     is_complex: ClassVar[bool] = True
     shadows: ClassVar[bool] = True
+    outlined: ClassVar[bool] = False
     aspects: ClassVar[int] = sphere.ASPECTS
 
     @property
@@ -199,7 +206,7 @@ class SphereShape:
     def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
         return sphere.sphere_aspects(self.radius, source, receiver, glint or self.glint(source, receiver, None, 1.0))
 
-    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
+    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return the sum of its modes."""
         self._check(wave)
         return sphere.sphere_field(self.radius * wave, aspects)
@@ -260,9 +267,9 @@ class CapsuleShape:
         found = glint or self.glint(source, receiver, None, 1.0)
         return capsule_aspects(self.cylinder_radius, self.length, source, receiver, found, self.outlined)
 
-    def field(self, wave: Floats, aspects: Floats) -> Complexes | None:
+    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return the Fresnel integrals along it or, in the forward direction, the field about its outline."""
-        return capsule_field(wave, aspects, self.outline if self.outlined else None)
+        return capsule_field(wave, aspects, self.outline if self.outlined else None, past)
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
         """Return the bounds (n, F) of both ends and the whole of the side in phase."""

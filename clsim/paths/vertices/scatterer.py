@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from clsim.acoustics.shade import shade
+from clsim.acoustics.silhouette import ASPECTS
+from clsim.numerics.quaternions import inverse, rotate
 from clsim.paths.family import SCATTERING, ends_at
 from clsim.paths.links import in_chunks
 from clsim.paths.vertices.scatterer_paths import find_scattered, scattered_way
@@ -216,12 +219,34 @@ class ScattererVertex:
         """Multiply responses (P, T, F) by the fields and fluctuations of scatterers, for wave numbers (F,)."""
         for mine in self.groups():
             scatterer = self.part(mine).one
-            field = scatterer.shape.field(wave, more["aspects"][mine, :, : scatterer.shape.aspects])
+            aspects = more["aspects"][mine, :, : scatterer.shape.aspects]
+            past = self._past(mine, more["event_time"][mine], aspects, wave) if scatterer.shape.outlined else 1.0
+            field = scatterer.shape.field(wave, aspects, past)
             if field is not None:
                 response[mine] *= field
             if scatterer.fluctuation is not None:
                 response[mine] *= scatterer.fluctuation.at(more["event_time"][mine])[..., None]
         return response
+
+    def _past(self, mine: NDArray[np.int64], times: Floats, aspects: Floats, wave: Floats) -> Any:
+        """Shares (P, T, F) of the direct sound that scatterers before one in the scene let pass, see `shade`.
+
+        By times (P, T) at which sound is at this one, and its aspects (P, T, n), which hold both ends in its frame.
+        """
+        which = int(self.scatterer[mine[0]])
+        past: Any = 1.0
+        ends = aspects.reshape(-1, aspects.shape[-1])[:, -ASPECTS:][:, :6].reshape(-1, 2, 3)
+        moments, own = times.ravel(), self.scatterers[which].trajectory
+        if own.has_orientation:
+            ends = rotate(own.orientation(moments)[:, None], ends)
+        ends = ends + own.position(moments)[:, None]
+        for other in self.scatterers[:which]:
+            if other.shape.outlined:
+                seen = ends - other.trajectory.position(moments)[:, None]
+                if other.trajectory.has_orientation:
+                    seen = rotate(inverse(other.trajectory.orientation(moments))[:, None], seen)
+                past = past * shade(other.shape.outline, wave, seen[:, 0], seen[:, 1]).reshape(*times.shape, len(wave))
+        return past
 
     def largest(self, links: Links, at: SceneResponse) -> Floats:
         """Bounds (P, F) of what scatterers send on, times the lengths of the paths."""

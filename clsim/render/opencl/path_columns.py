@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics import fock, silhouette
+from clsim.acoustics import fock, shade, silhouette
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE, partner_reflections
 from clsim.acoustics.edge_end import AT_CORNER, END_TERMS
@@ -61,6 +61,8 @@ OF_GAINS = {
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
+    "WITHIN_WHOLE": shade.WITHIN[0], "WITHIN_NONE": shade.WITHIN[1],
+    "BETWEEN_WHOLE": shade.BETWEEN[0], "BETWEEN_NONE": shade.BETWEEN[1],
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
 # Structures of kernels/nodes/path.h.
@@ -217,8 +219,11 @@ class ScattererColumns(StaticColumns):
             return {}
         waves = basis.nodes / self._of.tracks.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
-        # All outlines find Fock's function at the beginning.
-        parts: list[Floats] = [fock.fock_table().view(np.float64)] if outlined.any() else []
+        # All outlines find Fock's function at the beginning, and then what else casts a shadow, see ``shade.h``.
+        casters = np.zeros((int(outlined.sum()), 7))
+        parts: list[Floats] = []
+        if outlined.any():
+            parts = [fock.fock_table().view(np.float64), np.array([len(casters)]), casters.reshape(-1)]
         for view in np.flatnonzero(views["shape"] == SPHERE):
             modes = sphere_modes(tuple((2.0 * np.pi * waves * views["semi_axes"][view, 0]).tolist()))
             factors = np.stack([modes.step, modes.back, modes.weight.real, modes.weight.imag], axis=1)
@@ -230,6 +235,10 @@ class ScattererColumns(StaticColumns):
             shape: Any = self._of.tracks.scene.scatterers[row].shape
             parts.append(self._points(shape.outline, waves, start))
             views["first_mode"][row], views["modes"][row] = start, int(parts[-1][0])
+        chosen = views[outlined]
+        casters[:] = np.column_stack(
+            [chosen["thing"], chosen["shape"] == CAPSULE, chosen["turned"], chosen["semi_axes"], chosen["first_mode"]]
+        )
         known = np.concatenate(parts) if parts else np.zeros(0)
         found = self._of.uploaded(field_tables=field_tables(waves, table))
         return found | {"middle": middle, "modes": self._of.put(known) if known.size else None}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import Floats, read_only
-from clsim.numerics.quaternions import rotate
+from clsim.numerics.quaternions import inverse, rotate
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.scene.motion.orientation import quaternion_product
 
@@ -112,22 +112,18 @@ class Seen:
 
     def position(self, time: Floats) -> Floats:
         away = self.point.position(time) - self.frame.position(time)
-        return rotate(_inverse(self.frame.orientation(time)), away)
+        return rotate(inverse(self.frame.orientation(time)), away)
 
     def velocity(self, time: Floats) -> Floats:
         away = self.point.position(time) - self.frame.position(time)
         moved = self.point.velocity(time) - self.frame.velocity(time)
         turned = moved - np.cross(self.frame.angular_velocity(time), away)
-        return rotate(_inverse(self.frame.orientation(time)), turned)
+        return rotate(inverse(self.frame.orientation(time)), turned)
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
         speed = self.point.speed_over(begin, end) + self.frame.speed_over(begin, end)
         away = np.linalg.norm(self.point.position(begin) - self.frame.position(begin), axis=-1) + speed * (end - begin)
         return np.asarray((speed + self.frame.peak_turn * away) * _SPARE)
-
-
-def _inverse(quaternions: Floats) -> Floats:
-    return np.asarray(quaternions * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def _turn_breaks(motion: Motion) -> Floats:

@@ -47,8 +47,8 @@ static void add_part(const vertex_tables* t, double weight, double root_of_detou
 }
 
 // The field over the strength, which is returned, m.
-static double capsule_field(const vertex_tables* t, const scatterer_frame* g, triples place, __global const view* seen, int hidden,
-                            int lane, response* field)
+static double capsule_field(const vertex_tables* t, const moment* now, const scatterer_frame* g, triples place, __global const view* seen,
+                            int hidden, int lane, response* field)
 {
     for (int part = 0; part < PARTS; part++) {
         for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
@@ -93,6 +93,7 @@ static double capsule_field(const vertex_tables* t, const scatterer_frame* g, tr
     const double r = OF_NODE(radius, lane), end = OF_NODE(g->scale.z, lane), z = OF_NODE(place.z, lane);
     const double share = fabs(z) > end - r ? 1.0 : OF_NODE(around_share, lane);
     const double curvature = fmax(share / r, r / (end * end));
-    return silhouette_field(t, g, place, seen, hidden, 1.0 / sqrt(OF_NODE(here.steep, lane)), obliquity(0.5 * pressed, 1), curvature, lane, field);
+    const double mirrored = 1.0 / sqrt(OF_NODE(here.steep, lane));
+    return silhouette_field(t, now, g, place, seen, hidden, mirrored, obliquity(0.5 * pressed, 1), curvature, lane, field);
 }
 #endif

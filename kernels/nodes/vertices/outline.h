@@ -57,17 +57,18 @@ static void look_along(outline* o)
     }
 }
 
-// Numbers and place of the points that an outline needs as its ends are now, `PointsAsked`. Its table has how many steps there are
-// (as `seen->modes`), fewest points, how many more by `x`, most, largest radius; of each step most points asked, points, place.
-static __global const double* points_asked(const outline* o, __global const double* tables, __global const view* seen, int* count)
+// Numbers and place of the points that an outline needs as its ends are now, `PointsAsked`. Its table has how many steps there are,
+// fewest points, how many more by `x`, most, largest radius; of each step most points asked, points, place.
+static __global const double* points_asked(const outline* o, __global const double* tables, int first, int* count)
 {
-    __global const double* head = tables + seen->first_mode;
+    __global const double* head = tables + first;
+    const int steps = (int)head[0];
     double foot[3];
     cross_of(o->source, o->sight, foot);
     const double behind = fmax(-dot_of(o->source, o->sight), head[4]), ahead = fmax(dot_of(o->receiver, o->sight), head[4]);
     const double asked = fmin(head[1] + head[2] * (head[4] + sqrt(dot_of(foot, foot))) * (1.0 / behind + 1.0 / ahead), head[3]);
     int step = 0;
-    while (step + 1 < seen->modes && asked > head[5 + 3 * step]) step++;
+    while (step + 1 < steps && asked > head[5 + 3 * step]) step++;
     *count = (int)head[6 + 3 * step];
     return tables + (int)head[7 + 3 * step];
 }

@@ -30,6 +30,7 @@ static choices scattered_step(const trajectory* path, const pose_table* poses, _
                               reals time, double small, int first, arrivals* a, scatterer_state* b)
 {
     const reals early = a->delay - b->onward, event = RETARDED ? time - b->onward : time;
+    b->event = event;
     locate(path, RETARDED ? event - early : time, a);
     const triples at = cubics(a->knot, a->u), rates = cubic_rates(a->knot, a->u), speed = scaled((reals)path->rate, rates);
     const triples from = seen_at(seen->source_turn, seen->source_shift, at);

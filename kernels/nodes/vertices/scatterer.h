@@ -15,6 +15,7 @@ typedef struct {
     triples specular;             // its unit vector; of capsules its place, m
     triples source, receiver;  // the ends in the frame of the scatterer, m
     triples arrival;           // unit vector along the path at the receiver, in the room
+    reals event;               // when sound is there, s
     reals spread, leaving;     // product of the lengths of both legs, m^2; Mach number of the scatterer towards the receiver
 #if WIND
     triples start, stop;       // the ends as the air carries their wavefronts, m
@@ -132,6 +133,7 @@ static void keep(choices open, const arrivals* next, const scatterer_state* met,
     choose_reals(open, met->onward_rate, &b->onward_rate);
     choose_reals(open, met->weight, &b->weight);
     choose_reals(open, met->change, &b->change);
+    choose_reals(open, met->event, &b->event);
     choose_reals(open, met->spread, &b->spread);
     choose_reals(open, met->leaving, &b->leaving);
     choose(open, met->specular, &b->specular);

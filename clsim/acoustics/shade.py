@@ -1,0 +1,47 @@
+"""Shadows of several bodies in one line of sight: what one lets pass of the sound is what the next one shades."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.acoustics.silhouette import faded, outline_field
+
+if TYPE_CHECKING:
+    from clsim.acoustics.silhouette import Outline
+    from clsim.arrays import Complexes, Floats
+
+# Radii of the first Fresnel zone by which lines of sight pass a body: up to the first its shade counts, from the second
+# on not at all.
+WITHIN = (1.5, 3.0)
+BETWEEN = (1.0, 0.0)  # largest radii that a body is from the nearer end along the line of sight, likewise
+
+
+def shade(outline: Outline, wave: Floats, source: Floats, receiver: Floats) -> Complexes:
+    """Pressure (n, F) behind a body over that without it, near its shadow; 1 elsewhere.
+
+    Shapes: wave (F,) 1/m; source, receiver (n, 3) m, in the body's frame.
+
+    Of bodies in a row the product of all shades is what is left of the direct sound: exact deep in the shadow of any,
+    and where others are far off their Fresnel zones. Our own derivation: screens in a row, of which each meets what
+    the last one lets pass.
+    """
+    sight = receiver - source
+    length = np.maximum(np.linalg.norm(sight, axis=1), 1e-30)
+    before = -np.sum(source * sight, axis=1) / length
+    nearer = np.minimum(before, length - before)
+    between = faded(nearer / outline.largest, BETWEEN)
+    found = np.ones((len(source), len(wave)), dtype=np.complex128)
+    rows = np.flatnonzero(between > 0.0)
+    zone = np.sqrt(2.0 * math.pi * (before * (length - before) / length)[rows, None] / wave)
+    weight = between[rows, None] * faded(outline.clearance(source[rows], receiver[rows])[:, None] / zone, WITHIN)
+    some = np.flatnonzero(weight.any(axis=1))
+    rows, weight = rows[some], weight[some]
+    counts = outline.asked(float(wave.max(initial=0.0))).counts(source[rows], receiver[rows])
+    for count in np.unique(counts).tolist():
+        alike = np.flatnonzero(counts == count)
+        here = rows[alike]
+        found[here] += weight[alike] * outline_field(outline, wave, source[here], receiver[here], count)[0]
+    return found
