@@ -66,8 +66,8 @@ _FIELDS = (
     "nodes/prediction.h", "nodes/vertices/transition.h", "nodes/solve.h", "nodes/vertices/angles.h",
     "nodes/vertices/edge_end.h", "nodes/vertices/edge_field.h", "nodes/vertices/outline.h", "nodes/vertices/strings.h",
     "nodes/vertices/outline_field.h", "nodes/vertices/shade.h", "nodes/vertices/silhouette.h",
-    "nodes/vertices/capsule_field.h", "nodes/vertices/sphere.h",
-    "nodes/vertices/scattered_field.h", "nodes/legs/mirrored_field.h", "nodes/node_gains.h",
+    "nodes/vertices/capsule_field.h", "nodes/vertices/sphere.h", "nodes/vertices/scattered_field.h",
+    "nodes/legs/mirrored_field.h", "nodes/node_gains.h",
 )  # fmt: skip
 _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
@@ -97,9 +97,8 @@ _KINDS = {
 }  # fmt: skip
 _OF_GAINS = {
     "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION", "LEFT_OUT", "END_CELLS", "END_TERMS",
-    "BOTH", "AT_CORNER", "FOCK_FIRST", "FOCK_LAST", "FOCK_COUNT", "FOCK_WHOLE", "FOCK_NONE", "COSINE_WHOLE",
-    "COSINE_NONE", "NEAR_WHOLE", "NEAR_NONE", "GRAZING", "GRAZED", "SHORTEST", "WITHIN_WHOLE",
-    "WITHIN_NONE", "BETWEEN_WHOLE", "BETWEEN_NONE", "ELLIPSOID", "SPHERE",
+    "BOTH", "AT_CORNER", "FOCK_FIRST", "FOCK_LAST", "FOCK_COUNT", "FOCK_WHOLE", "FOCK_NONE", "COSINE_WHOLE", "WITHIN",
+    "COSINE_NONE", "NEAR_WHOLE", "NEAR_NONE", "GRAZING", "GRAZED", "SHORTEST", "ELLIPSOID", "SPHERE",
 }  # fmt: skip
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays

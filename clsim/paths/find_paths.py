@@ -115,7 +115,7 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
     first, second = by_walls
     several = hidden_by_several(scene)
     if several:
-        warn(f"{several}: their shadows add up, and too much is heard behind them; let only one of them cast a shadow")
+        warn(f'{several}: their shadows add up, and too much is heard behind them; model="outline" of spheres mends it')
     if search.scatterers_in_row > 1:
         straight_on = partial(_unreflected, search=given)
         found.append(scatterer_pair_paths(scene, (first, second), straight_on, limit))

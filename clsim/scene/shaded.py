@@ -42,19 +42,20 @@ def shaded_pairs(scene: Scene, duration: float) -> list[str]:
 
 
 def hidden_by_several(scene: Scene) -> str | None:
-    """Words for the first line of sight that several scatterers with shadows stand in at once; None for no such.
+    """Words for the first line of sight in which a sphere by its series and another thing with a shadow stand at once.
 
-    Shadows add up: of two in a row the second takes the sound away that the first has taken already. The first eight
-    pairs are looked at.
+    None for no such. Their shadows add up: the second takes the sound away that the first has taken already. Those of
+    outlines multiply. The first eight pairs are looked at.
     """
     casting = [scatterer for scatterer in scene.scatterers if scatterer.shape.shadows]
-    if len(casting) < 2:
+    series = np.array([not one.shape.outlined for one in casting])
+    if len(casting) < 2 or not series.any():
         return None
     for source, receiver in [(s, r) for s in scene.sources for r in scene.receivers][:_PAIRS]:
         last = min(source.end, receiver.trajectory.end, *(one.trajectory.end for one in casting))
         times = np.linspace(max(source.start, 0.0), max(last, source.start, 0.0), _LOOKS)
         cut = np.array([_cut(source, receiver, one, times) for one in casting])
-        several = np.flatnonzero(cut.sum(axis=0) > 1)
+        several = np.flatnonzero((cut.sum(axis=0) > 1) & cut[series].any(axis=0))
         if len(several):
             names = " and ".join(
                 repr(one.name) for one, is_cut in zip(casting, cut[:, several[0]], strict=True) if is_cut

@@ -66,6 +66,9 @@ OWN = {
     "chebyshev_nodes": "what the name says",
     "forward_share": "our choice: where one approximation goes over into the other",
     "silhouette_aspects": "derived: lengths and directions of both ends",
+    "shade": "derived: screens in a row, of which each meets what the last one lets pass",
+    "faded": "what the name says",
+    "inverse": "what the name says",
     "silhouette_bound": "derived: Kirchhoff's field of a disc",
 }
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.shade import shade
+from clsim.acoustics.shade import LOUDEST_SHADE, shade
 from clsim.acoustics.silhouette import ASPECTS
 from clsim.numerics.quaternions import inverse, rotate
 from clsim.paths.family import SCATTERING, ends_at
@@ -241,11 +241,12 @@ class ScattererVertex:
             ends = rotate(own.orientation(moments)[:, None], ends)
         ends = ends + own.position(moments)[:, None]
         for other in self.scatterers[:which]:
-            if other.shape.outlined:
+            shape: Any = other.shape
+            if shape.outlined:
                 seen = ends - other.trajectory.position(moments)[:, None]
                 if other.trajectory.has_orientation:
                     seen = rotate(inverse(other.trajectory.orientation(moments))[:, None], seen)
-                past = past * shade(other.shape.outline, wave, seen[:, 0], seen[:, 1]).reshape(*times.shape, len(wave))
+                past = past * shade(shape.outline, wave, seen[:, 0], seen[:, 1]).reshape(*times.shape, len(wave))
         return past
 
     def largest(self, links: Links, at: SceneResponse) -> Floats:
@@ -257,6 +258,10 @@ class ScattererVertex:
             scatterer = self.part(mine).one
             most = 1.0 if scatterer.fluctuation is None else scatterer.fluctuation.most
             bound[mine] = most * scatterer.shape.largest(wave, self.nearest[mine])
+            if scatterer.shape.outlined and any(
+                other.shape.outlined for other in self.scatterers[: self.scatterer[mine[0]]]
+            ):
+                bound[mine] *= LOUDEST_SHADE
         if links.legs[0].moving:
             mach = links.chain.speeds[rows] / c
             return np.asarray(bound * ((1.0 + mach) / (1.0 - mach))[:, None])

@@ -61,8 +61,7 @@ OF_GAINS = {
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
-    "WITHIN_WHOLE": shade.WITHIN[0], "WITHIN_NONE": shade.WITHIN[1],
-    "BETWEEN_WHOLE": shade.BETWEEN[0], "BETWEEN_NONE": shade.BETWEEN[1],
+    "WITHIN": shade.WITHIN,
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
 # Structures of kernels/nodes/path.h.

@@ -40,12 +40,12 @@ static double clearance_of(const outline* o)
 static void shade_by(const vertex_tables* t, const outline* o, int first, const root_range* roots, response* about)
 {
     const double before = -dot_of(o->source, o->sight), after = dot_of(o->receiver, o->sight), length = before + after;
-    const double between = faded(fmin(before, after) / t->modes[first + 4], BETWEEN_WHOLE, BETWEEN_NONE);
+    const double between = faded(fmin(before, after) / t->modes[first + 4], 1.0, 0.0);
     if (between <= 0.0) return;
     const double passed = clearance_of(o) / sqrt(before * after / length);
     float weight[FREQUENCIES], most = 0.0f;
     for (int f = 0; f < FREQUENCIES; f++) {
-        weight[f] = (float)(between * faded(passed * sqrt((double)((__global const float*)t->waves)[f]), WITHIN_WHOLE, WITHIN_NONE));
+        weight[f] = (float)(between * faded(passed * sqrt((double)((__global const float*)t->waves)[f]), WITHIN, 2.0 * WITHIN));
         most = fmax(most, weight[f]);
     }
     if (most == 0.0f) return;
