@@ -205,7 +205,8 @@ def crossing(thing: str) -> clsim.PathSet:
         turn = np.array([0.0, 0.1, 0.0, 1.0]) / np.sqrt(1.01)
         pole = clsim.Trajectory.fixed((1.6, 1.72, 1.2), turn)
         bodies.insert(0, clsim.Scatterer.capsule("pole", 0.05, 0.4, pole, shadow=True))
-    chirp = clsim.Signal.pulses(clsim.Signal.chirp(30e3, 50e3, 4e-3, 192e3, window="tukey"), 0.01, 6)
+    band = (30e3, 50e3) if len(bodies) == 1 else (39e3, 41e3)  # the reference takes minutes for two in the wide one
+    chirp = clsim.Signal.pulses(clsim.Signal.chirp(*band, 4e-3, 192e3, window="tukey"), 0.01, 6)
     scene = clsim.Scene(
         clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.8)), clsim.Air(),
         [clsim.Source("s", chirp, clsim.Trajectory.fixed((1.0, 1.7, 1.2)))],
