@@ -76,7 +76,7 @@ def test_a_fork_after_a_rendering_says_what_to_do() -> None:
     rendered("opencl")  # the parent goes on
 
 
-@pytest.mark.parametrize("text", few(FILES, kept=()), ids=["pool", "loader", "dask"])
+@pytest.mark.parametrize("text", few(FILES, kept=()), ids=["batch", "pool", "loader", "dask"])
 def test_the_files_of_the_page_run(text: str, tmp_path: Path) -> None:
     (tmp_path / "many.py").write_text(text, "utf-8")
     (tmp_path / "torch" / "utils").mkdir(parents=True)
