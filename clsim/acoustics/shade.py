@@ -23,9 +23,9 @@ def shade(outline: Outline, wave: Floats, source: Floats, receiver: Floats) -> C
 
     Shapes: wave (F,) 1/m; source, receiver (n, 3) m, in the body's frame.
 
-    Of bodies in a row the product of all shades is what is left of the direct sound: exact deep in the shadow of any,
-    and where others are far off their Fresnel zones. Our own derivation: screens in a row, of which each meets what
-    the last one lets pass.
+    Of bodies in a row the product of all shades is taken for what is left of the direct sound. That is right where all
+    but one are far off the line of sight; else what the first diffracts is taken for a wave from the source itself. Our
+    own derivation: screens in a row, of which each meets what the last one lets pass.
     """
     sight = receiver - source
     length = np.maximum(np.linalg.norm(sight, axis=1), 1e-30)

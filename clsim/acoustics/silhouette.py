@@ -273,7 +273,7 @@ def silhouette_field(
     left = np.broadcast_to(np.asarray(past).reshape(-1, np.shape(past)[-1] if np.ndim(past) else 1), share.shape)
     found = flat[:, 7:8] * (1.0 - share) * np.reshape(mirror, (-1, np.shape(mirror)[-1] if np.ndim(mirror) else 1))
     found = found.astype(np.complex128)
-    some = np.flatnonzero(share.any(axis=1))
+    some = np.flatnonzero(share.any(axis=1) & left.any(axis=1))
     counts = outline.asked(float(wave.max(initial=0.0))).counts(flat[some, 0:3], flat[some, 3:6])
     for count in np.unique(counts).tolist():
         alike = some[counts == count]

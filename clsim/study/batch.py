@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import warnings
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,7 @@ from clsim.render.render import record
 from clsim.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
     from clsim.cluster.dispatch import Call, Row
     from clsim.paths.ground_truth import DirectPath
@@ -123,9 +124,14 @@ def render_batch(
     """
     workers = as_count("workers", workers, at_least=1)
     rate = as_number("truth_rate", truth_rate, above=0.0, at_most=1e6, unit="Hz")
-    of_render = RenderOptions(sampling_rate, **options)
+    try:
+        of_render = RenderOptions(sampling_rate, **options)
+    except TypeError as error:  # in the words of the function that was called
+        raise TypeError(str(error).replace("RenderOptions.__init__", "render_batch")) from None
     same = {"engine": of_render.engine, "device": of_render.device}
     how = _How(PathOptions(max_order, **same | dict(paths or {})), of_render, rate)
+    if not isinstance(scenes, Iterable):
+        raise InputError("scenes", f"must be an iterable of Scene, but is {scenes!r:.80}")
     numbered = enumerate(scenes)
     return _here(numbered, how) if workers == 1 else _by_processes(numbered, how, workers)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from killing import living
 
 import clsim
 
@@ -107,6 +108,10 @@ def test_options_are_checked_before_the_first_scene() -> None:
             clsim.render_batch([], RATE, 1, **{name: value})
     with pytest.raises(clsim.InputError, match=r"^finder"):
         clsim.render_batch([], RATE, 1, paths={"finder": "luck"})
+    with pytest.raises(clsim.InputError, match=r"^scenes: must be an iterable"):
+        clsim.render_batch(5, RATE, 1)
+    with pytest.raises(TypeError, match=r"^render_batch\(\) got an unexpected keyword argument 'durtion'"):
+        clsim.render_batch([], RATE, 1, durtion=1.0)
 
 
 SCRIPT = """
@@ -122,19 +127,6 @@ if __name__ == "__main__":
 """
 
 
-def group(leader: int) -> list[int]:
-    """Return the living processes of a group."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            words = path.read_text("utf-8").rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(words[2]) == leader and words[0] != "Z":
-            found.append(int(path.parent.name))
-    return found
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc tells of a group's processes on Linux")
 def test_an_interrupt_leaves_no_process(tmp_path: Path, device: None) -> None:
     script = tmp_path / "endless.py"
@@ -145,12 +137,12 @@ def test_an_interrupt_leaves_no_process(tmp_path: Path, device: None) -> None:
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "0\n"
-        assert len(group(process.pid)) > 2
+        assert len(living(process.pid)) > 2
         os.killpg(process.pid, signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert process.returncode != 0
     assert "KeyboardInterrupt" in err
     until = time.monotonic() + 10.0
-    while group(process.pid) and time.monotonic() < until:
+    while living(process.pid) and time.monotonic() < until:
         time.sleep(0.1)
-    assert group(process.pid) == []
+    assert living(process.pid) == []

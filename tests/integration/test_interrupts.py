@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from exhaustive import few
+from killing import living
 from late import installed
 from made_studies import ENVIRONMENT, write, write_scene
 from test_kills import RECEIVER, SCENE
@@ -98,14 +99,7 @@ def _group(leader: int) -> list[int]:
     """Return the processes of a group that live, a second after its leader has ended."""
     deadline = time.monotonic() + 5.0
     while True:
-        found = []
-        for path in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                words = path.read_text("utf-8").rpartition(")")[2].split()
-            except OSError:
-                continue
-            if int(words[2]) == leader and words[0] != "Z":
-                found.append(int(path.parent.name))
+        found = living(leader)
         if not found or time.monotonic() > deadline:
             return found
         time.sleep(0.05)

@@ -98,7 +98,9 @@ def capsule(radius: float, half: float, wave: float, count: int) -> PointSources
     return PointSources(*surface(2 * count, radius), surface(count, 0.5 * radius)[0], wave)
 
 
-def heard(shapes: list[clsim.Scatterer], wave: float, source: np.ndarray, receivers: np.ndarray) -> np.ndarray:
+def heard(
+    shapes: list[clsim.Scatterer], wave: float, source: np.ndarray, receivers: np.ndarray, **search: int
+) -> np.ndarray:
     """Return direct sound and scatterers (n,) at receivers (n, 3), over the free field."""
     frequency = wave * C / (2.0 * np.pi)
     signal = clsim.Signal.tone(frequency, 0.01, 8.0 * frequency)
@@ -108,7 +110,7 @@ def heard(shapes: list[clsim.Scatterer], wave: float, source: np.ndarray, receiv
     )  # fmt: skip
     total = np.zeros(len(receivers), dtype=complex)
     at = SceneResponse(scene, 0, np.array([frequency]))
-    for family in clsim.find_paths(scene, 0).families:
+    for family in clsim.find_paths(scene, 0, **search).families:
         for pair in family.pairs():
             found = pair.arrivals(np.zeros(1))
             turn = np.exp(-2j * np.pi * frequency * found.delay[:, 0])
@@ -257,6 +259,8 @@ def test_shades_in_a_row_multiply(measured: Callable[..., float]) -> None:
         places = walk(0.5 * gap + 2.5, across)
         one, other = (heard(things, ka, source, places) for things in (bodies, bodies[::-1]))
         assert np.abs(one - other).max() < 0.06  # but for the fading of what is far off the line of sight
+        twice = heard(bodies, ka, source, places, scatterers_in_row=2)
+        assert np.abs(np.abs(twice) - np.abs(one)).max() < 0.3  # echoes from one to the other, and no shade twice
         found.append(errors(one, exact.levels(source, places)))
     errors_db = np.concatenate(found)
     rms = float(np.sqrt(np.mean(errors_db**2)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.acoustics.diffraction import TERMS, lit_angles, partner_reflections
 from clsim.paths.legs.moving import moving_paths
-from clsim.paths.search.body_edges import ABSENT, HALVES, EdgeFinder, free_legs
+from clsim.paths.search.body_edges import ABSENT, EdgeFinder, free_legs, halves
 from clsim.paths.search.edge_chains import tied
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_pair import EdgePairVertex
@@ -139,8 +139,7 @@ class _PairLook:
                 met[:, None] + partner_reflections(wedge) <= self.search.order
             )
             code[p, t] += (seen @ (first << np.arange(TERMS))).astype(np.int16)
-        for bit, wedge, angle in zip(HALVES, (n, last_n), (t_s, t_r), strict=True):
-            code[p, t] += (bit * (angle > 0.5 * np.pi * wedge)).astype(np.int16)
+        code[p, t] += halves((n, last_n), (t_s, t_r)).astype(np.int16)
         return code
 
     def _on(self, solver: EdgePairSolver, pairs: EdgePairs, events: EdgePairEvents) -> NDArray[np.bool_]:

@@ -210,10 +210,13 @@ class _Look:
         met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
         seen &= met[p, None] + partner_reflections(n[p]) <= self.search.order
         inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
-        code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside
-        for bit, angle in zip(HALVES, (t_s, t_r), strict=True):
-            code[p, t] += bit * (angle[p, t] > 0.5 * np.pi * n[p])
+        code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside + halves((n[p], n[p]), (t_s[p, t], t_r[p, t]))
         return code
+
+
+def halves(n: tuple[Floats, Floats], angles: tuple[Floats, Floats]) -> Any:
+    """Bits of codes (n,) of both ends' angles about wedges, whose air is from 0 to nπ."""
+    return sum(bit * (angle > 0.5 * np.pi * wedge) for bit, wedge, angle in zip(HALVES, n, angles, strict=True))
 
 
 def free_legs(search: BodySearch, chains: Chains, events: EdgeEvents, times: Floats, on: Any) -> tuple[Rows, Rows]:

@@ -8,8 +8,8 @@ transformation with the speed of sound leads: there the edge rests, and all is a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     Triple = tuple[Floats, Floats, Floats]
 
 _ROUNDS = 20  # of `find_events`
-STEPS = 12  # of Newton's method along the edge
-FOUND = 1e-8  # m along the edge: what that leaves of the way is its square over the distances
-BEYOND = 1.0  # lengths of the edge, by which places of paths that are not there may lie off it
+_FOUND = 1e-8  # m along the edge: what that leaves of the way is its square over the distances
+_BEYOND = 1.0  # lengths of the edge, by which places of paths that are not there may lie off it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +67,11 @@ class EdgeEvents:
     doppler: Floats  # (P, T) frequency at the edge, as it sees it, over that emitted
     carried: Floats  # (P, T) what the wind makes of that where all rests in the room
 
+    def part(self, rows: NDArray[np.int64]) -> Any:
+        """Places and ends of some of the paths, all that a step takes."""
+        ends: dict[str, Any] = {name: tuple(x[rows] for x in getattr(self, name)) for name in ("source", "receiver")}
+        return replace(self, along=self.along[rows], **ends)
+
     def put(self, rows: NDArray[np.int64], other: Any) -> None:
         """Write others in place of some of the paths."""
         for mine, theirs in zip(_arrays(self), _arrays(other), strict=True):
@@ -93,6 +97,8 @@ class EdgeSolver:
     retarded: bool = True  # whether all is where it was when the sound passed, or rests where it is at reception
     rounds: int = _ROUNDS  # of the search for events at mirrors, at the most
 
+    steps: ClassVar[int] = 12  # of Newton's method along the edge
+
     def find(self, chains: Chains, times: Floats) -> Any:
         """Events at edges of sound that is received at times (T,) or (P, T), s.
 
@@ -103,7 +109,7 @@ class EdgeSolver:
         begin.
         """
         now = np.array(np.broadcast_to(times, (len(chains.edge), np.shape(times)[-1])))
-        along = self._middles(chains, now.shape[1])
+        along = np.repeat(0.5 * self._lengths(chains), now.shape[1], axis=-1)
         few = few_of(np.asarray(times)) if self.retarded else None
         if few is not None:
             from scipy.interpolate import make_interp_spline
@@ -112,27 +118,30 @@ class EdgeSolver:
             along = coarse @ make_interp_spline(times[few], np.eye(len(few)), k=5)(times).T
         return self._found(chains, now, along)
 
-    def _middles(self, chains: Any, count: int) -> Floats:
-        """Middles of the edges (P, T), m, from which on places are looked for."""
-        return np.repeat(0.5 * self.lines.length[chains.edge, None], count, axis=1)
-
-    def _found(self, chains: Any, now: Floats, along: Floats) -> EdgeEvents:
-        """Return events from about where they are on the edges (P, T), m, on."""
-        length = self.lines.length[chains.edge, None]
-        over_end = chains.end >= 0
-        along = np.where(over_end[:, None], np.where(chains.end[:, None] == 1, length, 0.0), along)
+    def _found(self, chains: Any, now: Floats, along: Floats) -> Any:
+        """Events from about where they are on the edges (P, ..., T), m, on."""
+        length, over_end = self._lengths(chains), np.expand_dims(chains.end, tuple(range(1, along.ndim)))
+        along = np.where(over_end >= 0, np.where(over_end == 1, length, 0.0), along)
         found = self._at(chains, now, along)
-        rows = np.flatnonzero(~over_end)
-        for _ in range(STEPS):
-            step = edge_way(*(x[rows] for x in (*found.source[::2], *found.receiver[::2]))).apex
-            place = np.clip(along[rows] + step, -BEYOND * length[rows], (1.0 + BEYOND) * length[rows])
-            left = np.abs(place - along[rows]).max(axis=1, initial=0.0) > FOUND
+        rows = np.flatnonzero(chains.end < 0)
+        for _ in range(self.steps):
+            place = self._next(chains.part(rows), found.part(rows))
+            place = np.clip(place, -_BEYOND * length[rows], (1.0 + _BEYOND) * length[rows])
+            left = np.abs(place - along[rows]).max(axis=tuple(range(1, along.ndim)), initial=0.0) > _FOUND
             rows = rows[left]
             if not len(rows):
                 break
             along[rows] = place[left]
             found.put(rows, self._at(chains.part(rows), now[rows], along[rows]))
         return found
+
+    def _lengths(self, chains: Any) -> Floats:
+        """Lengths of the edges (P, ..., 1), m."""
+        return self.lines.length[chains.edge, None]
+
+    def _next(self, chains: Any, found: Any) -> Floats:
+        """Places on the edges (P, ..., T) to go on from, m."""
+        return np.asarray(found.along + edge_way(*found.source[::2], *found.receiver[::2]).apex)
 
     def _at(self, chains: Any, now: Floats, along: Floats) -> EdgeEvents:
         """Return events with the places on the edges (P, T) given, m."""
@@ -154,7 +163,7 @@ class EdgeSolver:
     def source_seen(self, point: EdgePoint, time: Floats, first: Events) -> tuple[Triple, Floats, Floats]:
         """Place r, θ and z of the emission's image about points on edges, and frequencies there, see `EdgeEvents`."""
         coming, wind = -first.arrival, self._wind
-        source = self._seen(point, time, coming, first.distance, -1.0)
+        source = self.seen(point, time, coming, first.distance, -1.0)
         doppler = np.hypot(source[0], source[2]) / (first.distance * first.stretch)
         axes, c = self.lines.axes(point.edge, time), self.medium.speed_of_sound
         still = _from_moving(np.broadcast_to(-wind / c, coming.shape), axes, coming, np.ones(time.shape), -1.0)
@@ -167,7 +176,7 @@ class EdgeSolver:
         """
         moved = self._moved(point, time)
         ahead = last.distance * last.stretch / (1.0 - dot(last.departure, moved) / self.medium.speed_of_sound)
-        return self._seen(point, time, last.departure, ahead, 1.0)
+        return self.seen(point, time, last.departure, ahead, 1.0)
 
     @property
     def _wind(self) -> Floats:
@@ -178,7 +187,7 @@ class EdgeSolver:
         velocity = point.velocity(time)
         return np.asarray((velocity if self.retarded else 0.0 * velocity) - self._wind)
 
-    def _seen(self, point: EdgePoint, time: Floats, direction: Floats, distance: Floats, sign: float) -> Triple:
+    def seen(self, point: EdgePoint, time: Floats, direction: Floats, distance: Floats, sign: float) -> Triple:
         """Place r, θ and z of images in the air about points on edges.
 
         With n and d the direction and the distance of an image in the air, what is at ``(t, x) = (d / c, d n)`` from

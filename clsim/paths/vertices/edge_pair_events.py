@@ -8,13 +8,13 @@ on the way. From there Newton's method leads to where the time of the whole way 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.acoustics.diffraction import ON_LINE, edge_way
 from clsim.paths.legs.mirrors import EdgePoint, dot
-from clsim.paths.vertices.edge_events import BEYOND, FOUND, STEPS, Chains, EdgeEvents, EdgeSolver
+from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
 from clsim.paths.vertices.edge_lengths import RolledOut
 
 if TYPE_CHECKING:
@@ -61,16 +61,16 @@ class EdgePairEvents(EdgeEvents):
     bend: Floats
 
     def part(self, rows: NDArray[np.int64]) -> EdgePairEvents:
-        """Places and ends of some of the paths."""
-        some: dict[str, Any] = {name: getattr(self, name)[rows] for name in ("along", "slope", "bend")}
-        some |= {name: tuple(x[rows] for x in getattr(self, name)) for name in ("source", "receiver")}
-        return replace(self, **some)
+        """Places, ends and slopes of some of the paths."""
+        some: EdgePairEvents = EdgeEvents.part(self, rows)
+        return replace(some, slope=self.slope[rows], bend=self.bend[rows])
 
 
 class EdgePairSolver(EdgeSolver):
     """What ways over two edges are looked for among, between one source and one receiver."""
 
     __slots__ = ()
+    steps = 24
 
     def ahead(self, pairs: EdgePairs, found: EdgePairEvents) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
         """Places r and z (P, T) of each end as the other end's edge sees it beyond its own, rolled out, m."""
@@ -79,25 +79,9 @@ class EdgePairSolver(EdgeSolver):
         one, other = RolledOut.between((frames[0], frames[1]), (n[0], n[1]), pairs.face)
         return one(*found.receiver[::2]), other(*found.source[::2])
 
-    def _middles(self, pairs: EdgePairs, count: int) -> Floats:
-        return np.repeat(0.5 * self._lengths(pairs), count, axis=2)
-
     def _lengths(self, pairs: EdgePairs) -> Floats:
         """Lengths of both edges (P, 2, 1), m."""
         return self.lines.length[np.stack([pairs.edge, pairs.last], axis=1)][..., None]
-
-    def _found(self, pairs: EdgePairs, now: Floats, along: Floats) -> EdgePairEvents:
-        found, rows = self._at(pairs, now, along), np.arange(len(now))
-        for _ in range(2 * STEPS):
-            some, length = pairs.part(rows), self._lengths(pairs.part(rows))
-            place = np.clip(self._next(some, found.part(rows)), -BEYOND * length, (1.0 + BEYOND) * length)
-            left = np.abs(place - along[rows]).max(axis=(1, 2), initial=0.0) > FOUND
-            rows = rows[left]
-            if not len(rows):
-                break
-            along[rows] = place[left]
-            found.put(rows, self._at(pairs.part(rows), now[rows], along[rows]))
-        return found
 
     def _next(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
         """Places (P, 2, T) from which to go on: as rolled out where that is far, else by Newton's method, m."""
@@ -118,8 +102,8 @@ class EdgePairSolver(EdgeSolver):
         time = self.begun(between, leaving)
         first = self.leg(pairs.before, (self.ends[0], points[0]), time)
         source, doppler, carried = self.source_seen(points[0], time, first)
-        heard, came = self.receiver_seen(points[1], leaving, last), self.source_seen(points[1], leaving, between)[0]
-        onto = self.receiver_seen(points[0], time, between)
+        heard, onto = self.receiver_seen(points[1], leaving, last), self.receiver_seen(points[0], time, between)
+        came = self.seen(points[1], leaving, -between.arrival, between.distance, -1.0)
         (r_s, t_s, z_s), (r_r, t_r, z_r) = source, heard
         seen = (r_s, t_s, z_s + along[:, 0]), (r_r, t_r, z_r + along[:, 1])
         courses = [_course(source), _course(onto), _course(came), _course(heard)]

@@ -129,8 +129,13 @@ class ScattererPairVertex(ScattererVertex):
         response *= (found.mach_factor * found.more["strength"])[..., None]
         wave = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
         for mine in self.groups():
-            for i, scatterer in enumerate(self.part(mine).two):
-                field = scatterer.shape.field(wave, found.more["aspects"][mine, :, : scatterer.shape.aspects, i])
+            two = self.part(mine).two
+            seen = [found.more["aspects"][mine, :, : s.shape.aspects, i] for i, s in enumerate(two)]
+            fields: list[Any] = [s.shape.field(wave, aspects) for s, aspects in zip(two, seen, strict=True)]
+            if all(scatterer.shape.outlined for scatterer in two):  # the path by the second alone has both shades
+                mirrored: list[Any] = [s.shape.field(wave, aspects, 0.0) for s, aspects in zip(two, seen, strict=True)]
+                fields = [np.prod(fields, axis=0) - np.prod(np.stack(fields) - np.stack(mirrored), axis=0), None]
+            for i, (scatterer, field) in enumerate(zip(two, fields, strict=True)):
                 if field is not None:
                     response[mine] *= field
                 if scatterer.fluctuation is not None:
