@@ -39,6 +39,12 @@ def pairs_of(paths: PathSet) -> PathSet:
     return PathSet(paths.scene, found)
 
 
+def on_edge(body: clsim.Body, lines: EdgeLines, edge: int) -> Any:
+    """Return the place of a point on an edge of a body, by its place along it, m, and time."""
+    start, _, _, along = lines.frames[edge]
+    return lambda p, t: body.placed(start + p[0] * along, np.array(t))
+
+
 def test_drawn_ways_over_two_edges_are_the_earliest() -> None:
     """A pillar that swings or slides, and a wall that does the other, before and after: earliest over places and times.
 
@@ -69,14 +75,8 @@ def test_drawn_ways_over_two_edges_are_the_earliest() -> None:
             continue
         delay = (found.first.delay + found.last.delay)[0]
 
-        def on_edge(edge: int, body: Any = body, lines: Any = lines) -> Any:
-            start, _, _, along = lines.frames[edge]
-            return lambda p, t: body.placed(start + p[0] * along, np.array(t))
-
-        def on_wall(p: Any, t: float, wall: Any = wall) -> Any:
-            return wall.placed(np.array([4.0, *p]), np.array(t))
-
-        surfaces = [on_wall] * mirrored[0] + [on_edge(edge) for edge in pairs[one[0]]] + [on_wall] * mirrored[1]
+        walls = [lambda p, t, wall=wall: wall.placed(np.array([4.0, *p]), np.array(t))]
+        surfaces = walls * mirrored[0] + [on_edge(body, lines, edge) for edge in pairs[one[0]]] + walls * mirrored[1]
         first = int(mirrored[0])
         guess = np.zeros((len(surfaces), 2))
         guess[first : first + 2, 0] = found.along[0, :, 1] + 0.02
