@@ -154,6 +154,7 @@ static float channel_gains(const response* shared, const arrival* a, const envir
     const float loud = harmonics((__global const float*)s->receiver_directivity, -(float)inner(receiver_frame[0], a->arrival),
                                  -(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), component);
     float* out = (float*)gain;
+    for (int k = 0; k < GAIN_VECTORS; k++) gain[k] = 0.0f;  // also where no function is: NaN there would count as an error
     for (int k = 0; k < s->function_count; k++) {
         __global const bins* row = (__global const bins*)s->projection + k * PARTS * BIN_VECTORS;
         bins sum = row[0] * r.part[0][0];

@@ -115,6 +115,12 @@ def harmonics(device: str) -> Plan:
 
 
 @scene
+def components(device: str) -> Plan:
+    """Four ambisonic components of one function of frequency: gains that do not fill their vector."""
+    return plan(world(beams=(clsim.Omni(), clsim.Ambisonic(1))), device, responses="centre")
+
+
+@scene
 def phased(device: str) -> Plan:
     """Walls that depend on the angle, with phases, and so does a directivity, in air that disperses."""
     beams = (OffCentre(2e-3), clsim.FirstOrder(0.4))
