@@ -78,12 +78,7 @@ static void project(const response* r, __global const gains* projection, gains* 
 static void shared_response(const arrival* a, const environment* s, int angular, int slots, int slot, response* r)
 {
     float common = 1.0f / (a->length > NEAREST ? a->length : NEAREST);
-#if MACH_EXPONENT >= 1
-    common *= (float)a->mach_factor;
-#endif
-#if MACH_EXPONENT >= 2
-    common *= (float)a->mach_factor;
-#endif
+    for (int i = 0; i < MACH_EXPONENT; i++) common *= (float)a->mach_factor;
     const float raised = (float)(a->mach_factor - 1);
     for (int b = 0; b < BIN_VECTORS; b++) {
         bins loss = of_air(s->nepers, b, raised) * (a->through - 1.0f);

@@ -6,12 +6,7 @@
 static double length_by_mirrors(const mirror_state* met, int lane)
 {
     double length = OF_NODE(met->length, lane);
-#if MACH_EXPONENT >= 1
-    length /= OF_NODE(met->raised, lane);
-#endif
-#if MACH_EXPONENT >= 2
-    length /= OF_NODE(met->raised, lane);
-#endif
+    for (int i = 0; i < MACH_EXPONENT; i++) length /= OF_NODE(met->raised, lane);
     return length;
 }
 

@@ -47,12 +47,7 @@ static double scattered_length(const vertex_tables* tables, const pose_table* po
         const double steep = OF_NODE(cosine, lane) / PENUMBRA;
         strength = hidden ? 0.0 : OF_NODE(full, lane) * (1.0 - exp(-steep * steep * steep));
     }
-#if MACH_EXPONENT >= 1
-    spread *= 1.0 - OF_NODE(b->leaving, lane);
-#endif
-#if MACH_EXPONENT >= 2
-    spread *= 1.0 - OF_NODE(b->leaving, lane);
-#endif
+    for (int i = 0; i < MACH_EXPONENT; i++) spread *= 1.0 - OF_NODE(b->leaving, lane);
     return strength * NOTHING_BACK > spread ? spread / strength : NOTHING_BACK;
 }
 
