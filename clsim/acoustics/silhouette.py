@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from clsim.acoustics.fock import fock_hard
+from clsim.numerics.chebyshev import chebyshev_points, interpolation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -349,36 +350,52 @@ def outline_field(
     edge = string.offset / (string.offset**2 + points.beside**2 + _LEAST) / (2.0 * math.pi)
     smooth = string.curve / (string.apart * math.sqrt(math.pi))
     # But for the phase all changes slowly with frequency: it is known at few of them.
-    few, weights = _interpolated(wave)
-    root = np.cbrt(0.5 * few)[:, None, None]
+    roots = np.cbrt(0.5 * wave)  # on which it depends
+    low, high = float(roots.min()), float(roots.max())
+    root = chebyshev_points(low, high, FEW if high - low > 1e-9 * high else 1)[:, None, None]
     fock = root * string.fock
     known = faded(fock, NEAR_FOCK) * weight * (edge - root * smooth * fock_hard(fock))
-    total = np.empty((len(source), len(wave)), dtype=np.complex128)
-    for row, late in enumerate(detour):
-        here = np.flatnonzero(np.abs(known[:, row]).max(axis=0) > _LEAST)
-        total[row] = np.sum(weights * (known[:, row, here] @ np.exp(-1j * np.outer(late[here], wave))), axis=0)
-    total -= np.sum(screen, axis=1)[:, None]
+    total = _summed(known, detour, wave) - np.sum(screen, axis=1)[:, None]
     return total, sight[:, :1]
 
 
-def _interpolated(wave: Floats) -> tuple[Floats, Floats]:
-    """Few wave numbers (M,) and the weights (M, F) that carry smooth functions from there to others (F,), 1/m.
+def _summed(known: Complexes, detour: Floats, wave: Floats) -> Complexes:
+    """Field (n, F) of points by their strengths (M, n, N), see `outline_field`, with the phases of detours (n, N), m.
 
-    Nodes of Chebyshev's polynomials, `FEW` of them, and Lagrange's polynomials through them.
+    Over a band, a phase that turns by up to c rad to either side of its middle is a polynomial of a degree little above
+    c, to 1e-9 (Bessel functions J_n(c) fall quickly beyond n = c): a sum is taken at as many wave numbers and carried
+    to all others.
     """
-    root = np.cbrt(0.5 * wave)  # the strengths depend on it
-    low, high = float(root.min()), float(root.max())
-    if high - low < 1e-9 * high:
-        return wave[:1], np.ones((1, len(wave)))
-    return 2.0 * (0.5 * (high + low) + 0.5 * (high - low) * chebyshev_nodes()) ** 3, (
-        np.polynomial.chebyshev.chebvander((2.0 * root - high - low) / (high - low), FEW - 1)
-        @ np.linalg.inv(np.polynomial.chebyshev.chebvander(chebyshev_nodes(), FEW - 1))
-    ).T
+    total = np.zeros((len(detour), len(wave)), dtype=np.complex128)
+    low, high = float(wave.min()), float(wave.max())
+    weights = interpolation(float(np.cbrt(0.5 * low)), float(np.cbrt(0.5 * high)), len(known), np.cbrt(0.5 * wave))
+    carry: dict[int, Floats] = {}
+    for row, late in enumerate(detour):
+        here = np.flatnonzero(known[:, row].any(axis=0))
+        if not len(here):
+            continue
+        begin, end = float(late[here].min()), float(late[here].max())
+        turn, middle = 0.25 * (high - low) * (end - begin), 0.5 * (begin + end)
+        count = 8 * math.ceil((turn + 6.0 * float(np.cbrt(turn)) + 12.0) / 8.0)
+        strength, late = known[:, row, here], late[here] - middle
+        if count < len(wave):
+            if count not in carry:
+                carry[count] = interpolation(low, high, count, wave)
+            sums = _at_points(strength * np.exp(-0.5j * (high + low) * late), 0.5 * (high - low) * late, count)
+            sums = sums @ carry[count]
+        else:
+            sums = strength @ np.exp(-1j * np.outer(late, wave))
+        total[row] = np.sum(weights * sums, axis=0) * np.exp(-1j * middle * wave)
+    return total
 
 
-def chebyshev_nodes() -> Floats:
-    """Nodes (FEW,) of the interpolation over frequency, from -1 to 1."""
-    return np.asarray(np.cos((np.arange(FEW) + 0.5) * (math.pi / FEW)))
+def _at_points(strength: Complexes, turn: Floats, count: int) -> Complexes:
+    """Field (M, count) of strengths (M, N) with phases ``-turn x``, at the Chebyshev points from 1 to -1.
+
+    Half of these have the phases of the others with the other sign.
+    """
+    half = np.exp(-1j * np.outer(turn, chebyshev_points(-1.0, 1.0, count)[: count // 2]))
+    return np.concatenate([strength @ half, np.conj(np.conj(strength) @ half)[:, ::-1]], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

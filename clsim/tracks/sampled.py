@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.chebyshev import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.room.faces import NEAREST
@@ -74,12 +75,6 @@ def band_of(low: float, high: float, sound: ShortTimeSpectra, count: int = GRIDS
     high = max(high, low * (1.0 + 1e-6))
     grid = chebyshev_points(low, high, count)
     return Band(low, high, grid, sound.near(grid[::-1], low, high)[:, ::-1])
-
-
-def chebyshev_points(low: float, high: float, count: int) -> Floats:
-    """Return the Chebyshev points of the first kind of an interval, from high to low."""
-    angle = math.pi * (np.arange(count) + 0.5) / count
-    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle))
 
 
 @dataclass(frozen=True, eq=False)

@@ -132,8 +132,8 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
     assert basis.error_db < -80.0
     # Of paths and times that were not looked at: the same bound, for what a response is at any frequency of the band.
     tracks, rng = plan.tracks, np.random.default_rng(5)
+    from clsim.numerics.chebyshev import chebyshev_points
     from clsim.paths.response import SceneResponse
-    from clsim.tracks.sampled import chebyshev_points
 
     # The chirp's spectrum fades towards the ends of its band, and so does what is asked there.
     times, f = rng.uniform(0.0, 0.05, 7), chebyshev_points(low + 0.15 * (high - low), high - 0.15 * (high - low), 40)

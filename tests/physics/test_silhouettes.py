@@ -13,6 +13,8 @@ import pytest
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
+from clsim.acoustics.silhouette import CapsuleOutline, EllipsoidOutline, outline_field
+from clsim.numerics.chebyshev import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.scene.shaded import hidden_by_several
 
@@ -190,6 +192,22 @@ def test_nothing_jumps_where_a_shadow_begins() -> None:
                 np.abs(np.diff(heard([thing], wave, source, walk(0.5, np.linspace(0.02, 0.14, count))))).max()
             )
         assert changes[0] / changes[1] == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("band", "error"),
+    [((39e3, 41e3), 5e-5), ((30e3, 50e3), 1e-4), ((20e3, 80e3), 0.02)],  # 2e-5 by the table of Fock's function alone
+)
+def test_bands_are_frequencies_one_by_one(band: tuple[float, float], error: float) -> None:
+    """Fields over a band are carried from few wave numbers: they are those of each frequency alone."""
+    random = np.random.default_rng(5)
+    ends = [random.uniform(-1.0, 1.0, (20, 3)) + np.array([x, 0.0, 0.0]) for x in (-1.5, 1.5)]
+    wave = chebyshev_points(*band, 387) * (2.0 * np.pi / C)
+    for outline in (EllipsoidOutline(np.array([0.1, 0.3, 0.2])), CapsuleOutline(0.1, 0.4)):
+        together = outline_field(outline, wave, *ends, 128)[0][:, ::43]
+        alone = np.concatenate([outline_field(outline, wave[[i]], *ends, 128)[0] for i in range(0, 387, 43)], axis=1)
+        assert np.abs(together - alone).max() < error
+        assert np.abs(alone).max() > 0.3
 
 
 def crossing(thing: str) -> clsim.PathSet:

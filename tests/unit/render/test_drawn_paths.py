@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
+from clsim.numerics.chebyshev import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.tracks import sampled
 from clsim.tracks.tracks import SceneTracks, track
@@ -37,7 +38,7 @@ def tracks(speed: float, turning: bool = False, material: Any = None, head: bool
 )
 def test_instants_together_are_those_one_by_one(made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     of_scene = tracks(**made)
-    band = sampled.Band(20e3, 40e3, sampled.chebyshev_points(20e3, 40e3, 9), np.ones((1, 9)) / 9)
+    band = sampled.Band(20e3, 40e3, chebyshev_points(20e3, 40e3, 9), np.ones((1, 9)) / 9)
     draws = []
     for together in (True, False):
         monkeypatch.setattr("clsim.paths.chain.Chain.one_by_one", property(lambda self, here=together: here))
