@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -278,7 +279,7 @@ def silhouette_field(
     counts = outline.asked(float(wave.max(initial=0.0))).counts(flat[some, 0:3], flat[some, 3:6])
     for count in np.unique(counts).tolist():
         alike = some[counts == count]
-        each = max(_AT_A_TIME // (count * max(len(wave), 1)), 1)
+        each = max(_AT_A_TIME // (count * FEW), 1)
         for first in range(0, len(alike), each):
             rows = alike[first : first + each]
             about, sight = outline_field(outline, wave, flat[rows, 0:3], flat[rows, 3:6], count)
@@ -368,8 +369,8 @@ def _summed(known: Complexes, detour: Floats, wave: Floats) -> Complexes:
     """
     total = np.zeros((len(detour), len(wave)), dtype=np.complex128)
     low, high = float(wave.min()), float(wave.max())
-    weights = interpolation(float(np.cbrt(0.5 * low)), float(np.cbrt(0.5 * high)), len(known), np.cbrt(0.5 * wave))
-    carry: dict[int, Floats] = {}
+    roots = np.cbrt(0.5 * wave)
+    weights = interpolation(float(roots.min()), float(roots.max()), len(known), roots)
     for row, late in enumerate(detour):
         here = np.flatnonzero(known[:, row].any(axis=0))
         if not len(here):
@@ -379,14 +380,19 @@ def _summed(known: Complexes, detour: Floats, wave: Floats) -> Complexes:
         count = 8 * math.ceil((turn + 6.0 * float(np.cbrt(turn)) + 12.0) / 8.0)
         strength, late = known[:, row, here], late[here] - middle
         if count < len(wave):
-            if count not in carry:
-                carry[count] = interpolation(low, high, count, wave)
             sums = _at_points(strength * np.exp(-0.5j * (high + low) * late), 0.5 * (high - low) * late, count)
-            sums = sums @ carry[count]
+            sums = sums @ _carry(wave.tobytes(), count)
         else:
             sums = strength @ np.exp(-1j * np.outer(late, wave))
         total[row] = np.sum(weights * sums, axis=0) * np.exp(-1j * middle * wave)
     return total
+
+
+@lru_cache(maxsize=32)
+def _carry(wave: bytes, count: int) -> Floats:
+    """Weights (count, F) of values at Chebyshev points of a band for those at wave numbers (F,)."""
+    x = np.frombuffer(wave)
+    return interpolation(float(x.min()), float(x.max()), count, x)
 
 
 def _at_points(strength: Complexes, turn: Floats, count: int) -> Complexes:

@@ -103,8 +103,8 @@ class Chain(PathFamily):
 
     @property
     def one_by_one(self) -> bool:
-        """Whether `response` takes an instant of its own for each path: not with a vertex, which asks for its pose."""
-        return self.vertex is None
+        """Whether `response` takes an instant of its own for each path."""
+        return self.vertex is None or self.vertex.one_by_one
 
     @property
     def costly(self) -> bool:

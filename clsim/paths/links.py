@@ -84,9 +84,9 @@ class Vertex(Protocol):
         Bound of the speed of any vertex, m/s; None for vertices of the room.
     nodes_at_a_time : int
         Number of nodes that are solved together.
-    is_complex, varies, costly : bool
+    is_complex, varies, costly, one_by_one : bool
         Whether responses have phases; whether they change so much that a few instants do not tell of all; whether they
-        are taken at few instants where they change slowly.
+        are taken at few instants where they change slowly; whether each path may have an instant of its own.
     """
 
     def part(self, rows: Rows) -> Self:

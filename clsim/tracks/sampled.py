@@ -36,6 +36,7 @@ _FRAMES = 48  # of all pairs, about
 _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at least
 _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
+_TOGETHER = 512  # responses that are worked on together
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 4096  # of each
 _QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
@@ -190,8 +191,10 @@ def picked_paths(
         level[level < _SILENT] = 0.0
         share = -(-count // (len(pairs) * instants))
         drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]
-        for together in [drawn] if paths.family.one_by_one else [[one] for one in drawn]:
-            yield from _at_instants(paths, found, times, level, together)
+        most = max((len(rows) for _, rows, _ in drawn), default=1)
+        each = max(_TOGETHER // most, 1) if paths.family.one_by_one else 1
+        for begin in range(0, len(drawn), each):
+            yield _at_instants(paths, found, times, level, drawn[begin : begin + each])
 
 
 def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
@@ -203,7 +206,7 @@ def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
     paths, scene = tracks.pair_paths[pair], tracks.scene
     source, receiver = scene.sources[paths.source], scene.receivers[paths.receiver]
     alike = isinstance(source.directivity, Omni) and isinstance(receiver.directivity, Omni)
-    if not (alike and paths.family.one_by_one and tracks.pairs[pair].always_heard) or paths.family.moves:
+    if not (alike and paths.family.is_specular and tracks.pairs[pair].always_heard) or paths.family.moves:
         return most
     way = until * float(tracks.speeds.source[paths.source] + tracks.speeds.receiver[paths.receiver])
     begin = np.zeros(1)
@@ -213,16 +216,14 @@ def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
 
 def _at_instants(
     paths: PairPaths, found: Arrivals, times: Floats, level: Floats, drawn: list[tuple[int, NDArray[np.int64], Floats]]
-) -> Iterator[Picked]:
-    """Yield paths of a pair at instants together: index of each, rows, and how many paths each row stands for."""
-    if not drawn:
-        return
+) -> Picked:
+    """Return paths of a pair at instants together: index of each, rows, and how many paths each row stands for."""
     counts = [len(rows) for _, rows, _ in drawn]
     scale = np.concatenate([np.sqrt(standing) / np.linalg.norm(level[:, t]) for t, _, standing in drawn])[:, None]
     rows, at = np.concatenate([rows for _, rows, _ in drawn]), np.repeat([t for t, _, _ in drawn], counts)[:, None]
     when = times[at] if paths.family.one_by_one else times[at[0]]
     first = tuple(np.cumsum([0, *counts]).tolist())
-    yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
+    return Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
 
 
 def sampled_responses(scene: Scene, source: int, picked: Iterable[Picked], band: Band) -> Sample:

@@ -72,6 +72,7 @@ class EdgeVertex:
 
     interaction: ClassVar[int] = DIFFRACTION
     costly: ClassVar[bool] = True
+    one_by_one: ClassVar[bool] = False  # poses are asked for
     is_complex: ClassVar[bool] = True  # the field has a phase of its own
     varies: ClassVar[bool] = False
     moves: ClassVar[bool] = False

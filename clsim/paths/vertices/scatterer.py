@@ -50,6 +50,7 @@ class ScattererVertex:
     kind: ClassVar[str] = "scatterer"
     interaction: ClassVar[int] = SCATTERING
     costly: ClassVar[bool] = False
+    one_by_one: ClassVar[bool] = True
     nodes_at_a_time: ClassVar[int] = 6144
 
     @staticmethod
