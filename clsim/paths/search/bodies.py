@@ -200,7 +200,7 @@ class BodySearch:
 
         In each bodies are about one pose; they are halved where there are more beams than can be looked at.
         """
-        waiting, found = self._spans(last)[::-1], []
+        waiting, found, probed = self._spans(last)[::-1], [], False
         while waiting:
             begin, end = waiting.pop()
             try:
@@ -208,16 +208,22 @@ class BodySearch:
             except TooManyBeamsError as error:
                 if end - begin < 2.0 * _SHORTEST:
                     raise InputError("body_order", str(error)) from error
+                if not probed:  # whether halves of halves help at all: each tree that is too large takes long
+                    probed = True
+                    waiting += [(begin + _SHORTEST, end), (begin, begin + _SHORTEST)]
+                    continue
                 waiting += [(0.5 * (begin + end), end), (begin, 0.5 * (begin + end))]
         return found
 
     def _spans(self, last: float) -> list[Span]:
         """Return stretches of time until a last one, s, in each of which bodies are about one pose."""
+        if self.order == 0:
+            return [(0.0, last)]
         instants = np.arange(math.ceil(last * _RATE) + 1) / _RATE
         size = self.room.walls.size
         turning = [np.linalg.norm(body.trajectory.angular_velocity(instants), axis=-1) for body in self.scene.bodies]
         speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0) + size * np.sum(turning, axis=0)
-        waiting = list(np.minimum(even_ways(speed, _RATE, _POSES), last))
+        waiting = list(np.minimum(even_ways(np.minimum(speed, _POSES / _SHORTEST), _RATE, _POSES), last))
         return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
 
     def _cell(

@@ -1,5 +1,6 @@
 """When paths by bodies and behind them are there: certified subdivision against closed forms and every output sample."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import clsim
 from clsim.paths.find_paths import ROOM_FINDERS
 from clsim.paths.legs.events import find_events
 from clsim.paths.options import PathOptions
+from clsim.paths.search.beam_tree import TooManyBeamsError
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.visibility import rates, subdivision
 from clsim.paths.visibility.hidden import polylines
@@ -225,3 +227,49 @@ def test_paths_that_run_along_what_decides_are_not_looked_at_for_ever() -> None:
     assert path.tolist() == [0, 0]
     assert np.concatenate([begin, end]) == pytest.approx([0.2, 0.7, 0.3, 1.0], abs=1.0 / 16.0 / RATE)
     assert count < 3000
+
+
+def in_a_long_room(order: int) -> BodySearch:
+    """The search in a room 40 km long, across which a body of a few decimetres swings for half a second."""
+    turn = SWING((2.1, 0.4, 0.5), (0, 0, 1), [0.0, 0.2, 0.3], [0.0, 0.2, 0.5])
+    board = clsim.Body.box("board", (0.3, 0.02, 0.4), WOOD, turn, centre=(0.15, 0, 0))
+    source = clsim.Source("s", clsim.Signal.tone(40e3, 0.1, RATE), FIXED((1.0, 1.0, 1.0)))
+    room, ear = clsim.Shoebox((4.0, 40e3, 2.0), WOOD), clsim.Receiver("r", FIXED((3.0, 1.0, 1.0)))
+    return searched(clsim.Scene(room, clsim.Air(speed_of_sound=C), [source], [ear], bodies=[board]), order)
+
+
+@pytest.mark.filterwarnings("ignore:room. .* is large")
+def test_poses_are_not_nearer_than_a_millisecond() -> None:
+    """Images by a body that swings go far in a large room: 80 000 poses in half a second were looked at, also for none."""
+    assert len(in_a_long_room(0).cells(0.5, lambda span: span)) == 1
+    spans = [span for span, _ in in_a_long_room(1).cells(0.5, lambda span: span)]
+    assert 100 < len(spans) <= 510
+    assert spans[0][0] == 0.0
+    assert spans[-1][1] == 0.5
+    assert all(one[1] == other[0] for one, other in pairwise(spans))
+
+
+@pytest.mark.filterwarnings("ignore:room. .* is large")
+def test_too_many_beams_are_refused_at_once() -> None:
+    """Where beams about the shortest stretch of time are too many, halves of longer ones are not looked at."""
+    asked = []
+
+    def find(span: tuple[float, float]) -> None:
+        asked.append(span)
+        raise TooManyBeamsError("must give at most 5 beams")
+
+    with pytest.raises(clsim.InputError, match=r"body_order: must give at most 5 beams"):
+        in_a_long_room(0).cells(0.5, find)
+    assert len(asked) == 2
+
+
+@pytest.mark.filterwarnings("ignore:room. .* is large")
+def test_stretches_with_too_many_beams_are_halved() -> None:
+    def find(span: tuple[float, float]) -> None:
+        if span[1] - span[0] > 0.1:
+            raise TooManyBeamsError("must give at most 5 beams")
+
+    spans = [span for span, _ in in_a_long_room(0).cells(0.5, find)]
+    assert spans[0] == (0.0, 0.001)
+    assert spans[-1][1] == 0.5
+    assert all(one[1] == other[0] and one[1] - one[0] <= 0.1 for one, other in pairwise(spans))
