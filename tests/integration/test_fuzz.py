@@ -29,7 +29,7 @@ from clsim.study.file import checked, load_study
 COUNT = int(os.environ.get("CLSIM_FUZZ", "1000"))  # four scenes to a study
 SEED = int(os.environ.get("CLSIM_FUZZ_SEED", "11"))
 PARTS = 10
-LONGEST, WAITED = 10.0, 600.0  # s, of computing and altogether: other processes may take the rest of the time
+LONGEST, WAITED = 20.0, 600.0  # s, of computing and altogether: other processes may take the rest of the time
 MEMORY = 2**31  # bytes beyond what is there before
 RENDERED = 5  # of so many scenes that are right, one is heard
 
