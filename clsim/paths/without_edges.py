@@ -244,7 +244,9 @@ def _jumps(paths: PathSet) -> Iterator[float]:
         start, end = (np.concatenate([getattr(p.family, x)[p.index] for p in pairs]) for x in ("start", "end"))
         events = np.unique(np.concatenate([start, end]))
         events = events[(events > 0.0) & (events < until)]
-        events = events[np.unique(np.linspace(0, len(events) - 1, _MOST_EVENTS).astype(int))] if len(events) else events
+        if not len(events):
+            continue
+        events = events[np.unique(np.linspace(0, len(events) - 1, _MOST_EVENTS).astype(int))]
         terms = np.concatenate([_phasors(pair, events) for pair in pairs])
         for which, event in enumerate(events.tolist()):
             born, gone = (np.abs(x - event) < _SAME_EVENT for x in (start, end))

@@ -99,31 +99,38 @@ def _add_tables(content: Any, study: Study, planned: PlannedScene) -> None:
 
 
 def _add_ground_truth(content: Any, found: DirectPath, scene: Scene) -> None:
-    over = ("source", "receiver", "times")
-    content.coords["times"] = ("times", found.times, _OF_RECEPTION)
-    content.coords["source"] = texts(s.name for s in scene.sources)
-    for name in SCALARS + VECTORS:
-        content[name] = ((*over, "axis")[: getattr(found, name).ndim], getattr(found, name), ATTRIBUTES[name])
+    sources = texts(source.name for source in scene.sources)
+    content.coords.update({"times": ("times", found.times, _OF_RECEPTION), "source": sources})
+    columns = {name: getattr(found, name) for name in SCALARS + VECTORS}
+    over = ("source", "receiver", "times", "axis")
+    content.update(
+        {name: (over[: x.ndim], x, ATTRIBUTES[name]) for name, x in columns.items()}
+    )  # one by one takes long
 
 
 def _add_echo_truth(content: Any, found: EchoTruth) -> None:
     kind, units = found.KIND, {"delay": "s", "range": "m", "radial_speed": "m/s"}
     content.coords[kind] = texts(found.names)
+    columns: dict[str, Any] = {}
     for name in found.MEASURES:
         over = (kind, "source", "receiver", "times", "axis")[: getattr(found, name).ndim]
-        content[f"{kind}_{name}"] = (over, getattr(found, name), {"units": units[name]} if name in units else {})
+        columns[f"{kind}_{name}"] = (over, getattr(found, name), {"units": units[name]} if name in units else {})
+    content.update(columns)
 
 
 def _add_paths(content: Any, table: PathTable) -> None:
     content.coords["times"] = ("times", table.times, _OF_RECEPTION)
+    columns: dict[str, Any] = {
+        "interactions": (("path", "interaction"), table.interactions),
+        "objects": (("path", "interaction"), table.objects, {"names": list(table.object_names)}),
+    }
     for name in ("source", "receiver", "order", "direct"):
-        content[f"path_{name}"] = ("path", getattr(table, name))
-    content["path_interactions"] = (("path", "interaction"), table.interactions)
-    content["path_objects"] = (("path", "interaction"), table.objects, {"names": list(table.object_names)})
+        columns[name] = ("path", getattr(table, name))
     for name in ("delay", "doppler_factor", "doppler_shift", "gain"):
-        content[f"path_{name}"] = (("path", "times"), getattr(table, name))
+        columns[name] = (("path", "times"), getattr(table, name))
     for name in ("departure", "arrival"):
-        content[f"path_{name}"] = (("path", "times", "axis"), getattr(table, name))
+        columns[name] = (("path", "times", "axis"), getattr(table, name))
+    content.update({f"path_{name}": column for name, column in columns.items()})
 
 
 def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
