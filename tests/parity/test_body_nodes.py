@@ -118,7 +118,7 @@ MUTANTS = {
     "times of later images": ("late -= rise * mach * slowness", "late += rise * mach * slowness"),
     "rate without stretch": ("(beyond + receding - drift) * pace", "(beyond + receding - drift)"),
     "the receiver's speed": ("slowness * DOT(onwards, heading)", "-slowness * DOT(onwards, heading)"),
-    "pressure without the mirrors' stretch": ("length /= OF_NODE(met->raised, lane);\n#endif\n#if", "\n#endif\n#if"),
+    "pressure without the mirrors' stretch": ("i < MACH_EXPONENT; i++) length /=", "i < MACH_EXPONENT - 1; i++) length /="),
     "the mirrors' share of directions": ("before = plus_scaled(leaving, -rise, m->normal)", "before = plus_scaled(leaving, rise, m->normal)"),
     "arrival for departure": ("triple_of(met->direction, lane), triple_of(met->direction + MIRRORS", "triple_of(met->direction + MIRRORS, lane), triple_of(met->direction + MIRRORS"),
     "angle at a mirror that moves": ("bounce & 1 ? triple_of(met->normal + before, lane) : of_wall", "of_wall"),

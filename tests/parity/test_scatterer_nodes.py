@@ -186,7 +186,7 @@ MUTANTS = {
     "a sphere is a mirror": ("b->leaving = (leaving - coming) / (1.0 - coming)", "b->leaving = leaving"),
     "grazing incidence": ("OF_NODE(full, lane) * (1.0 - exp(-steep * steep * steep))", "OF_NODE(full, lane) * (1.0 - exp(-steep * steep))"),
     "strength of a point": ("double strength = seen->strength", "double strength = 2.0 * seen->strength"),
-    "Doppler of the pressure": ("spread *= 1.0 - OF_NODE(b->leaving, lane);\n#endif\n#if MACH_EXPONENT >= 2", "spread *= 1.0 + OF_NODE(b->leaving, lane);\n#endif\n#if MACH_EXPONENT >= 2"),
+    "Doppler of the pressure": ("spread *= 1.0 - OF_NODE(b->leaving, lane)", "spread *= 1.0 + OF_NODE(b->leaving, lane)"),
     "lengths of both legs": ("squared1 * inverse1 * DOT(leaving1, direction1) * squared2", "squared1 * DOT(leaving1, direction1) * squared2"),
 }  # fmt: skip
 
