@@ -143,6 +143,42 @@ def test_the_field_at_a_corner() -> None:
         assert 20.0 * np.log10(abs(found) * 3.5) == pytest.approx(level, abs=0.25)
 
 
+ALONG = {
+    "plate 60.0, sight": ((-0.37, 0.58, 1.4), (0.12, 3.5e-5), 1.5008, False),
+    "plate 60.0, mirror": ((0.412, -0.578, 0.708), (0.12, 5.4e-5), 1.9708, True),
+    "plate, sight": ((0.33, 0.42, 1.08), (0.12, -1.5e-4), 1.9529, False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", ALONG)
+def test_walks_through_a_corner_along_an_edge(what: str) -> None:
+    """Tests of both edges find the corner some 0.1 ms apart, as ends go along one of them at 0.4 m/s.
+
+    Paths that began and ended one after another left jumps of -3 to +6 dB of the strongest one.
+    """
+    source, ahead, times, mirrored = ALONG[what]
+    aside = np.array([*ahead, 0.0])
+    paths = paths_past(what.split(",")[0], walk(source, tuple(-aside), tuple(aside), times, mirrored))
+    assert loudest_jump(paths) < -60.0
+
+
+@pytest.mark.parametrize("count", [16, exhaustive(400)])
+def test_drawn_walks_through_a_corner(count: int, rng: np.random.Generator) -> None:
+    for _ in range(count):
+        kind = rng.choice(["plate", "plate 60.0", "plate 120.0"])
+        source = (*rng.uniform(-0.6, 0.6, 2), rng.uniform(0.6, 2.0))
+        aside = turned(0.12, rng.uniform(0.0, 360.0))
+        ends = walk(source, tuple(-aside), tuple(aside), rng.uniform(1.4, 2.2), bool(rng.random() < 0.5))
+        assert loudest_jump(paths_past(kind, ends)) < -60.0, (kind, ends)
+
+
+def loudest_jump(paths: PathSet) -> float:
+    """Largest jump of the sum where paths begin and end, dB re the strongest path, within three microseconds."""
+    changes = np.unique(np.concatenate([x for family in paths.families for x in (family.start, family.end)]))
+    changes = changes[(changes > 0.0) & (changes < 1.0)]
+    return float(20.0 * np.log10(np.max(jumps(paths, changes, 40e3, step=1e-6), initial=1e-15)))
+
+
 @pytest.mark.parametrize("beside", [0.0, pytest.param(2e-3, marks=pytest.mark.exhaustive)])
 def test_a_rendered_walk_past_a_corner(beside: float, device: None) -> None:
     """At 1 m/s, the line of sight through the corner of a plate, and 1.4 mm beside it."""
