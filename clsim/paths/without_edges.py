@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.family import PairPaths
     from clsim.paths.path_set import PathSet
+    from clsim.scene.body import Body
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
@@ -42,11 +43,13 @@ def warn_without_edges(paths: PathSet, max_order: int, find: Callable[..., PathS
 
     find: `find_paths`, by which the edges' own paths are found.
 
-    Both are looked for at the first receivers only, so that many cost no more. Of scenes with many edges, faces
-    that are smaller than Fresnel zones are looked for in place of the field of edges.
+    Both are looked for at the first receivers only, so that many cost no more. The field of edges is that of the room
+    and of the bodies nearest to the lines of sight. Where some are left out, or all, as in rooms with many edges, faces
+    that are smaller than Fresnel zones are looked for as well.
     """
-    searched = _is_searched(paths.scene)
-    level = neglected_db(paths.scene, max_order, find) if searched else None
+    near = _searched_bodies(paths.scene)
+    searched = near is not None and len(near) == len(paths.scene.bodies)
+    level = None if near is None else neglected_db(replace(paths.scene, bodies=near), max_order, find)
     if level is not None:
         warn(
             f"edges within or beside the Fresnel zones of paths: the field of edges, which is left out, reaches "
@@ -106,13 +109,37 @@ def neglected_db(scene: Scene, max_order: int, find: Callable[..., PathSet]) -> 
     return worst if worst > _LEAST_EDGES_DB else None
 
 
-def _is_searched(scene: Scene) -> bool:
-    """Test whether a scene has so few faces and edges that a search of its edge paths takes a second or so."""
-    faces = len(scene.room.faces.names) + sum(len(body.mesh.faces.names) for body in scene.bodies)
-    if faces > _MOST_FACES:
-        return False
-    edges = len(scene.room.edges()) + sum(len(body.mesh.edges()) for body in scene.bodies)
-    return edges * faces <= _MOST_PAIRINGS
+def _searched_bodies(scene: Scene) -> list[Body] | None:
+    """Select the bodies, nearest to lines of sight first, whose edge paths are found in a second or so with the room's.
+
+    None where the room alone has too many faces and edges.
+    """
+    faces, edges = len(scene.room.faces.names), len(scene.room.edges())
+    if not _is_searched(faces, edges):
+        return None
+    found: list[Body] = []
+    for body in sorted(scene.bodies, key=lambda each: _detour(scene, each)):
+        faces, edges = faces + len(body.mesh.faces.names), edges + len(body.mesh.edges())
+        if not _is_searched(faces, edges):
+            break
+        found.append(body)
+    return found
+
+
+def _is_searched(faces: int, edges: int) -> bool:
+    return faces <= _MOST_FACES and edges * faces <= _MOST_PAIRINGS
+
+
+def _detour(scene: Scene, body: Body) -> float:
+    """Length of the shortest detour over a body's origin between the first ends, m, half-way through the known time."""
+    times = np.array([0.5 * known_until([*scene.named_ends(), *scene.named_bodies()])])
+    origin, sources, receivers = (
+        np.concatenate([item.trajectory.position(times) for item in items])
+        for items in ([body], scene.sources[:_MOST_SOURCES], scene.receivers[:_MOST_LISTENERS])
+    )
+    before, after = (np.linalg.norm(places - origin, axis=-1) for places in (sources, receivers))
+    straight = np.linalg.norm(sources[:, None] - receivers, axis=-1)
+    return float(np.min(before[:, None] + after - straight))
 
 
 def _at_rest(scene: Scene, time: float) -> Scene:

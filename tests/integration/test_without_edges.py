@@ -118,3 +118,52 @@ def test_check_reports_jumps(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     path.write_text(SCENE.replace("diffraction = 0", "diffraction = 1"), "utf-8")
     assert main(["check", str(path)]) == 0
     assert "jumps" not in capsys.readouterr().out
+
+
+NINE = """
+format = 1
+air = {{ absorption = false }}
+[room]
+kind = "shoebox"
+size = [10, 10, 8]
+walls = {{ default = {{ reflection = 0.001 }} }}
+[[sources]]
+name = "beacon"
+signal = {{ kind = "tone", frequency = 40e3, duration = 0.02, sampling_rate = 192e3, fade = 0.005 }}
+trajectory = {{ kind = "fixed", position = [4, 5, 2] }}
+[[receivers]]
+name = "robot"
+trajectory = {{ kind = "fixed", position = [6, 5, 2] }}
+[paths]
+max_order = 1
+[render]
+sampling_rate = 192e3
+duration = 0.03
+{plates}
+"""
+PLATE = """
+[[bodies]]
+name = "plate {x}"
+kind = "box"
+size = [0.1, 0.1, 0.0]
+material = {{ reflection = 1.0 }}
+trajectory = {{ kind = "fixed", position = [{x}, {y}, 4], orientation = [0.0, {sine}, 0.0, {cosine}] }}
+"""
+
+
+@pytest.mark.parametrize("tilt", [0.0, 10.0])
+def test_check_reports_one_of_many_small_plates(
+    tilt: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nine plates of 10 cm have too many edges to search all; one stands between the ends, the others 4 m aside.
+
+    Tilted by 10 degrees none has a path, so that the field of edges is all that it sends.
+    """
+    sine, cosine = np.sin(np.radians(0.5 * tilt)), np.cos(np.radians(0.5 * tilt))
+    plates = "".join(PLATE.format(x=x, y=5 if x == 5 else 9, sine=sine, cosine=cosine) for x in range(1, 10))
+    path = tmp_path / "scene.toml"
+    path.write_text(NINE.format(plates=plates), "utf-8")
+    assert main(["check", str(path)]) == 0
+    (line,) = (text for text in capsys.readouterr().err.splitlines() if "Fresnel zone" in text)
+    assert "diffraction = 1" in line
+    assert float(line.split(" dB")[0].split()[-1]) == pytest.approx(missing_db(0.1, 0.0, tilt), abs=2.0)
