@@ -2,6 +2,7 @@
 
 import gc
 import hashlib
+import itertools
 import json
 import os
 import pickle
@@ -94,7 +95,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[]
 @pytest.fixture
 def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
     """Pass a figure on, and note it in the folder CLSIM_MEASURED: `make measured` writes the page of validation from it."""
-    folder = os.environ.get("CLSIM_MEASURED")
+    folder, count = os.environ.get("CLSIM_MEASURED"), itertools.count()
 
     def note(claim: str, oracle: str, value: float, allowed: float, unit: str = "dB") -> float:
         if folder:
@@ -103,7 +104,7 @@ def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
                 "test": file, "case": request.node.name, "claim": claim, "oracle": oracle,
                 "allowed": float(allowed), "measured": float(value), "unit": unit,
             }  # fmt: skip
-            digest = hashlib.sha256(f"{file} {request.node.name} {claim}".encode()).hexdigest()[:24]
+            digest = hashlib.sha256(f"{file} {request.node.name} {claim} {next(count)}".encode()).hexdigest()[:24]
             path = Path(folder) / f"{digest}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(row), "utf-8")

@@ -111,8 +111,11 @@ def past(angle: float, beside: float, source: tuple[float, float, float]) -> End
 
 
 @pytest.mark.parametrize("what", WALKS)
-def test_walks_past_corners(what: str) -> None:
-    assert check(*WALKS[what], 12) < -66.0
+def test_walks_past_corners(what: str, measured: Callable[..., float]) -> None:
+    assert (
+        measured("past corners of plates and boxes", "line integrals over the edges", check(*WALKS[what], 12), -66.0)
+        < -66.0
+    )
 
 
 @pytest.mark.parametrize("angle", [45.0, 150.0, exhaustive(60.0), exhaustive(120.0)])
@@ -151,7 +154,7 @@ ALONG = {
 
 
 @pytest.mark.parametrize("what", ALONG)
-def test_walks_through_a_corner_along_an_edge(what: str) -> None:
+def test_walks_through_a_corner_along_an_edge(what: str, measured: Callable[..., float]) -> None:
     """Tests of both edges find the corner some 0.1 ms apart, as ends go along one of them at 0.4 m/s.
 
     Paths that began and ended one after another left jumps of -3 to +6 dB of the strongest one.
@@ -159,7 +162,7 @@ def test_walks_through_a_corner_along_an_edge(what: str) -> None:
     source, ahead, times, mirrored = ALONG[what]
     aside = np.array([*ahead, 0.0])
     paths = paths_past(what.split(",")[0], walk(source, tuple(-aside), tuple(aside), times, mirrored))
-    assert loudest_jump(paths) < -60.0
+    assert measured("walks through a corner along an edge", "no jump", loudest_jump(paths), -60.0) < -60.0
 
 
 @pytest.mark.parametrize("count", [16, exhaustive(400)])
@@ -180,7 +183,7 @@ def loudest_jump(paths: PathSet) -> float:
 
 
 @pytest.mark.parametrize("beside", [0.0, pytest.param(2e-3, marks=pytest.mark.exhaustive)])
-def test_a_rendered_walk_past_a_corner(beside: float, device: None) -> None:
+def test_a_rendered_walk_past_a_corner(beside: float, device: None, measured: Callable[..., float]) -> None:
     """At 1 m/s, the line of sight through the corner of a plate, and 1.4 mm beside it."""
     ends = walk(ABOVE, (-0.25, -0.25 + beside, 0), (0.25, 0.25 + beside, 0), 1.75, False)
     paths, (_, oracle) = paths_past("plate", ends, 0.12), solid("plate")
@@ -192,4 +195,12 @@ def test_a_rendered_walk_past_a_corner(beside: float, device: None) -> None:
     k = np.array([2.0 * np.pi * 40e3 / C])
     wanted = [total(*oracle, ends[0], place, k)[0] for place in ends[1] + share * (ends[2] - ends[1])]
     wrong = heard[n] - np.imag(wanted * np.exp(2j * np.pi * 40e3 * n / RATE))
-    assert 20.0 * np.log10(np.abs(wrong).max() * 3.5) < -80.0
+    assert (
+        measured(
+            "a walk past a corner, rendered",
+            "line integrals over the edges",
+            float(20.0 * np.log10(np.abs(wrong).max() * 3.5)),
+            -80.0,
+        )
+        < -80.0
+    )

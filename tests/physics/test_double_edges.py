@@ -84,14 +84,30 @@ def test_behind_a_pillar(diffraction: int, bound: float, measured: Callable[...,
 
 
 @pytest.mark.parametrize(("millimetres", "bound"), [(2, -49.0), (5, -44.0), (10, -40.0), (20, -36.0)])
-def test_behind_thin_walls(millimetres: int, bound: float) -> None:
+def test_behind_thin_walls(millimetres: int, bound: float, measured: Callable[..., float]) -> None:
     """As a sheet with one edge, and as it is with two: both are what the wall does; of 2 mm, so is a thin wedge."""
     thickness = 1e-3 * millimetres
     wall, exact = prism(thickness, HEIGHT), WALLS[thickness]
     sheet = closed(wall).with_sheets(0.03)
     assert len(sheet.walls) == 1
-    assert error_db(at_rest(1, sheet), exact) < bound
-    assert error_db(at_rest(2, wall), exact) < -58.0
+    assert (
+        measured(
+            "behind walls of 2 to 20 mm as sheets",
+            "collocation in two dimensions",
+            error_db(at_rest(1, sheet), exact),
+            bound,
+        )
+        < bound
+    )
+    assert (
+        measured(
+            "behind walls of 2 to 20 mm, 2 edges",
+            "collocation in two dimensions",
+            error_db(at_rest(2, wall), exact),
+            -58.0,
+        )
+        < -58.0
+    )
     if millimetres == 2:
         assert error_db(at_rest(1, prism(thickness, HEIGHT, turned=True)), exact) < bound
 
@@ -141,7 +157,7 @@ def test_ways_over_two_edges() -> None:
         np.testing.assert_allclose(corners[:, 3], np.tile((x, y), (len(legs), 1)), atol=1e-12)
 
 
-def test_no_jump_where_the_second_edge_takes_over() -> None:
+def test_no_jump_where_the_second_edge_takes_over(measured: Callable[..., float]) -> None:
     """A walk out of the deep shadow: what one edge sends begins as two edges have half of it, and the sight comes."""
     way = clsim.Trajectory.line((1.5, 0.06, 0.02), (1.48, 0.19, 0.03), 0.1)
     paths = paths_past([way], 2)
@@ -149,7 +165,15 @@ def test_no_jump_where_the_second_edge_takes_over() -> None:
     events = np.unique(np.concatenate([single.start, single.end, paths.families[0].start, paths.families[0].end]))
     events = events[np.isfinite(events)]
     assert len(events) >= 2
-    assert 20.0 * np.log10(jumps(paths, events, TONE).max()) < -58.0
+    assert (
+        measured(
+            "where the second edge takes over",
+            "no jump",
+            float(20.0 * np.log10(jumps(paths, events, TONE).max())),
+            -58.0,
+        )
+        < -58.0
+    )
     without = PathSet(paths.scene, paths.families[:-1])
     assert 20.0 * np.log10(jumps(without, events, TONE).max()) > -10.0
 

@@ -147,7 +147,7 @@ def test_spheres_by_their_outline(radius: float, frequency: float, measured: Cal
     found = np.concatenate(found)
     claim = f"sphere of {radius * 100:g} cm by its outline, {frequency / 1e3:g} kHz"
     assert measured(claim, "the exact series, dB rms", float(np.sqrt(np.mean(found**2))), 0.7) < 0.7
-    assert np.abs(found).max() < 2.5
+    assert measured(f"{claim}, worst", "the exact series", float(np.abs(found).max()), 2.5) < 2.5
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_bodies_against_point_sources(body: str, ka: float, measured: Callable[.
     found = np.concatenate(found)
     claim = f"shadow of a {body}, k a = {ka:g}"
     assert measured(claim, "point sources inside it, dB rms", float(np.sqrt(np.mean(found**2))), 1.0) < 1.0
-    assert np.abs(found).max() < 3.0
+    assert measured(f"{claim}, worst", "point sources inside it", float(np.abs(found).max()), 3.0) < 3.0
 
 
 def test_nothing_jumps_where_a_shadow_begins() -> None:

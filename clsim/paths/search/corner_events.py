@@ -171,10 +171,8 @@ def _beside_turns(events: _Events) -> Iterator[tuple[int, Rows]]:
     for pair in np.unique(events.pair[over]).tolist():
         here = slice(*np.searchsorted(events.pair, (pair, pair + 1)).tolist())
         turns, times = here.start + np.flatnonzero(over[here]), events.time[here]
-        first, after = (
-            here.start + np.searchsorted(times, events.time[turns] + way * _WINDOW, side)
-            for way, side in ((-1.0, "left"), (1.0, "right"))
-        )
+        first = here.start + np.searchsorted(times, events.time[turns] - _WINDOW)
+        after = here.start + np.searchsorted(times, events.time[turns] + _WINDOW, "right")
         several = events.time[first] != events.time[after - 1]
         turns, first, count = turns[several], first[several], (after - first)[several]
         turn = np.repeat(np.arange(len(turns)), count)
