@@ -49,7 +49,7 @@ def warn_without_edges(paths: PathSet, max_order: int, find: Callable[..., PathS
     """
     near = _searched_bodies(paths.scene)
     searched = near is not None and len(near) == len(paths.scene.bodies)
-    level = None if near is None else neglected_db(replace(paths.scene, bodies=near), max_order, find)
+    level = None if near is None else neglected_db(paths.scene, near, max_order, find)
     if level is not None:
         warn(
             f"edges within or beside the Fresnel zones of paths: the field of edges, which is left out, reaches "
@@ -88,13 +88,15 @@ def _warn_of_small_faces(paths: PathSet) -> bool:
     return False
 
 
-def neglected_db(scene: Scene, max_order: int, find: Callable[..., PathSet]) -> float | None:
+def neglected_db(
+    scene: Scene, bodies: list[Body], max_order: int, find: Callable[..., PathSet]
+) -> float | None:  # fmt: skip
     """Find the largest level of the sum of a pair's edge paths at a few instants, dB re the pair's strongest path.
 
-    Paths have one edge and one reflection at most, at the centre frequency of the signal. None stands for less than
+    Edges are those of the room and of some bodies. Paths have one edge and one reflection at most, at the centre frequency of the signal. None stands for less than
     -30 dB, which edges far from every Fresnel zone reach.
     """
-    if not (scene.bodies or len(scene.room.edges())):
+    if not (bodies or len(scene.room.edges())):
         return None
     until = known_until([*scene.named_ends(), *scene.named_bodies()])
     levels = []
@@ -102,7 +104,7 @@ def neglected_db(scene: Scene, max_order: int, find: Callable[..., PathSet]) -> 
         warnings.simplefilter("ignore", ClsimWarning)
         for time in until * np.array(_INSTANTS if until > 0.0 else _INSTANTS[:1]):
             try:
-                levels.append(_edges_db(find(_at_rest(scene, float(time)), min(max_order, 1), diffraction=1)))
+                levels.append(_edges_db(find(_at_rest(scene, bodies, float(time)), min(max_order, 1), diffraction=1)))
             except InputError:  # too many paths, or ends that meet
                 continue
     worst = max(levels, default=-np.inf)
@@ -142,8 +144,8 @@ def _detour(scene: Scene, body: Body) -> float:
     return float(np.min(before[:, None] + after - straight))
 
 
-def _at_rest(scene: Scene, time: float) -> Scene:
-    """Make a scene of the first ends as they are at a time, s."""
+def _at_rest(scene: Scene, bodies: list[Body], time: float) -> Scene:
+    """Make a scene of the first ends and some bodies as they are at a time, s."""
 
     def still(item: Any) -> Any:
         trajectory, now = item.trajectory, np.array([time])
@@ -153,7 +155,7 @@ def _at_rest(scene: Scene, time: float) -> Scene:
     return replace(
         scene, sources=[still(s) for s in scene.sources[:_MOST_SOURCES]],
         receivers=[still(r) for r in scene.receivers[:_MOST_LISTENERS]],
-        bodies=[still(b) for b in scene.bodies], scatterers=(),
+        bodies=[still(b) for b in bodies], scatterers=(),
     )  # fmt: skip
 
 

@@ -166,12 +166,15 @@ def test_walks_through_a_corner_along_an_edge(what: str, measured: Callable[...,
 
 
 @pytest.mark.parametrize("count", [16, exhaustive(400)])
-def test_drawn_walks_through_a_corner(count: int, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("beside", [False, True])
+def test_drawn_walks_past_a_corner(beside: bool, count: int, rng: np.random.Generator) -> None:
+    """Through it, or so near that its edges' events follow each other within a millisecond: 0.1 µm to 3 cm beside it."""
     for _ in range(count):
-        kind = rng.choice(["plate", "plate 60.0", "plate 120.0"])
+        kind = rng.choice(["plate", "plate 60.0", "plate 120.0", "plate 150.0"])
         source = (*rng.uniform(-0.6, 0.6, 2), rng.uniform(0.6, 2.0))
-        aside = turned(0.12, rng.uniform(0.0, 360.0))
-        ends = walk(source, tuple(-aside), tuple(aside), rng.uniform(1.4, 2.2), bool(rng.random() < 0.5))
+        angle, off = rng.uniform(0.0, 360.0), 10.0 ** rng.uniform(-7.0, -1.5) if beside else 0.0
+        aside, middle = turned(0.12, angle), turned(off, angle + 90.0)
+        ends = walk(source, tuple(middle - aside), tuple(middle + aside), rng.uniform(1.4, 2.2), bool(rng.random() < 0.5))
         assert loudest_jump(paths_past(kind, ends)) < -60.0, (kind, ends)
 
 

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 
 _WINDOW = 1e-3  # s between two times of one event, at most: ends may go along an edge within the tolerance of outlines
-_ROUNDING = 1e-14  # of the room's size, by which lengths of the same way differ: half a micrometre beside the corner
+_ROUNDING = 1e-14  # of the room's size, by which lengths of the same way differ
+_DETOUR = 1e-13  # of it, over the corner at most: some micrometres beside it, within which tests contradict each other
 _STEP = 1e-4  # s, between instants at which the detour over a corner is computed
 _ROUNDS = 3  # of Newton's method on its slope
 
@@ -116,6 +117,15 @@ class _Events:
             each[mine] = chain.lengths(rows, source, ends_at(self.scene.receivers, chain.receiver[rows], instant))
         return np.asarray(each[place] - each)
 
+    def ways_beside_ends(self, group: Rows) -> int:
+        """Count the different paths of a group that are not over ends of edges: of those one ends where another begins."""
+        ways = set()
+        for number, row in zip(self.family[group].tolist(), self.row[group].tolist(), strict=True):
+            chain = self.chains[number]
+            if not isinstance(chain.vertex, EdgeVertex) or chain.vertex.over_end[row] < 0:
+                ways.add((number, *chain.objects[row].tolist()))
+        return len(ways)
+
     def over_edges(self, group: Rows) -> bool:
         return any(self.chains[number].vertex is not None for number in np.unique(self.family[group]).tolist())
 
@@ -144,18 +154,20 @@ def _passed_corners(events: _Events) -> Iterator[tuple[Rows, float]]:
         if settled[turn]:
             continue
         place = int(np.flatnonzero(group == turn)[0])
-        time, rounding = float(events.time[turn]), _ROUNDING * events.scene.room.as_mesh().walls.size
+        time, size = float(events.time[turn]), events.scene.room.as_mesh().walls.size
         for _ in range(_ROUNDS):
             before, here, after = (
                 float(np.max(events.detours(group, place, time + step))) for step in (-_STEP, 0.0, _STEP)
             )
             bend = before + after - 2.0 * here
-            if bend <= 16.0 * rounding:
+            if bend <= 16.0 * _ROUNDING * size:
                 break
             time += 0.5 * _STEP * (before - after) / bend
         else:
-            same = group[np.abs(events.detours(group, place, time)) <= rounding]
-            if np.all(np.abs(events.time[same] - time) <= _WINDOW) and len(same) > 1:
+            there, at = np.abs(events.detours(group, place, time)) <= _DETOUR * size, events.time[group]
+            same, together = group[there], np.isin(at, at[there])
+            near = np.array_equal(together, there) and np.all(np.abs(at[there] - time) <= _WINDOW)
+            if near and events.ways_beside_ends(same) > 1:
                 settled[same] = True
                 yield same, time
 
