@@ -93,8 +93,8 @@ def neglected_db(
 ) -> float | None:  # fmt: skip
     """Find the largest level of the sum of a pair's edge paths at a few instants, dB re the pair's strongest path.
 
-    Edges are those of the room and of some bodies. Paths have one edge and one reflection at most, at the centre frequency of the signal. None stands for less than
-    -30 dB, which edges far from every Fresnel zone reach.
+    Edges are those of the room and of some bodies. Paths have one edge and one reflection at most, at the centre
+    frequency of the signal. None stands for less than -30 dB, which edges far from every Fresnel zone reach.
     """
     if not (bodies or len(scene.room.edges())):
         return None

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 
 _WINDOW = 1e-3  # s between two times of one event, at most: ends may go along an edge within the tolerance of outlines
+_GRAZED = 0.25  # s, the same where a way goes along an edge
 _ROUNDING = 1e-14  # of the room's size, by which lengths of the same way differ
 _DETOUR = 1e-13  # of it, over the corner at most: some micrometres beside it, within which tests contradict each other
 _STEP = 1e-4  # s, between instants at which the detour over a corner is computed
@@ -51,9 +52,10 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
         return found
     bounds = [[np.array(family.start), np.array(family.end)] for family in chains]
     events = _Events.of(chains, scene)
-    for group in _groups(events, resolution):
-        events.set(bounds, group, float(np.min(events.time[group])))
-    for group, time in _passed_corners(events):
+    groups, settled = list(_groups(events, resolution)), np.zeros(len(events.time), dtype=bool)
+    timed = [(group, float(np.min(events.time[group]))) for group in groups] + list(_passed_corners(events, settled))
+    settled[[event for group in groups for event in group.tolist()]] = True
+    for group, time in (*timed, *_along_edges(events, settled)):
         events.set(bounds, group, time)
     changed = iter([_with_bounds(family, *each) for family, each in zip(chains, bounds, strict=True)])
     return tuple(next(changed) if isinstance(family, Chain) else family for family in found)
@@ -118,13 +120,22 @@ class _Events:
         return np.asarray(each[place] - each)
 
     def ways_beside_ends(self, group: Rows) -> int:
-        """Count the different paths of a group that are not over ends of edges: of those one ends where another begins."""
+        """Count different paths of a group that are not over ends of edges: one of them ends where another begins."""
         ways = set()
         for number, row in zip(self.family[group].tolist(), self.row[group].tolist(), strict=True):
             chain = self.chains[number]
             if not isinstance(chain.vertex, EdgeVertex) or chain.vertex.over_end[row] < 0:
                 ways.add((number, *chain.objects[row].tolist()))
         return len(ways)
+
+    def begin_over_edges(self, ends: bool) -> NDArray[np.bool_]:
+        """Mask (n,) of beginnings of paths over ends of edges of the room, or over edges themselves."""
+        over = np.zeros(len(self.time), dtype=bool)
+        for number, chain in enumerate(self.chains):
+            if isinstance(chain.vertex, EdgeVertex) and not chain.legs[0].moving:
+                mine = (self.family == number) & (self.side == 0)
+                over[mine] = (chain.vertex.over_end[self.row[mine]] >= 0) == ends
+        return over
 
     def over_edges(self, group: Rows) -> bool:
         return any(self.chains[number].vertex is not None for number in np.unique(self.family[group]).tolist())
@@ -147,9 +158,8 @@ def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
                 yield group
 
 
-def _passed_corners(events: _Events) -> Iterator[tuple[Rows, float]]:
-    """Yield groups of events at which a way passes the corner of an edge, and when it does so, s."""
-    settled = np.zeros(len(events.time), dtype=bool)
+def _passed_corners(events: _Events, settled: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
+    """Yield groups of events at which a way passes the corner of an edge, and when it does so, s; mark them."""
     for turn, group in _beside_turns(events):
         if settled[turn]:
             continue
@@ -172,23 +182,49 @@ def _passed_corners(events: _Events) -> Iterator[tuple[Rows, float]]:
                 yield same, time
 
 
+def _along_edges(events: _Events, settled: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
+    """Yield beginnings and ends of paths without edges, and when such a path passes an edge by the edge's own test, s.
+
+    Where it passes within 0.1 mrad of the edge's direction, outlines, with their tolerance, tell other times: up to a
+    quarter of a second off, at which both paths are as long as each other.
+    """
+    plain = np.array([chain.vertex is None for chain in events.chains])[events.family]
+    over, size = events.begin_over_edges(ends=False), events.scene.room.as_mesh().walls.size
+    _, instant = np.unique(np.stack([events.pair, events.time]), axis=1, return_inverse=True)
+    with_plain, with_edge = (np.bincount(instant, weights=mask) > 0.0 for mask in (plain, over))
+    lone = np.flatnonzero(plain & ~with_edge[instant] & ~settled)
+    turns = np.flatnonzero(over & ~with_plain[instant] & ~settled)
+    for pair in np.intersect1d(events.pair[lone], events.pair[turns]).tolist():
+        mine, theirs = (which[events.pair[which] == pair] for which in (lone, turns))
+        first, after = (np.searchsorted(events.time[theirs], events.time[mine] + way) for way in (-_GRAZED, _GRAZED))
+        one, other = (np.repeat(mine, after - first), theirs[_ranges(first, after)])
+        apart = events.delays(one, events.time[one]) - events.delays(other, events.time[one])
+        for pair_of in np.stack([one, other], axis=1)[np.abs(apart) < SAME_DELAY]:
+            instants = np.linspace(events.time[pair_of[0]], events.time[pair_of[1]], 5).tolist()
+            if not settled[pair_of].any() and all(
+                abs(events.detours(pair_of, 0, instant)[1]) <= _ROUNDING * size for instant in instants
+            ):
+                settled[pair_of[0]] = True
+                yield pair_of[:1], float(events.time[pair_of[1]])
+
+
+def _ranges(first: Rows, after: Rows) -> Rows:
+    """Make one array of all numbers from each first one to that before the last."""
+    count = after - first
+    return np.asarray(np.arange(count.sum()) + np.repeat(first - np.cumsum(count) + count, count))
+
+
 def _beside_turns(events: _Events) -> Iterator[tuple[int, Rows]]:
     """Yield events at which a path over an end of an edge begins, and all (n,) at which paths are nearly as long."""
-    vertices = [chain.vertex for chain in events.chains]
-    over = np.zeros(len(events.time), dtype=bool)
-    for number, vertex in enumerate(vertices):
-        if isinstance(vertex, EdgeVertex) and not events.chains[number].legs[0].moving:
-            mine = (events.family == number) & (events.side == 0)
-            over[mine] = vertex.over_end[events.row[mine]] >= 0
+    over = events.begin_over_edges(ends=True)
     for pair in np.unique(events.pair[over]).tolist():
         here = slice(*np.searchsorted(events.pair, (pair, pair + 1)).tolist())
         turns, times = here.start + np.flatnonzero(over[here]), events.time[here]
         first = here.start + np.searchsorted(times, events.time[turns] - _WINDOW)
         after = here.start + np.searchsorted(times, events.time[turns] + _WINDOW, "right")
         several = events.time[first] != events.time[after - 1]
-        turns, first, count = turns[several], first[several], (after - first)[several]
-        turn = np.repeat(np.arange(len(turns)), count)
-        near = np.arange(count.sum()) + np.repeat(first - np.cumsum(count) + count, count)
+        turns, first, after = turns[several], first[several], after[several]
+        turn, near = np.repeat(np.arange(len(turns)), after - first), _ranges(first, after)
         instants = events.time[turns][turn]
         apart = events.delays(turns, events.time[turns])[turn] - events.delays(near, instants)
         alike = np.abs(apart) < SAME_DELAY
