@@ -27,7 +27,7 @@ def within_memory(field: str, what: str, wanted: float) -> Iterator[None]:
 
 def machine_memory() -> float:
     """Return the machine's memory, bytes; infinite where the system does not say."""
-    names = getattr(os, "sysconf_names", {})
-    if "SC_PHYS_PAGES" not in names or "SC_PAGE_SIZE" not in names:
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):
         return float("inf")
-    return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))

@@ -86,11 +86,13 @@ static int evaluate(const search* s, double time, double within, double* clear, 
         moves[1] = sliding(s, *reach, receiver.r + sent.r, length);
     }
     const double most = fmax(*reach, fmax(moves[0], moves[1]));
-    double least = fmin(fmin(in_air(s->edge[0], source), in_air(s->edge[1], receiver)), fmin(heard.r, sent.r));
+    const double off = fmin(fmin(in_air(s->edge[0], source), in_air(s->edge[1], receiver)), fmin(heard.r, sent.r));
+    double least = off;
     for (int edge = 0; edge < 2 && s->end < 0; edge++) {
         least = fmin(least, fmin(places[edge], s->edge[edge]->length - places[edge]));
     }
     *clear = *reach * ratio(fabs(least), most);
+    if (off < 0.0) *clear = fmax(*clear, *reach * ratio(-off, *reach));  // wherever the places on the edges slide to
     if (least < 0.0) return 0;
     const int mine = s->from_receiver;
     const triple apex = sum(at_row(s->edge[mine]->start), times(places[mine], at_row(s->edge[mine]->along)));

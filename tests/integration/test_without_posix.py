@@ -32,9 +32,20 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-def without(*arguments: object) -> subprocess.CompletedProcess[str]:
+# Some of it alone, each of which code could ask for by another name.
+SOME = """
+import os, sys
+
+sys.modules["fcntl"] = sys.modules["resource"] = None
+del os.statvfs, os.sysconf, os.fork
+from clsim.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def without(*arguments: object, program: str = WITHOUT) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "MPLBACKEND": "agg"}
-    line = [sys.executable, "-c", WITHOUT, *map(str, arguments)]
+    line = [sys.executable, "-c", program, *map(str, arguments)]
     return subprocess.run(line, env=environment, capture_output=True, text=True)
 
 
@@ -46,9 +57,10 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is hidden is there on Linux")
-def test_a_run_needs_nothing_of_posix(scene: Path, device: None) -> None:
+@pytest.mark.parametrize("program", [WITHOUT, SOME])
+def test_a_run_needs_nothing_of_posix(program: str, scene: Path, device: None) -> None:
     out = scene.parent / "out"
-    done = without("run", scene, "-o", out, "--no-plots")
+    done = without("run", scene, "-o", out, "--no-plots", program=program)
     assert (done.returncode, done.stderr) == (0, "")
     here = clsim.load_scene(scene)
     wanted = clsim.render(clsim.find_paths(here.scene, 1), sampling_rate=192e3)

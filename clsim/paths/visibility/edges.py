@@ -137,8 +137,11 @@ class EdgeVisibility:
         asked, stance = self.candidates, self.stance(query, which, time, half)
         both = [self.slides(stance, edge, asked.end[which], query.walls.size) for edge in (0, 1)]
         moves, most = both[side], np.maximum(stance.reach, np.maximum(*both))
-        least = self._margins(stance, which).min(axis=0)
+        off, places = self._margins(stance, which)
+        least = np.minimum(off, places)
         ratio, valid = moves_within(np.abs(least), most), least >= 0.0
+        beside = moves_within(-off, stance.reach)  # wherever the places on the edges slide to
+        ratio = np.where(off < 0.0, np.maximum(ratio, beside), ratio)
         rows, still = np.flatnonzero(valid), np.zeros((np.sum(valid), 3))
         walls = (asked.before, asked.after)[side][which[rows]]
         reach = Reach(stance.reach[rows], moves[rows], still, still)
@@ -198,17 +201,17 @@ class EdgeVisibility:
         return np.where(end >= 0, 0.0, np.where(room > 0.0, sliding, FAR * size))
 
     def _margins(self, stance: EdgeStance, which: Rows) -> Floats:
-        """Clearances (6, n), m, of images in the air of their wedges and beyond edges, and of apexes on these."""
-        end, found = self.candidates.end[which], [*stance.across]
+        """Clearances (2, n), m: of images in the air of their wedges and beyond edges, and of apexes on these."""
+        end, off, on = self.candidates.end[which], [*stance.across], []
         for edge, angle, r, place in zip(
             self.candidates.edge[which].T, stance.angles, stance.distances, stance.places, strict=True
         ):
             whole = np.pi * self.edges.n[edge]
             near = np.minimum(np.abs(angle), np.abs(whole - angle))
             away = np.where(near < 0.5 * np.pi, r * np.sin(near), r)
-            found.append(np.where((angle >= 0.0) & (angle <= whole), away, -away))
-            found.append(np.where(end < 0, np.minimum(place, self.edges.length[edge] - place), EVER))
-        return np.stack(found)
+            off.append(np.where((angle >= 0.0) & (angle <= whole), away, -away))
+            on.append(np.where(end < 0, np.minimum(place, self.edges.length[edge] - place), EVER))
+        return np.stack([np.min(off, axis=0), np.min(on, axis=0)])
 
 
 def _beside(n: Floats, angle: Floats) -> tuple[NDArray[np.int64], Floats]:

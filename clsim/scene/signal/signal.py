@@ -52,7 +52,7 @@ class Signal:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        if not hasattr(self.waveform, "read"):
+        if isinstance(self.waveform, Signal) or not hasattr(self.waveform, "read"):
             raise InputError(
                 "waveform",
                 f"must be a waveform, but is {type(self.waveform).__name__}; "

@@ -328,6 +328,7 @@ def test_wav_with_nan_or_nothing_is_refused(tmp_path) -> None:
             lambda: Signal(np.zeros(9), RATE),
             r"waveform: .* is ndarray; samples are taken by Signal\.from_array\(samples",
         ),
+        (lambda: Signal(Signal.tone(1e3, 0.1, RATE), RATE), "waveform: must be a waveform, but is Signal"),
         (lambda: Signal.from_array(np.zeros(9, dtype=np.int16), RATE), r"scale: must be given for integers \(int16\)"),
         (lambda: Signal.from_array([0, 1, 0], RATE), r"scale: must be given for integers \(int64\)"),
         (lambda: Signal.from_array([0.0, 1e12], RATE, scale=2.0), r"samples\[1\]: must be within 1e\+12 Pa"),
