@@ -13,19 +13,22 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 END_TERMS = 4  # Chebyshev polynomials of the angle's square: within 5e-7 (three: 1e-5)
-AT_CORNER = 1e-9  # root of a phase, below which angle and sides are lost: 1/4 then, as much of either edge at a corner
+AT_CORNER = 1e-9  # root of a phase, below which angle and sides are lost
+EVEN = 0.25 * np.pi  # angle of a, b then: as much of either edge at a corner
 _CELLS = 256
 _POINTS = 120  # of the half-way rule: within 1e-11, however near the corner
 _FIRST, _FADED = -3.4, 36.0  # of the points, exp(u - exp(-u)), and exponent of the fall at which they end
 
 
-def end_transition(end: Floats, root: Floats) -> Complexes:
+def end_transition(end: Floats, root: Floats, corner: Floats | float = EVEN) -> Complexes:
     """Compute the transition function of an edge and of its end, the field at the end over that of the partner.
 
     end: root a of the phase by which the way over the end is longer than the shortest one; negative beyond the boundary
     at which the shortest way passes the end.
 
     root: root b of the phase of a term of the edge, as of `transition`; negative beyond the term's boundary.
+
+    corner: the angle φ of ``a + jb`` as the shortest way comes to the corner, where both are less than `AT_CORNER`.
 
     result: ``E(b) / 2`` for a = 0; 0 for b = 0 and a > 0; about ``E(a) E(b) b² / (a² + b²) / 2`` far out.
 
@@ -39,12 +42,12 @@ def end_transition(end: Floats, root: Floats) -> Complexes:
     1956, eq. 2.5, with a complex argument) is ``C(a, b) + C(b, a) = E(a) E(b) / 2``, so that only a ≥ b is needed: φ
     times a polynomial of φ², with ``a + jb = ρ exp(jφ)``, whose coefficients depend on ρ alone.
     """
-    end, root = np.broadcast_arrays(np.asarray(end, dtype=np.float64), np.asarray(root, dtype=np.float64))
+    end, root, corner = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in (end, root, corner)))
     a, b = np.abs(end), np.abs(root)
     low, high = np.minimum(a, b), np.maximum(a, b)
     off = high > AT_CORNER
-    found = _of_octant(np.hypot(a, b), np.where(off, np.arctan2(low, high), 0.25 * np.pi))
-    beside = b > a
+    phi = np.where(off, np.arctan2(low, high), np.minimum(corner, 0.5 * np.pi - corner))
+    found, beside = _of_octant(np.hypot(a, b), phi), np.where(off, b > a, corner > EVEN)
     found[beside] = 0.5 * transition(a[beside]) * transition(b[beside]) - found[beside]
     found *= np.where((root < 0.0) & off, -1.0, 1.0)
     beyond = (end < 0.0) & off

@@ -13,7 +13,7 @@ typedef struct {
     int end_side;                                // of the end that the path runs over; 0 for one over the edge itself
     int face[2];                                 // tables of the 0-face and the n-face; -1 for the same at every angle
     int bounces[2];                              // reflections of partners: of the first two terms, and of the others
-    int unused;
+    float corner;                                // angle at which the path comes to the corner itself, see `end_transition`
 } edge_view;
 
 typedef struct {

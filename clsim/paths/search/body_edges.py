@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.diffraction import TERMS, edge_way, lit_angles, partner_reflections
+from clsim.acoustics.edge_end import EVEN
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
@@ -110,6 +111,7 @@ class EdgeFinder:
             "after": chains.after, "edge": chains.edge, "over_end": chains.end.astype(np.int8),
             "lit": lit.astype(np.int8), "end_side": side.astype(np.int8),
             "beside": np.column_stack([np.where(code & bit, 1, -1) for bit in HALVES]).astype(np.int8),
+            "corner": np.full(count, EVEN),
         }  # fmt: skip
 
     def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> Chains:

@@ -18,6 +18,7 @@ from clsim.paths.chain import Chain
 from clsim.paths.family import ends_at
 from clsim.paths.search.edge_chains import SAME_DELAY, delays_of
 from clsim.paths.vertices.edge import EdgeVertex
+from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.visibility.edge_intervals import LONGEST, STEP, indistinct
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ _GRAZED = 0.25  # s, the same where a way goes along an edge
 _ROUNDING = 1e-14  # of the room's size, by which lengths of the same way differ
 _DETOUR = 1e-13  # of it, over the corner at most: some micrometres beside it, within which tests contradict each other
 _STEP = 1e-4  # s, between instants at which the detour over a corner is computed
+_SHORT = 1e-5  # s, between instants at which it is seen that a way passes the corner itself
+_SAME = 1e-8  # s, between the times at which it passes an edge and its end
 _ROUNDS = 3  # of Newton's method on its slope
 
 
@@ -57,15 +60,61 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
     settled[[event for group in groups for event in group.tolist()]] = True
     for group, time in (*timed, *_along_edges(events, settled)):
         events.set(bounds, group, time)
-    changed = iter([_with_bounds(family, *each) for family, each in zip(chains, bounds, strict=True)])
+    changed = iter(_with_corners([_with_bounds(*columns) for columns in zip(chains, bounds, strict=True)], scene))
     return tuple(next(changed) if isinstance(family, Chain) else family for family in found)
 
 
-def _with_bounds(family: Chain, start: Floats, end: Floats) -> Chain:
+def _with_bounds(family: Chain, bounds: list[Floats]) -> Chain:
+    start, end = bounds
     if np.array_equal(start, family.start) and np.array_equal(end, family.end):
         return family
     family = replace(family, start=read_only(start), end=read_only(end))
     return family.part(np.flatnonzero(start < end))
+
+
+def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
+    """Tell paths over ends which terms pass their boundaries as the path passes the corner itself, and at which angle.
+
+    These have their own side of that time, times `BOTH`, see `joined_over_ends`; the angle is that of `end_transition`.
+    """
+    events = _Events.of(chains, scene)
+    over_ends = events.over_edges(ends=True)
+    columns: dict[int, tuple[NDArray[np.int8], Floats]] = {}
+    _, instant, count = np.unique(np.stack([events.pair, events.time]), axis=1, return_inverse=True, return_counts=True)
+    with_ends = np.bincount(instant, weights=over_ends, minlength=len(count))
+    some = np.flatnonzero(((with_ends > 0.0) & (count - with_ends > 1.0))[instant])
+    some = some[np.argsort(instant[some], kind="stable")]
+    for group in np.split(some, np.flatnonzero(np.diff(instant[some])) + 1):
+        if events.ways_beside_ends(group) < 2:
+            continue
+        ends = group[over_ends[group]]
+        for number in np.unique(events.family[ends]).tolist():
+            mine = ends[events.family[ends] == number]
+            links, rows = chains[number].links(events.row[mine]), events.row[mine]
+            lit, corner = columns.setdefault(
+                number, (np.array(chains[number].vertex.lit), np.array(chains[number].vertex.corner))
+            )
+            instants = events.time[group[0]] + _SHORT * np.array([1.0, -1.0])  # after it and before it
+            angles, *squares = links.vertex.boundaries(links, instants)
+            sides, each = np.where(angles >= 0.0, 1, -1), np.arange(len(mine))
+            own, (detours, over_end) = (each, events.side[mine]), (np.sqrt(x) for x in squares)
+            # Both roots grow evenly with the time from where each is zero.
+            apart = _SHORT * (_share(detours) - _share(over_end)[:, None])
+            passed = (np.abs(apart) <= _SAME) & (sides[:, 0] != sides[:, 1]) & (lit[rows] != 0)
+            term, some_passed = np.argmax(passed, axis=1), passed.any(axis=1)
+            angle = np.arctan2(detours[(*own, term)], over_end[own])
+            lit[rows] = np.where(passed, BOTH * sides[own], lit[rows])
+            corner[rows] = np.where(some_passed, angle, corner[rows])
+    for number, (lit, corner) in columns.items():
+        vertex = replace(chains[number].vertex, lit=read_only(lit), corner=read_only(corner))
+        chains[number] = replace(chains[number], vertex=vertex)
+    return chains
+
+
+def _share(roots: Floats) -> Floats:
+    """Place of the zero of roots (n, 2, ...) after and before it, from -1 to 1."""
+    after, before = roots[:, 0], roots[:, 1]
+    return np.asarray((before - after) / np.maximum(before + after, 1e-300))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,17 +177,14 @@ class _Events:
                 ways.add((number, *chain.objects[row].tolist()))
         return len(ways)
 
-    def begin_over_edges(self, ends: bool) -> NDArray[np.bool_]:
-        """Mask (n,) of beginnings of paths over ends of edges of the room, or over edges themselves."""
+    def over_edges(self, ends: bool) -> NDArray[np.bool_]:
+        """Mask (n,) of events of paths over ends of edges of the room, or over edges themselves."""
         over = np.zeros(len(self.time), dtype=bool)
         for number, chain in enumerate(self.chains):
             if isinstance(chain.vertex, EdgeVertex) and not chain.legs[0].moving:
-                mine = (self.family == number) & (self.side == 0)
+                mine = self.family == number
                 over[mine] = (chain.vertex.over_end[self.row[mine]] >= 0) == ends
         return over
-
-    def over_edges(self, group: Rows) -> bool:
-        return any(self.chains[number].vertex is not None for number in np.unique(self.family[group]).tolist())
 
 
 def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
@@ -154,7 +200,7 @@ def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
         delay = events.delays(here, times[here])
         ranks = np.argsort(delay, kind="stable")
         for group in np.split(here[ranks], np.flatnonzero(np.diff(delay[ranks]) >= SAME_DELAY) + 1):
-            if events.over_edges(group):
+            if any(events.chains[number].vertex is not None for number in np.unique(events.family[group]).tolist()):
                 yield group
 
 
@@ -189,7 +235,7 @@ def _along_edges(events: _Events, settled: NDArray[np.bool_]) -> Iterator[tuple[
     quarter of a second off, at which both paths are as long as each other.
     """
     plain = np.array([chain.vertex is None for chain in events.chains])[events.family]
-    over, size = events.begin_over_edges(ends=False), events.scene.room.as_mesh().walls.size
+    over, size = events.over_edges(ends=False) & (events.side == 0), events.scene.room.as_mesh().walls.size
     _, instant = np.unique(np.stack([events.pair, events.time]), axis=1, return_inverse=True)
     with_plain, with_edge = (np.bincount(instant, weights=mask) > 0.0 for mask in (plain, over))
     lone = np.flatnonzero(plain & ~with_edge[instant] & ~settled)
@@ -216,7 +262,7 @@ def _ranges(first: Rows, after: Rows) -> Rows:
 
 def _beside_turns(events: _Events) -> Iterator[tuple[int, Rows]]:
     """Yield events at which a path over an end of an edge begins, and all (n,) at which paths are nearly as long."""
-    over = events.begin_over_edges(ends=True)
+    over = events.over_edges(ends=True) & (events.side == 0)
     for pair in np.unique(events.pair[over]).tolist():
         here = slice(*np.searchsorted(events.pair, (pair, pair + 1)).tolist())
         turns, times = here.start + np.flatnonzero(over[here]), events.time[here]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.diffraction import TERMS
+from clsim.acoustics.edge_end import EVEN
 from clsim.arrays import read_only
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
@@ -63,7 +64,8 @@ def _first_edges(rows: Found) -> dict[str, Any]:
     sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, SIDES)
     edge = np.array([r["edges"][0] for r in rows], dtype=np.int64)
     end = np.array([r["end_of"] for r in rows], dtype=np.int8)
-    values: tuple[Any, ...] = (edge, end, sides[:, :TERMS], sides[:, TERMS], sides[:, ENDS_BESIDE])
+    even = np.full(len(rows), EVEN)
+    values: tuple[Any, ...] = (edge, end, sides[:, :TERMS], sides[:, TERMS], sides[:, ENDS_BESIDE], even)
     return {name: read_only(column) for name, column in zip(COLUMNS, values, strict=True)}
 
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, edge_way, lit_angles
-from clsim.paths.arrivals import Arrivals
+from clsim.acoustics.diffraction import ON_LINE, edge_way, end_detour, lit_angles, wedge_terms
+from clsim.acoustics.edge_end import EVEN
+from clsim.paths.arrivals import RETARDED, Arrivals
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.propagation import UniformAir, arrivals_by
 from clsim.paths.vertices.edge_events import Chains, EdgeSolver
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
     Triple = tuple[Floats, Floats, Floats]
 
-COLUMNS = ("edge", "over_end", "lit", "end_side", "beside")
+COLUMNS = ("edge", "over_end", "lit", "end_side", "beside", "corner")
 LAWS = {"utd": utd_field, "btm": exact_field}
 
 
@@ -60,6 +61,8 @@ class EdgeVertex:
         the edge itself.
     beside : ndarray (P, 2) int8
         -1 where source or receiver goes on beyond the 0-face, 1 where beyond the n-face, 0 where as far beyond both.
+    corner : ndarray (P,)
+        Angle at which paths over ends come to the corner itself, see `end_transition`, rad.
     """
 
     edge: NDArray[np.int64]  # (P,) which of the lines
@@ -67,6 +70,7 @@ class EdgeVertex:
     lit: NDArray[np.int8]
     end_side: NDArray[np.int8]
     beside: NDArray[np.int8]
+    corner: Floats
     lines: EdgeLines  # edges of the room, on moving legs also of bodies
     model: str  # of the field: "utd" or "btm"
 
@@ -93,9 +97,10 @@ class EdgeVertex:
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
-        for name in (
-            (*COLUMNS, "model") if moving else ("frame", "n", "faces", "lit", "end_place", "end_side", "beside")
-        ):
+        of_kind = (
+            (*COLUMNS[:5], "model") if moving else ("frame", "n", "faces", "lit", "end_place", "end_side", "beside")
+        )
+        for name in (*of_kind, *(["corner"] if np.any(self.corner != EVEN) else [])):
             yield name, getattr(self, name)
         if not moving:
             yield "edge_names", self.lines.names
@@ -185,6 +190,21 @@ class EdgeVertex:
             found.delay, rate, departure, -sound.normal(onwards), length, sound.through, None, found.emission_time,
             factor, ratio,
         )  # fmt: skip
+
+    def boundaries(self, links: Links, times: Floats) -> tuple[Floats, Floats, Floats]:
+        """Compute how far paths on static legs are inside the lit regions of terms, at times (T,), s.
+
+        result: angles (P, T, 4), see `lit_angles`; detours (P, T, 4) over the edges against partners, m; and detours
+        (P, T) over the ends, m.
+        """
+        found, (source, receiver), views = self.on_static_legs(links, times, RETARDED), links.motions, self.views(links)
+        emitted_at = source.position(found.emission_time.ravel()).reshape(*found.delay.shape, 3)
+        seen = views[0].places(emitted_at), views[1].places(receiver.position(times))
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = map(cylindrical, self.wedges, seen, self.beside.T)
+        angles = lit_angles(self.n[:, None], t_s, t_r)
+        (_, root), way = wedge_terms(self.n[:, None], angles), edge_way(r_s, z_s, r_r, z_r)
+        end = end_detour(way, (r_s, z_s), (r_r, z_r), np.broadcast_to(self.end_place[:, None], way.length.shape))
+        return angles, root**2 * way.breadth[..., None], end
 
     def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> EdgeEvents:
         """Solve paths between moving legs."""
@@ -280,7 +300,7 @@ class EdgeVertex:
         way, n = edge_way(r_s, z_s, r_r, z_r), self.n
         # Towards the start or the stop of the edge its inside is on another side of the end.
         inside = np.where(self.over_end[:, None] == 1, end - way.apex, way.apex)
-        ends = EndsOfEdges.of(self.end_side, way, ((r_s, z_s), (r_r, z_r)), end, inside)
+        ends = EndsOfEdges.of(self.end_side, way, ((r_s, z_s), (r_r, z_r)), end, inside, self.corner)
         factors = partner_factors(n, self.faces, (t_s, t_r), (r_s + r_r) / way.length, at)
         angles = lit_angles(n[:, None], t_s, t_r)
         field = LAWS[self.model](n, self.lit, angles, (r_s, r_r), way, wave, factors, ends)

@@ -41,11 +41,12 @@ class EndsOfEdges:
 
     side: NDArray[np.int8]
     root: Floats  # (P, T) root of the detour by the end, √m; negative where the shortest way is on the other side
+    corner: Floats  # (P,) angle at which the way comes to the corner itself, see `end_transition`
 
     @staticmethod
     def of(
         side: NDArray[np.int8], way: EdgeWay, ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]], end: Floats,
-        inside: Floats,
+        inside: Floats, corner: Floats,
     ) -> EndsOfEdges:  # fmt: skip
         """Make it from r and z of source and receiver (P, T), m.
 
@@ -58,7 +59,7 @@ class EndsOfEdges:
             (r_s, z_s), (r_r, z_r) = ((r[over], z[over]) for r, z in ends)
             detour = end_detour(some, (r_s, z_s), (r_r, z_r), np.broadcast_to(end, (len(side), 1))[over])
             root[over] = signed[over] * np.sqrt(detour)
-        return EndsOfEdges(side, root)
+        return EndsOfEdges(side, root, corner)
 
     def transition(self, rows: NDArray[np.int64], lit: NDArray[np.int8], wave: Floats, root: Floats) -> Complexes:
         """Compute the transition function of some rows' edges or ends (n, T, F), without the phase of the detour.
@@ -72,7 +73,7 @@ class EndsOfEdges:
         found, ends = np.empty(root.shape, dtype=np.complex128), rows[over]
         found[~over] = transition(root[~over])
         end, both = self.root[ends, :, None] * np.sqrt(wave[over]), np.abs(lit[over]) == BOTH
-        at_end = end_transition(end, root[over])
+        at_end = end_transition(end, root[over], self.corner[ends, None, None])
         if both.any():  # half of either way round the boundary
             twice = np.exp(1j * (end[both] ** 2 + root[over][both] ** 2))
             at_end[both] -= np.where(end[both] < -AT_CORNER, twice, 0.0)

@@ -74,7 +74,7 @@ _TWO_SIDES = [
 EDGE_VIEW = np.dtype(
     [*_TWO_SIDES, ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("even", "f8", 2),
      ("odd", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("bounces", "i4", 2),
-     ("unused", "i4")]
+     ("corner", "f4")]
 )  # fmt: skip
 SCATTERER_VIEW = np.dtype(
     [*_TWO_SIDES, ("semi_axes", "f8", 3), ("strength", "f8"), ("thing", "i4"), ("turned", "i4"), ("shape", "i4"),
@@ -166,7 +166,7 @@ class EdgeColumns(StaticColumns):
         vertex, edges = links.vertex, np.zeros(len(rows), dtype=EDGE_VIEW)
         for end, view in zip(("source", "receiver"), vertex.views(links), strict=True):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
-        for name in ("n", "lit", "end_side"):
+        for name in ("n", "lit", "end_side", "corner"):
             edges[name] = getattr(vertex, name)
         half_turns, edges["bounces"] = np.pi * edges["n"], partner_reflections(edges["n"])[:, 1:3]
         even, odd = (half_turns * (count // 2) for count in edges["bounces"].T)

@@ -52,7 +52,8 @@ class Signal:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        if isinstance(self.waveform, Signal) or not hasattr(self.waveform, "read"):
+        given: object = self.waveform
+        if isinstance(given, Signal) or not hasattr(given, "read"):
             raise InputError(
                 "waveform",
                 f"must be a waveform, but is {type(self.waveform).__name__}; "

@@ -53,11 +53,12 @@ static void transition_of_both(const vertex_tables* t, double end, const respons
 }
 
 // The same for roots that are negative beyond their boundaries; `of_end` is the transition function of the end's alone.
-static void transition_at_end(const vertex_tables* t, double end, const response* of_end, double root, float weight, int lit, response* r)
+static void transition_at_end(const vertex_tables* t, double end, const response* of_end, double root, float weight, int lit, float corner,
+                              response* r)
 {
     const double beyond = end < 0.0 ? -end : end;
     if (end * end + root * root < AT_CORNER * AT_CORNER) {
-        transition_of_both(t, AT_CORNER, of_end, AT_CORNER, weight, r);
+        transition_of_both(t, AT_CORNER * cos((double)corner), of_end, AT_CORNER * sin((double)corner), weight, r);
         return;
     }
     transition_of_both(t, beyond, of_end, root < 0.0 ? -root : root, root < 0.0 ? -weight : weight, r);

@@ -102,8 +102,9 @@ static double edge_field(const environment* env, const vertex_tables* t, __globa
         const double steep = near < ON_BOUNDARY ? 1.0 : rise * high[term] / low[term] * inverse;
         response one;
         const double root = side * rise * breadth, weight = -0.5 * side * steep;
-        if (edge->end_side) transition_at_end(t, end, &of_end, root, (float)(-edge->end_side * weight), edge->lit[term], &one);
-        else transition_of(t, root, (float)weight, &one);
+        if (edge->end_side) {
+            transition_at_end(t, end, &of_end, root, (float)(-edge->end_side * weight), edge->lit[term], edge->corner, &one);
+        } else transition_of(t, root, (float)weight, &one);
         by_faces(env, t, edge, slot, term < 2 ? 0 : term, edge->bounces[term / 2], 0.5 * (term < 2 ? together : -between),
                  across / length, &one);
         for (int part = 0; part < PARTS; part++) {
