@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _WINDOW = 1e-3  # s between two times of one event, at most: ends may go along an edge within the tolerance of outlines
 _GRAZED = 0.25  # s, the same where a way goes along an edge
 _ROUNDING = 1e-14  # of the room's size, by which lengths of the same way differ
-_DETOUR = 1e-13  # of it, over the corner at most: some micrometres beside it, within which tests contradict each other
+_DETOUR = 3e-15  # of it, over the corner at most: ten times the tolerance of outlines beside it
 _STEP = 1e-4  # s, between instants at which the detour over a corner is computed
 _SHORT = 1e-5  # s, between instants at which it is seen that a way passes the corner itself
 _SAME = 1e-8  # s, between the times at which it passes an edge and its end

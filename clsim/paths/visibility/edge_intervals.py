@@ -12,7 +12,15 @@ from clsim.acoustics.diffraction import ON_LINE, TERMS, partner_reflections
 from clsim.errors import InputError
 from clsim.paths.search.edge_chains import joined_over_ends
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, ENDS_BESIDE, FAR, SIDES, EdgeVisibility, FaceLegs
-from clsim.paths.visibility.intervals import GRAZE_TIME, MOST_EVALUATIONS, Intervals, find_intervals, merged
+from clsim.paths.visibility.intervals import (
+    ALONG,
+    GRAZE,
+    GRAZE_TIME,
+    MOST_EVALUATIONS,
+    Intervals,
+    find_intervals,
+    merged,
+)
 from clsim.paths.visibility.occlusion import in_air
 
 if TYPE_CHECKING:
@@ -120,9 +128,10 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell
 
     Certified subdivision, as of `find_intervals`. While a path runs along a boundary, as where source, receiver and
     edge are in a plane of symmetry, no clearance is enough: an interval of `GRAZE_TIME` is one piece there if its sides
-    are the same at both ends and in the middle.
+    are the same at both ends and in the middle, and it comes off the boundary by little of what the ends move.
     """
     there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
+    near = GRAZE * finder.query.walls.size
     ignored = _ignored(finder, candidates, order)
     stack = [(there.path, there.begin, there.end)]
     found: list[tuple[Any, ...]] = [(there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8))]
@@ -133,14 +142,15 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell
             stack.append((row[_CHUNK:], begin[_CHUNK:], end[_CHUNK:]))
             row, begin, end = row[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
         half = 0.5 * (end - begin)
-        sides, sure, grazes = visibility.sides(finder.query, row, begin + half, half)
+        sides, sure, off, reach = visibility.sides(finder.query, row, begin + half, half)
         sides[ignored[row]] = 0
         done = sure | (2.0 * half <= finder.query.resolution)
-        unsure = np.flatnonzero(~done & grazes & (half <= 0.5 * GRAZE_TIME))
+        unsure = np.flatnonzero(~done & (off < near) & (half <= 0.5 * GRAZE_TIME))
         for instant in (begin, end) if len(unsure) else ():
-            beside, _, _ = visibility.sides(finder.query, row[unsure], instant[unsure], np.zeros(len(unsure)))
+            beside, _, off, _ = visibility.sides(finder.query, row[unsure], instant[unsure], np.zeros(len(unsure)))
             beside[ignored[row[unsure]]] = 0
-            unsure = unsure[np.all(beside == sides[unsure], axis=1)]
+            along = off < np.minimum(near, ALONG * reach[unsure])
+            unsure = unsure[along & np.all(beside == sides[unsure], axis=1)]
         done[unsure] = True
         np.add.at(evaluations, row, 1)
         _refuse_endless(finder, candidates, evaluations)

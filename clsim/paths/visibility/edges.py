@@ -28,7 +28,6 @@ import numpy as np
 from clsim.acoustics.diffraction import TERMS, EdgeWay, edge_way, lit_angles
 from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
-from clsim.paths.visibility.intervals import GRAZE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -153,10 +152,11 @@ class EdgeVisibility:
 
     def sides(
         self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats
-    ) -> tuple[NDArray[np.int8], Bools, Bools]:
-        """Tell on which sides of their boundaries candidates are, (n, 11), if that is sure, and if they graze one.
+    ) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
+        """Tell on which sides of their boundaries candidates are, (n, 11), and if that is sure.
 
-        It is sure where it holds within `half` of the times, s.
+        It is sure where it holds within `half` of the times, s. Then how far they are off the nearest boundary, and how
+        far ends move within `half`, (n,) m.
 
         The sides are those of the four partners, 1 where one is seen and -1 where not; of the end of the edge, 1 while
         the shortest way meets the edge, 0 for candidates that run over no end; of the partners at the second edge, 0
@@ -190,8 +190,8 @@ class EdgeVisibility:
         return (
             np.column_stack([np.where(angles >= 0.0, 1, -1), last, second, *beside]).astype(np.int8),
             sure,
-            off < GRAZE * query.walls.size,
-        )
+            off, stance.reach,
+        )  # fmt: skip
 
     def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
         """Largest motion of the point on the first or second edge along it, (n,) m."""
