@@ -25,6 +25,7 @@ from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.search.shoebox import shoebox_paths
 from clsim.paths.visibility.hidden import behind_bodies
 from clsim.paths.without_edges import warn_without_edges
+from clsim.paths.without_shadows import warn_without_shadows
 from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
@@ -88,6 +89,8 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     if scene.scatterers:
         found = (*found, *_scattered(scene, options))
     paths = PathSet(scene, with_direct(found, levels))
+    if scene.scatterers:
+        warn_without_shadows(paths, options.scattering_order)
     if not edges:
         again = partial(find_paths, engine=options.engine, device=options.device)
         warn_without_edges(paths, options.max_order, again)

@@ -217,3 +217,34 @@ def test_geometrical_optics_on_the_axis_is_quiet() -> None:
         found = error(0.1, 40e3, source, receiver, model="geometrical")
     _, scattered = field(2.0 * np.pi * 40e3 / C, 0.1, source, receiver)
     assert found == pytest.approx(abs(scattered) * 2.0, rel=1e-9)  # it scatters nothing there
+
+
+@pytest.mark.parametrize(("begin", "end", "order", "stands"), [
+    ((6.5, 3.3, 2.0), (6.5, 3.3, 2.0), 0, True), ((6.5, 3.3, 2.0), (6.5, 3.3, 2.0), 1, False),
+    ((7.4, 3.3, 2.0), (7.4, 3.3, 2.0), 0, False), ((6.5, 4.9, 2.0), (6.5, 3.3, 2.0), 0, True),
+])  # fmt: skip
+def test_echoes_without_shadows_are_told(
+    begin: tuple[float, ...], end: tuple[float, ...], order: int, stands: bool
+) -> None:
+    """A wall's echo past a ball was +0.2 dB, not -8.2, with the default `scattering_order` of 0, and nothing said so.
+
+    The ball that moves comes to (6.5, 3.9, 2), where the echo of x_max passes on its way back.
+    """
+    tone, fixed = clsim.Signal.tone(40e3, 0.1, RATE, fade=0.01), clsim.Trajectory.fixed
+    scene = clsim.Scene(
+        clsim.Shoebox((8.0, 6.0, 4.0), MIRROR), AIR, [clsim.Source("s", tone, fixed((5.0, 3.0, 2.0)))],
+        [clsim.Receiver("r", fixed((5.0, 4.2, 2.0)))],
+        scatterers=[clsim.Scatterer.sphere("ball", 0.1, clsim.Trajectory.line(begin, end, 1.0))],
+    )  # fmt: skip
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        clsim.find_paths(scene, 1, scattering_order=order)
+    words = [str(one.message) for one in caught]
+    assert (
+        words
+        == [
+            f"'ball' stands in the way of echoes at {0.0 if begin == end else 0.625:.3g} s and casts no shadow on them: "
+            "scattering_order is 0, and echoes of N walls have shadows from N on"
+        ]
+        * stands
+    )
