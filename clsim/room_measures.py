@@ -18,6 +18,7 @@ from clsim.acoustics.decay import (
     eyring_time,
     has_decay_range,
     is_clipped,
+    level_fall,
     reverberation_time,
     sabine_time,
 )
@@ -357,8 +358,11 @@ def _measures(taps: Floats, begin: int, rate: float, free_field: Floats | None) 
     curve, early = decay_curve(heard[begin:], noise, beyond), begin + round(0.05 * rate)
     found = {name: reverberation_time(curve, rate, *levels) for name, levels in _DECAYS.items()}
     reached = [name for name in _DECAYS if math.isfinite(found[name])]
+    noisy, fall = beyond > 0.0, level_fall(taps[begin:], rate)
     hidden = [
-        name for name in reached if not has_decay_range(curve, rate, _DECAYS[name][1], found[name], noisy=beyond > 0.0)
+        name
+        for name in reached
+        if not has_decay_range(curve, rate, _DECAYS[name][1], found[name], noisy=noisy, fall_db=fall)
     ]
     found |= dict.fromkeys(hidden, math.nan)
     energy, free = (math.nan if x is None else float(np.sum(np.square(x))) for x in (heard, free_field))
@@ -370,7 +374,7 @@ def _measures(taps: Floats, begin: int, rate: float, free_field: Floats | None) 
         "g": 10.0 * math.log10(energy / free) if energy > 0.0 and free > 0.0 else math.nan,
         "drr": clarity(heard, begin + round(_DIRECT * rate)),
     }
-    return found, bool(hidden) or (beyond > 0.0 and len(reached) < len(_DECAYS))
+    return found, bool(hidden) or (noisy and len(reached) < len(_DECAYS))
 
 
 def _diffuse(scene: Scene | None, frequencies: Floats) -> tuple[Floats, Floats]:

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 _HEADROOM_DB = 10.0  # by which noise is to lie below a part of a decay (ISO 3382-1:2009, section 5.3.3)
+_LEAST_DB = 15.0  # by which a response falls to its end
+_LOUD = 0.1  # s, over which its loudest part is averaged: of noise in low bands it is some dB above the mean
 _OWN_FALL = 0.75  # of how far a decay falls in a fifth of a response: what falls less is noise
 _INTERVAL = 0.03  # s, over which the first look at a decay is averaged
 _PER_TEN_DB = 3  # intervals of later looks
@@ -105,14 +107,28 @@ def _late_slope(
     return (float(fall), float(-start / fall)) if fall < 0.0 else None
 
 
-def has_decay_range(curve: Floats, sampling_rate: float, last_db: float, found: float, *, noisy: bool) -> bool:
+def has_decay_range(
+    curve: Floats, sampling_rate: float, last_db: float, found: float, *, noisy: bool, fall_db: float
+) -> bool:
     """Test whether a decay curve (n,), dB, of a reverberation time, s, reaches so far that the time can be told.
 
-    Where the response ends in noise, this has to lie 10 dB below `last_db` (ISO 3382-1:2009, section 5.3.3).
+    Where the response ends in noise, this has to lie 10 dB below `last_db` (ISO 3382-1:2009, section 5.3.3). Elsewhere
+    the response itself has to fall by as much, and by 15 dB: the curve of steady noise falls as well.
     """
     if noisy:
         return bool(curve[-1] <= last_db - _HEADROOM_DB)
-    return -last_db / 60.0 * found <= len(curve) / sampling_rate
+    return -last_db / 60.0 * found <= len(curve) / sampling_rate and fall_db >= max(-last_db, _LEAST_DB)
+
+
+def level_fall(samples: Floats, sampling_rate: float) -> float:
+    """Compute by how much the last tenth of a response (n,) is below the loudest 0.1 s of it, dB.
+
+    Our own derivation.
+    """
+    power, length = np.square(samples), max(min(round(_LOUD * sampling_rate), len(samples)), 1)
+    means = power[: len(power) // length * length].reshape(-1, length).mean(axis=1)
+    loudest, last = float(means.max(initial=0.0)), float(np.mean(power[-max(len(power) // 10, 1) :]))
+    return 10.0 * math.log10(loudest / last) if loudest > 0.0 and last > 0.0 else math.inf
 
 
 def is_clipped(samples: Floats) -> bool:

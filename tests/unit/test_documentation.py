@@ -48,6 +48,7 @@ OWN = {
     "end_detour": "derived: differences of lengths without cancellation",
     "fit_delay": "derived: least squares of phases of neighbours' products",
     "is_clipped": "what the name says",
+    "level_fall": "derived: a mean over a mean",
     "largest_hole": "a maximum",
     "lit_share": "the choice that ellipsoid_strength tells of",
     "merged": "a mean",
