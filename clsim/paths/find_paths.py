@@ -24,8 +24,7 @@ from clsim.paths.search.scatterer_pairs import scatterer_pair_paths
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.search.shoebox import shoebox_paths
 from clsim.paths.visibility.hidden import behind_bodies
-from clsim.paths.without_edges import warn_without_edges
-from clsim.paths.without_shadows import warn_without_shadows
+from clsim.paths.without_edges import warn_without_edges, warn_without_shadows
 from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox

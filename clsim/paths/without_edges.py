@@ -1,4 +1,4 @@
-"""What reflections alone leave out: the field of edges near paths, and jumps where paths begin and end."""
+"""What reflections alone leave out: the field of edges near paths, jumps at their ends, and shadows on echoes."""
 
 from __future__ import annotations
 
@@ -36,6 +36,8 @@ _MOST_TESTED = 4  # faces of which it is found out whether they have edges that 
 _SOFTEST_DB = -40.0  # re the free direct sound
 _FARTHEST = 100.0  # m, of paths whose Fresnel zones matter
 _SAME_EVENT = 1e-5  # s
+_LOOKS = np.linspace(0.0, 1.0, 9)  # of the known time, at which shadows are looked for
+_MOST_ECHOES = 4096  # then
 
 
 def warn_without_edges(paths: PathSet, max_order: int, find: Callable[..., PathSet]) -> None:
@@ -288,3 +290,35 @@ def _phasors(pair: PairPaths, times: Floats) -> NDArray[Any]:
     found = pair.arrivals(times)
     frequency = pair.family.scene.sources[pair.source].emitted.centre_frequency
     return np.asarray(pair.gain(found, times) * np.exp(-2j * np.pi * frequency * found.delay))
+
+
+def warn_without_shadows(paths: PathSet, scattering_order: int) -> None:
+    """Warn of the first scatterer with a shadow that stands in an echo of more than `scattering_order` walls.
+
+    It stands there if the path passes its centre within the least of its semi-axes.
+    """
+    scene = paths.scene
+    casting = [scatterer for scatterer in scene.scatterers if scatterer.shape.shadows]
+    echoes = next((family for family in paths.families if family.is_specular), None)
+    if not casting or echoes is None or not np.any(high := echoes.order > scattering_order):
+        return
+    until = known_until([*scene.named_ends(), *scene.named_scatterers()])
+    for time in (until * (_LOOKS if until > 0.0 else _LOOKS[:1])).tolist():
+        rows = np.flatnonzero(high & (echoes.start <= time) & (echoes.end > time))[:_MOST_ECHOES]
+        places = echoes.vertices(rows, time)
+        for scatterer in casting:
+            centre, least = scatterer.trajectory.position(np.array([time]))[0], float(np.min(scatterer.shape.semi_axes))
+            if len(rows) and _least_apart(places, centre) < least:
+                warn(
+                    f"{scatterer.name!r} stands in the way of echoes at {time:.3g} s and casts no shadow on them: "
+                    f"scattering_order is {scattering_order}, and echoes of N walls have shadows from N on"
+                )
+                return
+
+
+def _least_apart(places: Floats, centre: Floats) -> float:
+    """Least distance of a point from paths by places (P, N, 3), m, NaN beyond the receiver."""
+    begin, along = places[:, :-1], np.diff(places, axis=1)
+    squared = np.sum(along**2, axis=2)
+    share = np.clip(np.sum((centre - begin) * along, axis=2) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
+    return float(np.nanmin(np.linalg.norm(begin + share[..., None] * along - centre, axis=2)))

@@ -60,16 +60,13 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
     settled[[event for group in groups for event in group.tolist()]] = True
     for group, time in (*timed, *_along_edges(events, settled)):
         events.set(bounds, group, time)
-    changed = iter(_with_corners([_with_bounds(*columns) for columns in zip(chains, bounds, strict=True)], scene))
+    for place, (start, end) in enumerate(bounds):
+        family = chains[place]
+        if not (np.array_equal(start, family.start) and np.array_equal(end, family.end)):
+            family = replace(family, start=read_only(start), end=read_only(end))
+            chains[place] = family.part(np.flatnonzero(start < end))
+    changed = iter(_with_corners(chains, scene))
     return tuple(next(changed) if isinstance(family, Chain) else family for family in found)
-
-
-def _with_bounds(family: Chain, bounds: list[Floats]) -> Chain:
-    start, end = bounds
-    if np.array_equal(start, family.start) and np.array_equal(end, family.end):
-        return family
-    family = replace(family, start=read_only(start), end=read_only(end))
-    return family.part(np.flatnonzero(start < end))
 
 
 def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
