@@ -90,9 +90,7 @@ def _warn_of_small_faces(paths: PathSet) -> bool:
     return False
 
 
-def neglected_db(
-    scene: Scene, bodies: list[Body], max_order: int, find: Callable[..., PathSet]
-) -> float | None:  # fmt: skip
+def neglected_db(scene: Scene, bodies: list[Body], max_order: int, find: Callable[..., PathSet]) -> float | None:
     """Find the largest level of the sum of a pair's edge paths at a few instants, dB re the pair's strongest path.
 
     Edges are those of the room and of some bodies. Paths have one edge and one reflection at most, at the centre

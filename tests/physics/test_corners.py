@@ -250,6 +250,7 @@ def loudest_jump(paths: PathSet) -> float:
     """Largest jump of the sum where paths begin and end, dB re the strongest path, within three microseconds."""
     changes = np.unique(np.concatenate([x for family in paths.families for x in (family.start, family.end)]))
     changes = changes[(changes > 0.0) & (changes < 1.0)]
+    assert len(changes) > 0, "nothing begins or ends"
     return float(20.0 * np.log10(np.max(jumps(paths, changes, 40e3, step=1e-6), initial=1e-15)))
 
 

@@ -48,7 +48,8 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
 
     These are events of one source and one receiver which follow each other by no more than the resolution, s, or the
     tolerance of outlines explains, at which all paths are as long. The first one's time is that of all. Where the way
-    over the corner of an edge is the shortest one at an instant, this instant is their time.
+    over the corner of an edge is the shortest one at an instant, this instant is their time. A path without edges that
+    passes one slowly takes the time of that edge's own terms.
     """
     chains = [family for family in found if isinstance(family, Chain)]
     if not any(family.vertex is not None for family in chains):
