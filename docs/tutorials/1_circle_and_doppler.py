@@ -26,8 +26,8 @@ recording = clsim.render(paths, sampling_rate=192e3, duration=1.0)
 # The theory is drawn over the spectrogram: 40 kHz times the Doppler factor of the direct path.
 times = np.linspace(0.05, 0.95, 91)
 truth = clsim.direct_path(paths, times)
-axes = recording.spectrogram("ear", band=(39e3, 41e3))
-axes.plot(times, 40e3 * truth.doppler_factor[0, 0] / 1e3, "w--", linewidth=1)
+figure = recording.spectrogram("ear", band=(39e3, 41e3))
+figure.axes[0].plot(times, 40e3 * truth.doppler_factor[0, 0] / 1e3, "w--", linewidth=1)
 
 # %%
 # The check: cycles of the sound between two instants are those that the truth tells.
