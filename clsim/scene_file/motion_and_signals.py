@@ -155,6 +155,8 @@ class _File(Model):
     path: str
     format: Literal["tum", "euroc", "csv", "rosbag"]
     topic: str | None = None
+    columns: dict[str, str] | None = None
+    time_scale: float = 1.0
     smooth: bool | float = True
     time_offset: float = 0.0
     rotate: Quaternion = [0.0, 0.0, 0.0, 1.0]

@@ -15,6 +15,7 @@ from clsim.scene.motion.carried import Carried, CarriedTurning, Swung, velocity_
 from clsim.scene.motion.checks import (
     LONGEST,
     as_choices,
+    as_columns,
     as_direction,
     as_increasing,
     as_path,
@@ -28,7 +29,7 @@ from clsim.scene.motion.motion import Motion
 from clsim.scene.motion.orientation import Hinge, as_quaternions, quaternion_product, turning_between
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from os import PathLike
 
     from numpy.typing import ArrayLike
@@ -373,6 +374,8 @@ class Trajectory(Motion):
         format: str = "tum",
         *,
         topic: str | None = None,
+        columns: Mapping[str, str] | None = None,
+        time_scale: float = 1.0,
         smooth: bool | float = True,
         time_offset: float = 0.0,
         rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
@@ -390,10 +393,16 @@ class Trajectory(Motion):
             A text file, or a ROS bag.
         format : {"tum", "euroc", "csv", "rosbag"}
             TUM: ``t x y z qx qy qz qw``. EuRoC: nanoseconds, x, y, z, qw, qx, qy, qz. CSV: a header names
-            ``t,x,y,z`` and perhaps ``qx,qy,qz,qw``, in any order. A bag is of ROS 2 (a folder, ``.mcap``, ``.db3``)
-            or ROS 1 (``.bag``), and read without ROS (``clsim[ros]``); times are those of the messages' headers.
+            ``t,x,y,z`` and perhaps ``qx,qy,qz,qw``, in any order; ``time``, ``timestamp``, ``pos_x``, ``position_x``,
+            ``px``, ``q_x``, ``quat_x`` and ``orientation_x`` are known as well, in any case. A bag is of ROS 2 (a
+            folder, ``.mcap``, ``.db3``) or ROS 1 (``.bag``), and read without ROS (``clsim[ros]``); times are those
+            of the messages' headers.
         topic : str, optional
             Of a bag, whose messages are PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped.
+        columns : mapping, optional
+            Names of a CSV file's columns for some of ``t x y z qx qy qz qw``, such as ``{"t": "time (ms)"}``.
+        time_scale : float
+            Unit of time of a TUM or CSV file in s, such as 1e-3 for milliseconds.
         smooth : bool or float
             True removes the noise and no more (cubic smoothing spline per axis by generalised
             cross-validation, see `residual`); a number is the rms residual to leave per axis, m; False is the
@@ -443,6 +452,8 @@ class Trajectory(Motion):
             as_path(path),
             as_choice("format", format, files.FORMATS),
             topic=topic if format != "rosbag" else as_topic(topic),
+            columns=as_columns(columns, files.POSE),
+            time_scale=as_number("time_scale", time_scale, at_least=1e-12, at_most=1e6, unit="s"),
             scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
             repair=as_choices("repair", repair, files.REPAIRS),
             max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
