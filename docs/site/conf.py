@@ -70,4 +70,5 @@ def setup(app: Any) -> None:
     """Write the pages that are made of the program itself before any is read."""
     app.connect("source-read", _within_site)
     pages.write_reference(Path(__file__).parents[1] / "api")
+    pages.write_copies(Path(__file__).parents[1])
     pages.write_validation(Path(__file__).parents[1], os.environ.get("CLSIM_MEASURED"))
