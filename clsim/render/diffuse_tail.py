@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import InputError
+from clsim.errors import DeviceError, InputError
+from clsim.opencl.compiler import compiler_of
+from clsim.opencl.device import find_device
+from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
-from clsim.render.opencl.plane_waves import DeviceWaves
+from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.interpolation import NODE, Between, HostWaves, Motion
 from clsim.tail.noise import (
     at_one_place,
     channel_gains,
@@ -25,7 +27,7 @@ from clsim.tail.noise import (
     receiver_gains,
     static_gains,
 )
-from clsim.tail.streams import Streams
+from clsim.tail.streams import NEIGHBOURS, NODE, Between, HostWaves, Motion, Streams
 from clsim.tail.zones import is_static
 
 if TYPE_CHECKING:
@@ -36,8 +38,8 @@ if TYPE_CHECKING:
     from clsim.scene.motion.motion import Motion as Way
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
-    from clsim.tail.interpolation import Waves
     from clsim.tail.noise import Responses
+    from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
 _RECEIVERS = 16  # of them at a time
@@ -315,3 +317,49 @@ class SourceSignals:
 def _fastest(way: Way) -> float:
     """Return a bound of the speed, m/s."""
     return 0.0 if way.is_static else float(way.speed_over(np.array([-1e9]), np.array([1e9]))[0])
+
+
+assert CPU_LAYOUT.lanes <= NEIGHBOURS
+
+
+class DeviceWaves:
+    """Sums streams on an OpenCL device; `HostWaves` is its twin."""
+
+    def __init__(self, between: Between, device: str | None, lanes: int | None = None) -> None:
+        import pyopencl as cl
+
+        self._info, found = find_device(device)
+        compiler = compiler_of(found)
+        self._queue, self._scratch = cl.CommandQueue(compiler.context), Scratch(compiler.context)
+        self._lanes = lanes or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT).lanes
+        powers, taps = between.bank.shape
+        constants = {"LANES": self._lanes, "NODE": NODE, "POWERS": powers, "TAPS": taps}
+        self._kernel = compiler.kernel("plane_waves", constants)
+        self._bank = upload(compiler.context, between.bank)
+
+    def heard(
+        self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
+    ) -> NDArray[np.float32]:
+        """Return the pressure at listeners (R, n), see `Waves`."""
+        import pyopencl as cl
+
+        listeners, nodes, count = motion.ahead[:, :-1].shape
+        begin = start // NODE * NODE
+        whole = np.floor(motion.ahead[:, :-1])
+        packed = np.empty((listeners, nodes, count, 4), np.float32)
+        packed[..., 0] = motion.ahead[:, :-1] - whole
+        packed[..., 1] = np.diff(motion.ahead, axis=1) / NODE
+        packed[..., 2] = motion.gains[:, :-1]
+        packed[..., 3] = np.diff(motion.gains, axis=1) / NODE
+        heard = np.empty((listeners, nodes * NODE), np.float32)
+        try:
+            out = self._scratch.take("heard", heard.nbytes)
+            self._kernel(
+                self._queue, work(nodes * NODE // self._lanes, listeners), streams=streams, count=count,
+                stride=streams.shape[1], lead=begin - first, whole=whole.astype(np.int32),
+                motion=packed, nodes=nodes, bank=self._bank, heard=out,
+            )  # fmt: skip
+            cl.enqueue_copy(self._queue, heard, out)
+        except cl.Error as error:
+            raise DeviceError(f"{self._info.name} ran out of memory or failed ({error}) at a diffuse tail") from error
+        return heard[:, start - begin : stop - begin]

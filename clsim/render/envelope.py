@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.numerics.fractional_delay import design_bandlimited
-from clsim.numerics.kaiser import low_pass_between
+from clsim.numerics.resampling import low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank

@@ -4,25 +4,41 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.errors import InputError
 from clsim.keywords import keywords_of
+from clsim.numerics.resampling import Upsampler
 from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
-from clsim.render.allocation import allocate, moved_to
-from clsim.render.baseband import check_ends, segmented
+from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.diffuse_tail import DiffuseTail
+from clsim.render.envelope import design_envelope
+from clsim.render.memory import with_blas_threads
 from clsim.render.methods import narrow_part, per_sample, sampled_channel, static
+from clsim.render.methods.narrow_band import NarrowFilters, Split, design_split
 from clsim.render.options import RenderOptions
-from clsim.render.plan import BLOCKS, SEGMENT, Plan, chunk_of, max_rate
+from clsim.render.plan import (
+    BLOCKS,
+    LONG_BLOCKS,
+    SEGMENT,
+    Allocation,
+    ChannelPart,
+    NarrowPart,
+    Plan,
+    chunk_of,
+    max_rate,
+)
+from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
+from clsim.scene.signal.occupied_bandwidth import spectra
 from clsim.tail.design import ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
 from clsim.tail.diffuse_field import DiffuseField
 from clsim.tail.zones import Zones
 from clsim.tracks.pruning import pruned
+from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
 
 if TYPE_CHECKING:
@@ -34,21 +50,9 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import SceneTracks, Tracks
 
 
-def where_claimed(claim: str, build: Callable[[Plan], Contribution | None], plan: Plan) -> Contribution | None:
-    """Build a contribution if its method claims something in the plan's allocation."""
-    return build(plan) if any(part is not None for part in getattr(plan.allocation, claim)) else None
-
-
-# What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
-BUILDERS: list[Callable[[Plan], Contribution | None]] = [
-    per_sample.build,
-    partial(where_claimed, "narrow", narrow_part.build),
-    partial(where_claimed, "convolved", static.build),
-    partial(where_claimed, "channels", sampled_channel.build),
-    partial(where_claimed, "tails", DiffuseTail),
-]
-
 _MUCH_DB = -20.0  # of the reverberation, above which a note tells of it
+
+
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 
@@ -134,19 +138,6 @@ def plan_tracks(
     return Plan(
         options, tracks, allocation, filters, heard_at, samples, chunk, segment, blocks, _builders(), left_out=left_out
     )
-
-
-def on_device(plan: Plan, device: str | None) -> Plan:
-    """Return a plan for a device of this machine; one that it names stays, and None is any."""
-    if device is None or plan.options.device is not None:
-        return plan
-    allocation = moved_to(plan.allocation, device)
-    return replace(plan, options=replace(plan.options, device=device), allocation=allocation, builders=_builders())
-
-
-def _builders() -> list[Callable[[Plan], Contribution | None]]:
-    """Builders of all contributions, those of plugins last."""
-    return [*BUILDERS, *with_plugins({}, METHODS).values()]
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:
@@ -262,3 +253,141 @@ def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
             return None
         most = max(most, found.left_db)
     return float(most)
+
+
+def allocate(
+    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, options: RenderOptions, samples: int
+) -> tuple[tuple[SourceFilters, ...], Allocation]:
+    """Return the filters of what each source emits, and the allocation, for a recording of a length in samples."""
+    convolved = Allocation(static.pairs_at_rest(tracks, options))
+    rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
+    made: list[SourceFilters] = []
+    narrow: list[tuple[int, NarrowFilters]] = []
+    channels: list[tuple[int, sampled_channel.ChannelOffer]] = []
+    notes: list[str] = []
+    with with_blas_threads(1):
+        for i, (emitted, start) in enumerate(emissions):
+            mine = [k for k, pair in enumerate(tracks.pairs) if pair.source == i]
+            pairs = [k for k in mine if k not in convolved.convolved]
+            at_rest = bool(mine) and not pairs
+            emission = _emission(
+                i, emitted.at_rate(options.sampling_rate), start, tracks, options, samples / rate, at_rest
+            )
+            split, why = _cheapest_split(emission, pairs)
+            notes += [why] if why else []
+            if split is None:
+                made.append((design_source_filters if options.baseband is None else design_envelope)(emission))
+                offer, why = sampled_channel.offer(emission, made[-1], pairs)
+                notes += [why] if why else []
+                channels += [(i, offer)] if offer else []
+            else:
+                rest, bands = design_split(emission, split)
+                made.append(rest)
+                narrow += [(i, filters) for filters in bands]
+    carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
+    parts = tuple(_narrow_part(carrier, narrow, tracks, convolved, options, samples) for carrier in carriers)
+    sampled = tuple(_channel_part(i, offer, tuple(made), options, samples) for i, offer in channels)
+    return tuple(made), replace(convolved, narrow=parts, channels=sampled, notes=tuple(notes))
+
+
+def _cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, str]:
+    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used."""
+    offers = narrow_part.offers(emission, pairs)
+    if not offers:
+        return None, ""
+    best = min(offers, key=lambda offer: offer.cost)
+    if best.cost > per_sample.cost_of_whole(emission) and not emission.options.narrowband:
+        return None, ""
+    why = narrow_part.can(emission, pairs, best.split)
+    if why is None:
+        return best.split, ""
+    return None, f"source {emission.source}: rendered as a whole, without a narrow part: {why}"
+
+
+def _emission(
+    source: int, signal: Signal, start: float, tracks: Tracks, options: RenderOptions, until: float, at_rest: bool
+) -> Emission:
+    sound, spectrum = spectra(signal)
+    drawn = cache(partial(Draw.of, tracks, source, until))
+    return Emission(source, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
+
+
+def _narrow_part(
+    carrier: tuple[float, float],
+    narrow: list[tuple[int, NarrowFilters]],
+    tracks: Tracks,
+    claimed: Allocation,
+    options: RenderOptions,
+    samples: int,
+) -> NarrowPart:
+    """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
+    mine = {i: filters for i, filters in narrow if (filters.carrier, filters.rate) == carrier}
+    # Others have no paths in it; what stands for their filters is not looked at.
+    first = next(iter(mine.values()))
+    filters = tuple(mine.get(i, first) for i in range(tracks.source_count))
+    band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
+    upsampler = Upsampler.about(carrier[0], options.sampling_rate, first.mixer.every, 0.5 * band.bandwidth)
+    within = replace(options, baseband=band, narrowband=None, chunk=None)
+    others = claimed.convolved | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
+    blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
+    count, segment = math.ceil(samples / upsampler.every) + upsampler.reach, segment_of(blocks)
+    chunk = chunk_of(tracks, within, count, carrier[1], segment)
+    alone, builders = Allocation(frozenset(others)), [per_sample.build]
+    plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
+    return NarrowPart(plan, tuple(mine), upsampler)
+
+
+def _channel_part(
+    source: int,
+    offer: sampled_channel.ChannelOffer,
+    filters: tuple[SourceFilters, ...],
+    options: RenderOptions,
+    samples: int,
+) -> ChannelPart:
+    """Return the pairs of a source whose impulse responses are sampled, with a plan of their own for their tracks."""
+    pairs, tracks = frozenset(offer.pairs), offer.tracks
+    alone = Allocation(frozenset(range(len(tracks.pairs))) - pairs)
+    chunk = chunk_of(tracks, options, samples, options.sampling_rate, SEGMENT)
+    plan = Plan(
+        options, tracks, alone, filters, options.sampling_rate, samples, chunk, SEGMENT, LONG_BLOCKS, [per_sample.build]
+    )
+    return ChannelPart(plan, source, pairs, offer.spacing, offer.error_db)
+
+
+def on_device(plan: Plan, device: str | None) -> Plan:
+    """Return a plan for a device of this machine; one that it names stays, and None is any."""
+    if device is None or plan.options.device is not None:
+        return plan
+    allocation = moved_to(plan.allocation, device)
+    return replace(plan, options=replace(plan.options, device=device), allocation=allocation, builders=_builders())
+
+
+def moved_to(allocation: Allocation, device: str) -> Allocation:
+    """Return the same allocation with envelopes rendered on a device."""
+    narrow = tuple(replace(part, plan=_plan_on(device, part.plan)) for part in allocation.narrow)
+    channels = tuple(replace(part, plan=_plan_on(device, part.plan)) for part in allocation.channels)
+    return replace(allocation, narrow=narrow, channels=channels)
+
+
+def _plan_on(device: str, plan: Plan) -> Plan:
+    return replace(plan, options=replace(plan.options, device=device), builders=[per_sample.build])
+
+
+def where_claimed(claim: str, build: Callable[[Plan], Contribution | None], plan: Plan) -> Contribution | None:
+    """Build a contribution if its method claims something in the plan's allocation."""
+    return build(plan) if any(part is not None for part in getattr(plan.allocation, claim)) else None
+
+
+# What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
+BUILDERS: list[Callable[[Plan], Contribution | None]] = [
+    per_sample.build,
+    partial(where_claimed, "narrow", narrow_part.build),
+    partial(where_claimed, "convolved", static.build),
+    partial(where_claimed, "channels", sampled_channel.build),
+    partial(where_claimed, "tails", DiffuseTail),
+]
+
+
+def _builders() -> list[Callable[[Plan], Contribution | None]]:
+    """Builders of all contributions, those of plugins last."""
+    return [*BUILDERS, *with_plugins({}, METHODS).values()]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from clsim.tracks.transition import heard
+from clsim.tracks.splines import heard
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

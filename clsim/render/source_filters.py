@@ -12,7 +12,7 @@ import numpy as np
 
 from clsim.errors import InputError, warn
 from clsim.numerics.convolution import convolved
-from clsim.numerics.kaiser import low_pass_between
+from clsim.numerics.resampling import low_pass_between
 from clsim.paths.response import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares

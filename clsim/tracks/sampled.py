@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from clsim.numerics.chebyshev import chebyshev_points
+from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.motion.curves import CONTINUATION, onward
 from clsim.scene.room.faces import NEAREST
 
 if TYPE_CHECKING:
@@ -23,9 +26,13 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals
     from clsim.paths.family import PairPaths
+    from clsim.scene.ends import Receiver, Source
+    from clsim.scene.motion.trajectory import Trajectory
     from clsim.scene.scene import Scene
     from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
     from clsim.tracks.tracks import SceneTracks, Tracks
+
+    End = TypeVar("End", Source, Receiver)
 
 GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
 SEED = 20_160_914
@@ -289,3 +296,31 @@ def common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sam
     middle = begin + 0.5 * float(np.searchsorted(below, [_LATE_SHARE, 1.0 - _LATE_SHARE]).sum())
     samples = round(middle * sampling_rate * (count - 1) / count / width)
     return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
+
+
+def continued(tracks: SceneTracks, seconds: float) -> SceneTracks:
+    """Return the same tracks between ends that move on for so many seconds at either side.
+
+    Ends are copied without their checks: where nothing sounds they may be outside of the room.
+    """
+    scene, families = copy(tracks.scene), {id(family): copy(family) for family in tracks.paths.families}
+    object.__setattr__(scene, "sources", tuple(_end(end, seconds) for end in tracks.scene.sources))
+    object.__setattr__(scene, "receivers", tuple(_end(end, seconds) for end in tracks.scene.receivers))
+    for family in families.values():
+        object.__setattr__(family, "scene", scene)
+    pair_paths = tuple(replace(pair, family=families[id(pair.family)]) for pair in tracks.pair_paths)
+    return replace(tracks, paths=PathSet(scene, tuple(families.values())), pair_paths=pair_paths)
+
+
+def _end(end: End, seconds: float) -> End:
+    made = copy(end)
+    object.__setattr__(made, "trajectory", _motion(end.trajectory, seconds))
+    return made
+
+
+def _motion(motion: Trajectory, seconds: float) -> Trajectory:
+    """Return a motion that goes on: lines and circles as they are, others straight beyond their continuation."""
+    if motion.end == np.inf:
+        return motion
+    curve = onward(motion.curve, motion.start - CONTINUATION, motion.end + CONTINUATION)
+    return replace(motion, curve=curve, start=motion.start - seconds, end=motion.end + seconds)

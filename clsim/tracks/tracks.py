@@ -17,9 +17,15 @@ from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.tracks.basis import Basis, flat_basis
-from clsim.tracks.delay_bounds import delay_bounds
-from clsim.tracks.splines import checked_indices, checked_samples, fitted_splines, heard_intervals
-from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
+from clsim.tracks.splines import (
+    DEFAULT_TRANSITION,
+    as_transition,
+    checked_indices,
+    checked_samples,
+    delay_bounds,
+    fitted_splines,
+    heard_intervals,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

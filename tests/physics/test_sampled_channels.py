@@ -15,9 +15,17 @@ import clsim
 from clsim.opencl import compiler
 from clsim.opencl.kernels import kernel_source
 from clsim.render import channel_grid
-from clsim.render.channel_frames import ChannelFilters
-from clsim.render.channel_grid import NODES, OVERSAMPLING, TAPS, node_window, spread, window_at, window_table
-from clsim.render.channel_reference import reference_channels
+from clsim.render.channel_grid import (
+    NODES,
+    OVERSAMPLING,
+    TAPS,
+    ChannelFilters,
+    node_window,
+    reference_channels,
+    spread,
+    window_at,
+    window_table,
+)
 from clsim.render.opencl import limits
 from clsim.render.plan import Plan
 from clsim.render.planning import on_device

@@ -21,7 +21,7 @@ from clsim.render.contributions import Contribution
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.methods import per_sample, static
 from clsim.render.plan import SEGMENT, Plan
-from clsim.render.rendering import Rendering
+from clsim.render.render import Rendering
 from clsim.tail.bands import at_middles, band_centres, band_shares, with_middles
 from clsim.tail.design import DEPARTURES, SourceTail, TailEnergy, TailOptions, find_tail
 from clsim.tail.noise import combined, plane_waves

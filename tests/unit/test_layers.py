@@ -29,7 +29,7 @@ LAYERS = [
     ("tracks",),
     ("tail",),
     ("recording", "impulse_responses"),
-    ("room_measures", "lateral_measures", "decoding", "score"),
+    ("room_measures", "decoding", "score"),
     ("render",),
     ("output",),
     ("exchange",),

@@ -17,8 +17,7 @@ from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
 from clsim.paths.legs.static import image_columns
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooManyBeamsError
-from clsim.paths.search.panels import THROUGH, divided, see_through
-from clsim.paths.search.ray_shooting import ShotRays
+from clsim.paths.search.ray_shooting import THROUGH, ShotRays, divided, see_through
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
 from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, ends_about, find_intervals

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.kaiser import low_pass_between
+from clsim.numerics.resampling import low_pass_between
 from clsim.render.envelope import EnvelopeFilters, envelope_filters
-from clsim.render.opencl.activity import CELL
+from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters, filtered
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 

@@ -1,4 +1,4 @@
-"""Slots: the paths of a batch of receivers as the device sees them, and the blocks in which these begin or end."""
+"""Slots: the paths of a batch of receivers on the device, blocks in which they begin or end, and active samples."""
 
 from __future__ import annotations
 
@@ -7,13 +7,45 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.tracks.transition import heard_samples
+from clsim.render.plan import BATCH
+from clsim.tracks.splines import heard_samples
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.render.plan import Plan
+
+_TILE = 128  # paths whose branch signals stay in cache together
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Layout of the sum of paths on a device: a subblock of samples over lanes of vectors, or over work-items."""
+
+    lanes: int
+    subblocks: int  # subblocks to a work-item, or to a group of them
+    sparse_subblocks: int  # the same where signals pause
+    nodes: int  # of a path, whose delays are solved side by side
+
+    def constants(self, subblock: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
+        """Return the compile-time constants of the render kernel for a subblock's length."""
+        workers = 1 if self.lanes > 1 else subblock
+        return {
+            "LANES": self.lanes,
+            "VECTORS": subblock // (workers * self.lanes),
+            "WORKERS": workers,
+            "SPARSE": int(sparse),
+            "FINE": int(fine),
+            "OVERSAMPLING": oversampling,
+            "BATCH": 1 if sparse else BATCH,
+            "TILE": _TILE,
+            "SUBBLOCKS": (self.sparse_subblocks if sparse else self.subblocks) * (32 // subblock),
+        }
+
+
+CPU_LAYOUT = Layout(lanes=8, subblocks=16, sparse_subblocks=48, nodes=4)
+GPU_LAYOUT = Layout(lanes=1, subblocks=4, sparse_subblocks=16, nodes=1)
 
 
 _NEVER = 2**40  # samples
@@ -179,3 +211,49 @@ def find_fades(batch: PathBatch, start: int, block: int, blocks: int) -> Fades |
         slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
         np.append(new, len(slot)).astype(np.int32), batch.row[pair[new]], at[new].astype(np.int32),
     )  # fmt: skip
+
+
+CELL = 16  # samples
+_SPARSE = 0.5  # share of active cells, below which it pays to look
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Activity:
+    """Cells of `CELL` samples of branch signals in which any of them is not zero."""
+
+    cells: NDArray[np.bool_]  # (cells,) whether they are active
+
+    def __or__(self, other: Activity) -> Activity:
+        """Return the union of both."""
+        return Activity(self.cells | other.cells)
+
+    @property
+    def pays(self) -> bool:
+        """Whether few enough cells are active for skipping to be cost-effective."""
+        return float(np.mean(self.cells)) < _SPARSE
+
+    @property
+    def following(self) -> NDArray[np.int32]:
+        """The nearest active cell from each one on, or the number of cells, (cells,)."""
+        count = len(self.cells)
+        index = np.where(self.cells, np.arange(count, dtype=np.int32), np.int32(count))
+        return np.asarray(np.minimum.accumulate(index[::-1])[::-1])
+
+    @property
+    def preceding(self) -> NDArray[np.int32]:
+        """The nearest active cell up to each one, or -1, (cells,)."""
+        index = np.where(self.cells, np.arange(len(self.cells), dtype=np.int32), np.int32(-1))
+        return np.asarray(np.maximum.accumulate(index))
+
+
+def find_activity(active: NDArray[np.int64], count: int, before: int, after: int) -> Activity:
+    """Find the active cells of branch signals; active (n,).
+
+    active: samples that are not zero of what the branch filters filter; the first sample of the branches is at
+    `before`.
+    """
+    cells = -(-count // CELL)
+    # A sample at i is heard by branches from i - after - before to i.
+    begun = np.bincount(np.clip((active - before - after) // CELL, 0, cells), minlength=cells + 1)
+    ended = np.bincount(np.clip(active // CELL + 1, 0, cells), minlength=cells + 1)
+    return Activity(np.cumsum(begun - ended)[:-1] > 0)

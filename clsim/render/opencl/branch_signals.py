@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.launch import upload, work
-from clsim.render.opencl.activity import CELL, Activity, find_activity
-from clsim.render.opencl.batches import ActivePaths
+from clsim.render.opencl.batches import CELL, ActivePaths, Activity, find_activity
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

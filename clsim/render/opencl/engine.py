@@ -10,19 +10,16 @@ import numpy as np
 
 from clsim.errors import ClsimError, DeviceError, warn
 from clsim.opencl.compiler import compiler_of
-from clsim.opencl.device import find_device
+from clsim.opencl.device import check_group, find_device
 from clsim.opencl.launch import Scratch, upload, work
-from clsim.opencl.limits import check_group
-from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch, find_fades
+from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT, ActivePaths, Layout, PathBatch, fill_batch, find_fades
+from clsim.render.opencl.block_polynomials import Residual
 from clsim.render.opencl.branch_signals import Branches, BranchSignals
 from clsim.render.opencl.environment import has_directivity
-from clsim.render.opencl.host_nodes import HostNodeMaker
-from clsim.render.opencl.layout import CPU_LAYOUT, GPU_LAYOUT, Layout
+from clsim.render.opencl.host_nodes import HostNodeMaker, PairNodeMaker
 from clsim.render.opencl.limits import Limits
 from clsim.render.opencl.nodes import NodeMaker
-from clsim.render.opencl.pair_nodes import PairNodeMaker
 from clsim.render.opencl.path_columns import COLUMNS
-from clsim.render.opencl.residual import Residual
 from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:

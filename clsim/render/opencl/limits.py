@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clsim.errors import InputError
-from clsim.opencl.limits import FLOAT64, MOST_INDEX, SHARE, check_buffers, operations_in_launch
+from clsim.opencl.device import FLOAT64, MOST_INDEX, SHARE, check_buffers, operations_in_launch
 from clsim.render.plan import BATCH, NODE_BUDGET, Plan
 
 if TYPE_CHECKING:

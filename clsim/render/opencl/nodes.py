@@ -10,10 +10,21 @@ import numpy as np
 
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS, knot_rate, motion_knots
-from clsim.render.opencl.activity import CELL
+from clsim.render.opencl.batches import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
-from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR, Environment, receiver_at
-from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, HARMONIC, OMNI, SIDE, SPHERICAL
+from clsim.render.opencl.environment import (
+    AXIAL,
+    CELLS,
+    FACE_CELLS,
+    HARMONIC,
+    OMNI,
+    RECEIVER_NODE,
+    SIDE,
+    SPHERICAL,
+    VECTOR,
+    Environment,
+    receiver_at,
+)
 from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rendered
 from clsim.render.plan import Plan, node_times
 
@@ -24,8 +35,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.opencl.compiler import Compiler
-    from clsim.render.opencl.activity import Activity
-    from clsim.render.opencl.batches import Boundaries, PathBatch
+    from clsim.render.opencl.batches import Activity, Boundaries, PathBatch
     from clsim.tracks.tracks import SceneTracks
 
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block

@@ -20,7 +20,7 @@ from clsim.paths.legs.events import BEYOND_LEG
 from clsim.paths.legs.mirrors import ROOM
 from clsim.paths.vertices.edge_field import BOTH, least_angle
 from clsim.paths.vertices.scatterer_paths import PATIENCE
-from clsim.render.opencl.lookup_tables import end_table, field_tables, transition_table
+from clsim.render.opencl.environment import end_table, field_tables, transition_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable

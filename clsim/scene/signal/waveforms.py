@@ -12,8 +12,7 @@ import numpy as np
 
 from clsim.arrays import short_repr
 from clsim.errors import InputError
-from clsim.numerics.kaiser import band_pass
-from clsim.numerics.resampling import Resampler
+from clsim.numerics.resampling import Resampler, band_pass
 from clsim.scene.signal.sequences import shaped_sequence
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_fo
 from clsim.opencl.launch import NUMBERS, Launch, layout, upload
 from clsim.paths.visibility.device import INTERVAL, SPAN, progress
 from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR
-from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
+from clsim.render.opencl.host_nodes import PAIR_RECEIVER
 from clsim.render.opencl.path_columns import EDGE_VIEW, MIRROR_VIEW, SCATTERER_VIEW
 
 KNOWN = {"CLK_LOCAL_MEM_FENCE", "OPENCL", "FP_CONTRACT", "OFF"}  # of OpenCL C itself

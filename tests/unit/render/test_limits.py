@@ -10,7 +10,7 @@ import pytest
 import clsim
 from clsim.opencl import device as device_module
 from clsim.opencl.compiler import Compiler
-from clsim.opencl.limits import LONGEST_LAUNCH, check_group
+from clsim.opencl.device import LONGEST_LAUNCH, check_group
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.batches import fill_batch
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
