@@ -266,7 +266,7 @@ class PairPaths:
     def shapes(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return responses (C, P, T, F) of channels that differ over frequency: one of those that do not."""
         directivity = self.family.scene.receivers[self.receiver].directivity
-        if isinstance(directivity, ChannelDirectivity) and directivity.is_flat:
+        if not isinstance(directivity, ChannelDirectivity) or directivity.is_flat:
             return self.response(found, times, at)[None]
         return self.responses(found, times, at)
 

@@ -101,7 +101,7 @@ class _ZoneHeard:
     def __init__(self, plan: Plan, signals: SourceSignals, zone: int) -> None:
         of_scene = plan.tracks.of_scene
         assert of_scene is not None, "tails are of scenes"
-        self._scene: Scene = of_scene.scene
+        self._scene: Scene = of_scene.paths.scene
         self._rate, self._zone, self._signals, self._samples = plan.sampling_rate, zone, signals, plan.samples
         self._source, self._tail = signals.source, signals.tail
         centre = self._scene.sources[self._source].emitted.centre_frequency
@@ -241,12 +241,12 @@ class SourceSignals:
         assert of_scene is not None, "tails are of scenes"
         self.source, self.tail = source, tail
         self._filters = plan.source_filters[source]
-        self._end, self._air = of_scene.scene.sources[source], of_scene.scene.air
+        self._end, self._air = of_scene.paths.scene.sources[source], of_scene.paths.scene.air
         self._exponent = MACH_EXPONENT[plan.options.amplitude]
         self._rate = plan.sampling_rate
         self.moves = not is_static(self._end, turning=tail.zones.beams)
         highest = min(_SPARE * self._end.emitted.band()[1], _HIGHEST * self._rate)
-        ways = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.scene.receivers)]
+        ways = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.paths.scene.receivers)]
         fastest = max(map(_fastest, ways)) / self._air.speed_of_sound
         self.between = Between.up_to(highest, self._rate, min(fastest, _FASTEST))
         self._options = plan.options

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from operator import methodcaller
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,7 @@ from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import design_envelope
 from clsim.render.memory import with_blas_threads
 from clsim.render.methods import narrow_part, per_sample, sampled_channel, static
-from clsim.render.methods.narrow_band import NarrowFilters, Split, design_split
+from clsim.render.methods.narrow_band import NarrowFilters, design_split
 from clsim.render.options import RenderOptions
 from clsim.render.plan import (
     BLOCKS,
@@ -30,7 +31,6 @@ from clsim.render.plan import (
     NarrowPart,
     Plan,
     chunk_of,
-    max_rate,
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.scene.signal.occupied_bandwidth import spectra
@@ -107,9 +107,14 @@ def plan_paths(paths: PathSet, options: RenderOptions, progress: Callable[[float
     if options.baseband is not None:
         check_ends(scene)
     ringing = _check_receivers(scene, options.sampling_rate)
-    tracks, left_out = _tracks(paths, options)
-    emissions = [(source.emitted, source.start) for source in scene.sources]
     tails = find_tails(paths, options, progress)
+    tracks, left_out = (
+        track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition),
+        "",
+    )
+    if options.prune_below_db is not None:
+        tracks, left_out = _pruned(tracks, options, options.prune_below_db)
+    emissions = [(source.emitted, source.start) for source in scene.sources]
     return plan_tracks(emissions, tracks, options, ringing=ringing, left_out=left_out, tails=tails)
 
 
@@ -132,7 +137,8 @@ def plan_tracks(
     heard_at = rate if options.baseband is None else options.baseband[2] or rate
     samples = _samples(emissions, tracks, heard_at, options.duration, ringing, tails.duration)
     filters, allocation = allocate(emissions, tracks, options, samples)
-    segment, blocks = _blocks(tracks, options, heard_at)
+    carrier = None if options.baseband is None else options.baseband[0]
+    segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, heard_at, carrier)
     chunk = chunk_of(tracks, options, samples, heard_at, segment)
     allocation = allocation.with_tails(tails.of_sources, tails.told)
     return Plan(
@@ -155,14 +161,11 @@ def _check_receivers(scene: Scene, rate: float) -> float:
     return longest / rate
 
 
-def _tracks(paths: PathSet, options: RenderOptions) -> tuple[SceneTracks, str]:
-    """Return the tracks of the paths that may matter, and what is said of the others."""
-    tracks = track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition)
-    if options.prune_below_db is None:
-        return tracks, ""
-    end = min(max(source.start + source.emitted.duration for source in paths.scene.sources), tracks.last_time())
+def _pruned(tracks: SceneTracks, options: RenderOptions, below_db: float) -> tuple[SceneTracks, str]:
+    """Return the tracks of the paths that may matter, and a note on the others."""
+    end = min(max(source.start + source.emitted.duration for source in tracks.scene.sources), tracks.last_time())
     until = min(options.duration or end + tracks.longest_delay(end, end), tracks.last_time())
-    return pruned(tracks, options.prune_below_db, until)
+    return pruned(tracks, below_db, until)
 
 
 def _samples(
@@ -185,13 +188,6 @@ def _samples(
             f"must end while all that moves is known, {last:g} s ({what}), but is {duration:g} s",
         )
     return max(1, math.ceil(duration * rate - 1e-6))
-
-
-def _blocks(tracks: Tracks, options: RenderOptions, rate: float) -> tuple[int, tuple[int, ...]]:
-    """Return the lengths of segments and blocks, samples."""
-    if options.baseband is None:
-        return SEGMENT, BLOCKS
-    return segmented(tracks, rate, options.baseband[0], max_rate(tracks))
 
 
 def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float], None] | None = None) -> FoundTails:
@@ -270,10 +266,11 @@ def allocate(
             mine = [k for k, pair in enumerate(tracks.pairs) if pair.source == i]
             pairs = [k for k in mine if k not in convolved.convolved]
             at_rest = bool(mine) and not pairs
-            emission = _emission(
-                i, emitted.at_rate(options.sampling_rate), start, tracks, options, samples / rate, at_rest
-            )
-            split, why = _cheapest_split(emission, pairs)
+            signal, until = emitted.at_rate(options.sampling_rate), samples / rate
+            sound, spectrum = spectra(signal)
+            drawn = cache(partial(Draw.of, tracks, i, until))
+            emission = Emission(i, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
+            split, why = narrow_part.cheapest_split(emission, pairs)
             notes += [why] if why else []
             if split is None:
                 made.append((design_source_filters if options.baseband is None else design_envelope)(emission))
@@ -288,28 +285,6 @@ def allocate(
     parts = tuple(_narrow_part(carrier, narrow, tracks, convolved, options, samples) for carrier in carriers)
     sampled = tuple(_channel_part(i, offer, tuple(made), options, samples) for i, offer in channels)
     return tuple(made), replace(convolved, narrow=parts, channels=sampled, notes=tuple(notes))
-
-
-def _cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, str]:
-    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used."""
-    offers = narrow_part.offers(emission, pairs)
-    if not offers:
-        return None, ""
-    best = min(offers, key=lambda offer: offer.cost)
-    if best.cost > per_sample.cost_of_whole(emission) and not emission.options.narrowband:
-        return None, ""
-    why = narrow_part.can(emission, pairs, best.split)
-    if why is None:
-        return best.split, ""
-    return None, f"source {emission.source}: rendered as a whole, without a narrow part: {why}"
-
-
-def _emission(
-    source: int, signal: Signal, start: float, tracks: Tracks, options: RenderOptions, until: float, at_rest: bool
-) -> Emission:
-    sound, spectrum = spectra(signal)
-    drawn = cache(partial(Draw.of, tracks, source, until))
-    return Emission(source, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
 
 
 def _narrow_part(
@@ -332,7 +307,7 @@ def _narrow_part(
     blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
     count, segment = math.ceil(samples / upsampler.every) + upsampler.reach, segment_of(blocks)
     chunk = chunk_of(tracks, within, count, carrier[1], segment)
-    alone, builders = Allocation(frozenset(others)), [per_sample.build]
+    alone, builders = Allocation(frozenset(others)), [PER_SAMPLE]
     plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
     return NarrowPart(plan, tuple(mine), upsampler)
 
@@ -349,7 +324,7 @@ def _channel_part(
     alone = Allocation(frozenset(range(len(tracks.pairs))) - pairs)
     chunk = chunk_of(tracks, options, samples, options.sampling_rate, SEGMENT)
     plan = Plan(
-        options, tracks, alone, filters, options.sampling_rate, samples, chunk, SEGMENT, LONG_BLOCKS, [per_sample.build]
+        options, tracks, alone, filters, options.sampling_rate, samples, chunk, SEGMENT, LONG_BLOCKS, [PER_SAMPLE]
     )
     return ChannelPart(plan, source, pairs, offer.spacing, offer.error_db)
 
@@ -364,27 +339,23 @@ def on_device(plan: Plan, device: str | None) -> Plan:
 
 def moved_to(allocation: Allocation, device: str) -> Allocation:
     """Return the same allocation with envelopes rendered on a device."""
-    narrow = tuple(replace(part, plan=_plan_on(device, part.plan)) for part in allocation.narrow)
-    channels = tuple(replace(part, plan=_plan_on(device, part.plan)) for part in allocation.channels)
+
+    def moved(plan: Plan) -> Plan:
+        return replace(plan, options=replace(plan.options, device=device), builders=[PER_SAMPLE])
+
+    narrow = tuple(replace(part, plan=moved(part.plan)) for part in allocation.narrow)
+    channels = tuple(replace(part, plan=moved(part.plan)) for part in allocation.channels)
     return replace(allocation, narrow=narrow, channels=channels)
 
 
-def _plan_on(device: str, plan: Plan) -> Plan:
-    return replace(plan, options=replace(plan.options, device=device), builders=[per_sample.build])
-
-
-def where_claimed(claim: str, build: Callable[[Plan], Contribution | None], plan: Plan) -> Contribution | None:
-    """Build a contribution if its method claims something in the plan's allocation."""
-    return build(plan) if any(part is not None for part in getattr(plan.allocation, claim)) else None
-
-
+PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
-    per_sample.build,
-    partial(where_claimed, "narrow", narrow_part.build),
-    partial(where_claimed, "convolved", static.build),
-    partial(where_claimed, "channels", sampled_channel.build),
-    partial(where_claimed, "tails", DiffuseTail),
+    PER_SAMPLE,
+    methodcaller("where_claimed", "narrow", narrow_part.build),
+    methodcaller("where_claimed", "convolved", static.build),
+    methodcaller("where_claimed", "channels", sampled_channel.build),
+    methodcaller("where_claimed", "tails", DiffuseTail),
 ]
 
 

@@ -213,8 +213,8 @@ class Rendering:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._pressure = PressureSum(plan)
         self._receivers = ReceiverChain(plan)
+        self._pressure = PressureSum(plan)
 
     @property
     def clipped(self) -> tuple[int, ...]:

@@ -1,12 +1,12 @@
-"""Delays and gains as samples, splines through them, bounds on delays, and transitions of paths that begin and end."""
+"""Delays and gains as samples, splines through them, and transitions of paths that begin and end."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from clsim.arrays import as_floats, as_number
+from clsim.arrays import as_floats, as_number, read_only
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.family import PairPaths, PeakSpeeds
-    from clsim.paths.path_set import PathSet
 
 
 def checked_samples(times: Any, delays: Any, gains: Any) -> tuple[Floats, Floats, Floats]:
@@ -121,32 +119,48 @@ def _first_at(times: Floats, sampling_rate: float) -> NDArray[np.int64]:
 _TOGETHER = 65536  # paths looked at at a time
 
 
-def delay_bounds(
-    paths: PathSet, speeds: PeakSpeeds, pair_paths: Sequence[PairPaths], pairs: Sequence[int], start: float, end: float
-) -> Iterator[tuple[list[int], Floats, Floats]]:
-    """Yield some pairs, and the lowest and highest delays of all their paths, s, one pair's after the other's."""
-    clock_times = np.array([start, end])
-    clock_error = np.stack([r.clock_error(clock_times) for r in paths.scene.receivers])
-    first, last = (clock_times + clock_error).T
-    least, most = clock_error.min(axis=1), clock_error.max(axis=1)
-    for family in paths.families:
-        for batch in _batches(pair_paths, [i for i in pairs if pair_paths[i].family is family]):
-            rows = np.concatenate([pair_paths[i].index for i in batch])
-            r = family.receiver[rows]
-            low, high = family.delay_bounds(rows, first[r], last[r], speeds)
-            reach = np.repeat([pair_paths[i].reach for i in batch], [len(pair_paths[i]) for i in batch])
-            yield batch, low - most[r] - reach, high - least[r] + reach
-
-
-def _batches(pair_paths: Sequence[PairPaths], pairs: list[int]) -> Iterator[list[int]]:
-    """Yield neighbouring pairs together whose paths are a bounded number, or one pair."""
+def in_batches(items: Sequence[int], counts: Sequence[int]) -> Iterator[list[int]]:
+    """Yield neighbouring items together whose paths, as many as counted, are a bounded number, or one item."""
     batch: list[int] = []
-    count = 0
-    for pair in pairs:
-        if batch and count + len(pair_paths[pair]) > _TOGETHER:
+    together = 0
+    for item, count in zip(items, counts, strict=True):
+        if batch and together + count > _TOGETHER:
             yield batch
-            batch, count = [], 0
-        batch.append(pair)
-        count += len(pair_paths[pair])
+            batch, together = [], 0
+        batch.append(item)
+        together += count
     if batch:
         yield batch
+
+
+class FittedTracks(NamedTuple):
+    """Splines through sampled delays and gains, by source and receiver, and bounds of what they do."""
+
+    pairs: list[tuple[int, int, Floats, Floats]]  # source, receiver, and when each path begins and ends, s
+    splines: tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...]
+    source_count: int
+    receiver_names: tuple[str, ...]
+    largest_rate: float  # s/s
+    end: float  # s
+
+
+def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: Any) -> FittedTracks:
+    """Fit tracks to samples; see `Tracks.from_samples`."""
+    times, delays, gains = checked_samples(times, delays, gains)
+    s, r = (checked_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
+    intervals = heard_intervals(np.isfinite(delays))
+    pairs, splines, largest = [], [], 0.0
+    for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in intervals}):
+        mine = [interval for interval in intervals if (s[interval[0]], r[interval[0]]) == pair]
+        fitted = fitted_splines(mine, times, delays, gains)
+        splines.append(fitted)
+        largest = max([largest, *(float(np.abs(f(f.x, 1)[..., 0]).max()) for _, f in fitted)])
+        start = np.array([times[a] if a else -np.inf for _, a, _ in mine])
+        end = np.array([times[b - 1] if b < len(times) else np.inf for _, _, b in mine])
+        pairs.append((*pair, read_only(start), read_only(end)))
+    if largest >= 1.0:
+        raise InputError("delays", f"must change by less than 1 s per second, but change by {largest:.3g}")
+    names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
+    # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
+    bound = min(1.05 * largest, 0.99)
+    return FittedTracks(pairs, tuple(splines), int(s.max()) + 1, names, bound, float(times[-1]))

@@ -29,8 +29,8 @@ from clsim.render.diffuse_tail import DeviceWaves
 from clsim.render.methods import sampled_channel as channel_module
 from clsim.render.methods.sampled_channel import ChannelEngine
 from clsim.render.opencl import batches as layout_module
+from clsim.render.opencl import branch_signals as limits_module
 from clsim.render.opencl import engine as engine_module
-from clsim.render.opencl import limits as limits_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import Plan

@@ -26,7 +26,7 @@ from clsim.render.channel_grid import (
     window_at,
     window_table,
 )
-from clsim.render.opencl import limits
+from clsim.render.opencl import branch_signals
 from clsim.render.plan import Plan
 from clsim.render.planning import on_device
 from clsim.render.render import record
@@ -279,7 +279,7 @@ def test_many_paths_take_several_batches(monkeypatch: pytest.MonkeyPatch) -> Non
     """Receivers apart, and a receiver's paths in parts, whose responses are added up as sound; blocks are chosen for each."""
     plan = planned(scene(0.3), order=4)
     whole = sound(plan)
-    monkeypatch.setattr(limits, "NODE_BUDGET", 2**17)
+    monkeypatch.setattr(branch_signals, "NODE_BUDGET", 2**17)
     assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -105.0
-    monkeypatch.setattr(limits.Limits, "paths_in_launch", 64)
+    monkeypatch.setattr(branch_signals.Limits, "paths_in_launch", 64)
     assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -105.0

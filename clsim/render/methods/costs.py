@@ -67,7 +67,7 @@ def passes(
     tracks: SceneTracks, index: int, receivers: list[int]
 ) -> Iterator[tuple[str, tuple[Trajectory, Trajectory], float, float]]:
     """Yield endpoints of direct legs: name, both motions, sum of their speeds in m/s, and radius in m."""
-    scene, speeds = tracks.scene, tracks.speeds
+    scene, speeds = tracks.paths.scene, tracks.speeds
     source = scene.sources[index].trajectory, float(speeds.source[index])
     ears = [(scene.receivers[i].trajectory, float(speeds.receiver[i])) for i in receivers]
     for i, (ear, speed) in zip(receivers, ears, strict=True):

@@ -17,7 +17,7 @@ from clsim.render.interpolator import Bandlimited
 from clsim.render.memory import with_blas_threads
 from clsim.render.methods.costs import is_passed, measured_costs, on_gpu, passes
 from clsim.render.methods.narrow_band import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
-from clsim.render.methods.per_sample import PathSum, cost_of_rest, cost_of_whole
+from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
@@ -205,6 +205,17 @@ class NarrowOffer:
     cost: float  # processor time of the envelopes and of the rest of a path in a sample of the sound, ns
 
 
+def cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, str]:
+    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used."""
+    best = min(offers(emission, pairs), key=lambda offer: offer.cost, default=None)
+    if best is None or (best.cost > emission.cost_of_whole() and not emission.options.narrowband):
+        return None, ""
+    why = can(emission, pairs, best.split)
+    if why is None:
+        return best.split, ""
+    return None, f"source {emission.source}: rendered as a whole, without a narrow part: {why}"
+
+
 def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     """Return the splits of a source's signal into narrow bands and a rest, for pairs of this source, by index.
 
@@ -222,14 +233,14 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     path_samples = max(_heard(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
     of_band = samples * known.upsampled * len(pairs) / path_samples
     of_all = (known.planned + samples * known.split) / path_samples
-    if of_band + of_all > cost_of_whole(emission) and not options.narrowband:
+    if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
         return []
     some, fades = _some(sound), _width_of_fades(tracks, pairs, error_db)
     found = []
     for bands in dict.fromkeys(_band_sets(signal, sound, tracks.max_rate(emission.source), fades)):
         split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db)
         loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
-        cost = of_all + sum(of_band + _envelope_cost(band, rate) for band in split.bands) + cost_of_rest(emission, loud)
+        cost = of_all + sum(of_band + _envelope_cost(band, rate) for band in split.bands) + emission.cost_of_rest(loud)
         found.append(NarrowOffer(split, cost))
     return found
 
@@ -334,7 +345,7 @@ def _obstacle(
 
     The span is when the signal begins and ends and when the run ends, s.
     """
-    scene = tracks.scene
+    scene = tracks.paths.scene
     if tracks.transition == 0.0 and not all(tracks.pairs[i].always_heard for i in mine):
         return "paths begin and end at once"
     receivers = sorted({tracks.pairs[i].receiver for i in mine})

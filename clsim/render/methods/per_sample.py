@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from clsim.render.contributions import Stateless
-from clsim.render.interpolator import Bandlimited
-from clsim.render.methods.costs import measured_costs
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.reference import ReferenceEngine
@@ -18,37 +16,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.render.plan import Plan
-    from clsim.render.source_filters import Emission, SourceFilters
-
-_OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
-
-
-def cost_of_whole(emission: Emission) -> float:
-    """Return the processor time of a path in a sample of all that is emitted, ns."""
-    assert isinstance(emission.options.interpolator, Bandlimited)
-    low, high = emission.sound.bounds(10 ** ((emission.options.interpolator.error_db - 6.0) / 10))
-    known = measured_costs()
-    return known.plain + known.wide * (high - low) / (0.5 * emission.signal.sampling_rate)
-
-
-def cost_of_filters(filters: SourceFilters) -> float:
-    """Return the same with filters that are designed."""
-    known = measured_costs()
-    return known.branch * float(filters.rows[-1]) + known.function * len(filters.basis)
-
-
-def cost_of_rest(emission: Emission, loud: float) -> float:
-    """Return the same of what narrow bands leave, by the share of time in which that is not silent.
-
-    Functions of frequency are then for that time alone, and on average it lasts for half of a window of the spectra.
-    """
-    known = measured_costs()
-    return (cost_of_whole(emission) - known.plain + _OF_A_WINDOW * known.rest) * loud
-
-
-def build(plan: Plan) -> PathSum | None:
-    """Return the sum over a plan's paths except those that other methods claim; None if there are no others."""
-    return None if len(plan.allocation.claimed) == len(plan.tracks.pairs) else PathSum(plan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +33,7 @@ class PathSum:
         """Describe the filters of each source for delays and responses, and the bound of the error."""
         lines = []
         for i, filters in enumerate(self.plan.source_filters):
-            if not self.plan.allocation.claims(self.plan.tracks, i):
+            if not self.plan.is_claimed(i):
                 lines += [f"source {i}: {filters.describe_filters()}", f"source {i}: {filters.describe()}"]
                 lines.append(
                     f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"

@@ -27,12 +27,12 @@ from clsim.render.channel_grid import (
 from clsim.render.contributions import Stateless
 from clsim.render.interpolator import Bandlimited
 from clsim.render.methods.costs import is_passed, measured_costs, on_gpu, passes
-from clsim.render.methods.per_sample import PathSum, cost_of_filters
-from clsim.render.opencl.batches import ActivePaths, fill_batch
+from clsim.render.methods.per_sample import PathSum
+from clsim.render.opencl.batches import ActivePaths, in_batches
 from clsim.render.opencl.branch_signals import Branches
 from clsim.render.opencl.engine import OpenclEngine, Run, Task
 from clsim.render.opencl.host_nodes import side_by_side, thread_count
-from clsim.render.plan import BATCH, LONG_BLOCKS
+from clsim.render.plan import LONG_BLOCKS
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tracks.basis import flat_basis
 from clsim.tracks.sampled import continued
@@ -73,12 +73,12 @@ def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple
     of_scene = emission.tracks.of_scene
     assert of_scene is not None, "channels are those of scenes"
     longest = of_scene.longest_delay(0.0, emission.until, emission.source)
-    tracks = continued(of_scene, 2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate)
     for margin in _MARGINS:
         shift = emission.max_rate * filters.band
         spacing = math.floor(rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
         if spacing < _LEAST_SPACING or not _pays(emission, filters, mine, spacing):
             return None, ""
+        tracks = continued(of_scene, 2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate)
         why = _obstacle(emission, mine, shift, margin)
         error_db = -math.inf if why else _error_db(tracks, emission, filters, mine, spacing)
         if not why and error_db <= _allowed_db(options):
@@ -96,7 +96,7 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
         return "every path is rendered by the requested delay filter"
     if on_gpu(options):
         return "a GPU sums paths faster"
-    family, scene = of_scene.pair_paths[pair].family, of_scene.scene
+    family, scene = of_scene.pair_paths[pair].family, of_scene.paths.scene
     if family.moves or scene.air.fluctuation is not None:
         return "what is in between moves"
     member = tracks.pairs[pair]
@@ -125,7 +125,7 @@ def _pays(emission: Emission, filters: SourceFilters, pairs: list[int], spacing:
     work = _work(filters, (paths, len(pairs)), spacing, longest, emission.until)
     costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
     samples = min(emission.signal.duration + longest, emission.until) * emission.signal.sampling_rate
-    return sum(a * b for a, b in zip(work, costs, strict=True)) < cost_of_filters(filters) * paths * samples
+    return sum(a * b for a, b in zip(work, costs, strict=True)) < filters.cost() * paths * samples
 
 
 def work_of(part: ChannelPart, filters: SourceFilters, until: float) -> tuple[float, ...]:
@@ -305,8 +305,7 @@ class ChannelEngine(OpenclEngine):
         most = round((max(float(pair.high.max()) for pair in active) + begin) * rate)
         branches = Branches(None, 0, start - most, least - _MARGIN, most + _MARGIN, None)
         heard = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
-        for some in self._batches(heard, source, plan.blocks[0]):
-            batch = fill_batch(plan, some, BATCH, apart=_APART)
+        for batch in in_batches(plan, heard, self.kind, self.limits.node_budget, plan.blocks[0], apart=_APART):
             task = ChannelTask(source, batch, branches, None, length, start, 0, -(-length // plan.segment), frames)
             _ChannelRun(self, task).render()
 

@@ -11,10 +11,13 @@ from clsim.render.plan import BATCH
 from clsim.tracks.splines import heard_samples
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.render.plan import Plan
+    from clsim.tracks.tracks import PairTracks
 
 _TILE = 128  # paths whose branch signals stay in cache together
 
@@ -60,10 +63,8 @@ class ActivePaths:
     low: Floats  # (n,) bounds of their delays over the chunk, s
     high: Floats  # likewise
 
-    def during(self, plan: Plan, first: int, last: int) -> ActivePaths:
-        """Return those active within samples `first` to `last`."""
-        pair, ramp = plan.tracks.pairs[self.index], 0.5 * plan.tracks.transition
-        begin, end = first / plan.sampling_rate, last / plan.sampling_rate
+    def during(self, pair: PairTracks, ramp: float, begin: float, end: float) -> ActivePaths:
+        """Return those active from a time to another, s, where half of a transition takes `ramp`, s."""
         heard = (pair.start[self.rows] - ramp <= end) & (pair.end[self.rows] + ramp >= begin)
         return ActivePaths(self.index, self.rows[heard], self.low[heard], self.high[heard])
 
@@ -122,6 +123,43 @@ class PathBatch:
         """Return the slots of the batch's i-th pair."""
         return slice(int(self.first_slot[i]), int(self.first_slot[i + 1]))
 
+    def fades(self, start: int, block: int, blocks: int) -> Fades | None:
+        """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
+        found, bounds = [], self.bounds
+        for place in (bounds.start, bounds.end):
+            half = 0.5 * bounds.ramp
+            low = np.clip((place - half - start) / block, -1.0, blocks)
+            high = np.clip((place + half - start) / block, -1.0, blocks)
+            low, high = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
+            if bounds.ramp == 0.0:
+                high = np.where(
+                    place - start == high * block, low - 1, high
+                )  # at once and between blocks: nothing to do
+            high = np.minimum(high, blocks - 1)
+            low = np.maximum(low, 0)
+            count = np.where(self.padding, 0, np.maximum(high - low + 1, 0))
+            which = np.repeat(np.arange(self.count), count)
+            found.append((which, low[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)))
+        slot, at = (np.concatenate([f[i] for f in found]) for i in range(2))
+        if not len(slot):
+            return None
+        slot, at = np.unique(np.stack([slot, at]), axis=1)
+        pair = np.searchsorted(self.first_slot, slot, side="right") - 1
+        order = np.lexsort((slot, at, pair))
+        slot, at, pair = slot[order], at[order], pair[order]
+        new = np.flatnonzero(np.diff(pair * np.int64(blocks) + at, prepend=-1))
+        begin = (start + at * block).astype(np.float64)
+        far = 2.0**23
+
+        def here(place: Floats) -> NDArray[Any]:
+            """Return sample indices of the run from its beginning, bounded to the exact range of float32."""
+            return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
+
+        return Fades(
+            slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
+            np.append(new, len(slot)).astype(np.int32), self.row[pair[new]], at[new].astype(np.int32),
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fades:
@@ -136,7 +174,37 @@ class Fades:
     at: NDArray[np.int32]  # (places,) its block
 
 
-def fill_batch(plan: Plan, active: list[ActivePaths], batch: int, apart: int = 1) -> PathBatch:
+def in_batches(
+    plan: Plan,
+    active: list[ActivePaths],
+    kind: Callable[[int], object],
+    budget: float,
+    block: int,
+    apart: int = 1,
+) -> list[PathBatch]:
+    """Cut a source's pairs into batches of slots: as many as fit the budget of nodes in blocks of a length, bytes.
+
+    All pairs of a batch have their nodes made by the same maker, which the kind stands for, and as many channels. No
+    receiver is in it twice, with paths of two kinds or too many for a launch: work-groups that add to the same samples
+    would race.
+    """
+    batches = list[list[ActivePaths]]()
+    count, last, there = 0, None, set[int]()
+    for pair in active:
+        member, row = plan.tracks.pairs[pair.index], plan.rows_of_pair(pair.index).start
+        channels, slots = len(member.channels), -(-len(pair.rows) // BATCH) * BATCH
+        alike = kind(pair.index), channels
+        a_segment = plan.bytes_per_node(member.source, channels) * (plan.segment // block)
+        if count + slots > max(BATCH, budget // a_segment) or alike != last or row in there:
+            batches.append([])
+            count, last, there = 0, alike, set()
+        batches[-1].append(pair)
+        there.add(row)
+        count += slots
+    return [fill_batch(plan, some, apart) for some in batches]
+
+
+def fill_batch(plan: Plan, active: list[ActivePaths], apart: int = 1) -> PathBatch:
     """Return the slots of some pairs' active paths, sorted by the middle of their delays.
 
     apart: slots side by side that are dealt from so many equal stretches of that order.
@@ -144,7 +212,7 @@ def fill_batch(plan: Plan, active: list[ActivePaths], batch: int, apart: int = 1
     path, padding, first = [], [], [0]
     for pair in active:
         order = pair.rows[np.argsort(pair.low + pair.high, kind="stable")]
-        extra = -len(order) % batch
+        extra = -len(order) % BATCH
         dealt = np.arange(len(order) + extra).reshape(apart, -1).T.ravel()
         path.append(np.concatenate([order, np.full(extra, order[-1])])[dealt])
         padding.append(dealt >= len(order))
@@ -175,42 +243,6 @@ def _boundaries(plan: Plan, pairs: list[int], rows: list[NDArray[np.int64]], pad
     if transition == 0.0:  # at once: between samples
         return Boundaries(first.astype(np.float64), last.astype(np.float64), first, last, 0.0)
     return Boundaries(start * rate, end * rate, first, last, transition * rate)
-
-
-def find_fades(batch: PathBatch, start: int, block: int, blocks: int) -> Fades | None:
-    """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
-    found, bounds = [], batch.bounds
-    for place in (bounds.start, bounds.end):
-        half = 0.5 * bounds.ramp
-        low = np.clip((place - half - start) / block, -1.0, blocks)
-        high = np.clip((place + half - start) / block, -1.0, blocks)
-        low, high = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
-        if bounds.ramp == 0.0:
-            high = np.where(place - start == high * block, low - 1, high)  # at once and between blocks: nothing to do
-        high = np.minimum(high, blocks - 1)
-        low = np.maximum(low, 0)
-        count = np.where(batch.padding, 0, np.maximum(high - low + 1, 0))
-        which = np.repeat(np.arange(batch.count), count)
-        found.append((which, low[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)))
-    slot, at = (np.concatenate([f[i] for f in found]) for i in range(2))
-    if not len(slot):
-        return None
-    slot, at = np.unique(np.stack([slot, at]), axis=1)
-    pair = np.searchsorted(batch.first_slot, slot, side="right") - 1
-    order = np.lexsort((slot, at, pair))
-    slot, at, pair = slot[order], at[order], pair[order]
-    new = np.flatnonzero(np.diff(pair * np.int64(blocks) + at, prepend=-1))
-    begin = (start + at * block).astype(np.float64)
-    far = 2.0**23
-
-    def here(place: Floats) -> NDArray[Any]:
-        """Return sample indices of the run from its beginning, bounded to the exact range of float32."""
-        return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
-
-    return Fades(
-        slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
-        np.append(new, len(slot)).astype(np.int32), batch.row[pair[new]], at[new].astype(np.int32),
-    )  # fmt: skip
 
 
 CELL = 16  # samples

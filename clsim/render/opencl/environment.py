@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.render.plan import Plan
     from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
     from clsim.tracks.basis import Basis
@@ -269,15 +268,11 @@ class Environment:
         return np.take_along_axis(walls, most, axis=0), np.take_along_axis(normals, most[:, None], axis=0)
 
 
-def has_directivity(plan: Plan, pair: int) -> bool:
-    """Test whether programs of nodes have the directivity of the receiver of a scene's pair."""
-    member, of_scene = plan.tracks.pairs[pair], plan.tracks.of_scene
-    assert of_scene is not None
-    directivity = of_scene.scene.receivers[member.receiver].directivity
-    if not isinstance(directivity, ChannelDirectivity):
-        return True
-    gains = len(member.channels) * len(plan.source_filters[member.source].basis)
-    return isinstance(directivity, Ambisonic) and gains <= _MOST_GAINS
+def has_directivity(directivity: Directivity, gains: int) -> bool:
+    """Test whether programs of nodes have the directivity of a receiver, with so many gains of a path."""
+    return not isinstance(directivity, ChannelDirectivity) or (
+        isinstance(directivity, Ambisonic) and gains <= _MOST_GAINS
+    )
 
 
 def _flat(parts: Iterable[Floats]) -> NDArray[np.float32]:

@@ -85,7 +85,7 @@ class NodeMaker:
         self._family = family
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
-        scene = tracks.scene
+        scene = tracks.paths.scene
         wind = np.zeros(3) if scene.air.wind is None else np.array(scene.air.wind)
         media = (family.medium(source) for source in range(len(scene.sources)))
         self._media = [{"speed_of_sound": medium.speed_of_sound, "wind": wind} for medium in media]
@@ -129,7 +129,7 @@ class NodeMaker:
 
         Where `activity` is given, what is silent is left out; `first` is the sample at which branch signals begin.
         """
-        plan, scene = self._plan, self._tracks.scene
+        plan, scene = self._plan, self._tracks.paths.scene
         env, pairs = self._environments[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
         walls = self._columns.met(rows)
@@ -264,7 +264,7 @@ class NodeMaker:
 
     def _exact_constants(self, source: int) -> dict[str, Any]:
         """Constants of the program in float64."""
-        wind = int(self._tracks.scene.air.wind is not None)
+        wind = int(self._tracks.paths.scene.air.wind is not None)
         smooth = np.float32(SMOOTH_ERROR)
         return OF_DELAYS | self._columns.constants | {
             "SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind,
@@ -346,7 +346,7 @@ class NodeMaker:
         times = times[:1] if self._all_static else times
         out = np.empty((len(batch.pairs), len(times)), dtype=RECEIVER_NODE)
         for i, r in enumerate(batch.receiver):
-            out[i] = self._static[r] if r in self._static else receiver_at(self._tracks.scene.receivers[r], times)
+            out[i] = self._static[r] if r in self._static else receiver_at(self._tracks.paths.scene.receivers[r], times)
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:
