@@ -13,6 +13,7 @@ from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.packages import check_packages
 from clsim.paths.arrivals import Kinematics, slices_of
+from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.static import direct_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import categories, labelled_dataset, labelled_frame
@@ -443,7 +444,11 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     check_support("moving", scene.air)
     shape = len(scene.bodies), len(scene.sources), len(scene.receivers), len(times)
     delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
-    visible, obstacles, direct = np.zeros(shape, dtype=bool), Obstacles.of(scene), np.empty((1, 0), dtype=np.int64)
+    visible, obstacles, direct = (
+        np.zeros(shape, dtype=bool),
+        Obstacles(Mirrors.of(scene), scene.room.as_mesh().walls, scene.room.is_convex),
+        np.empty((1, 0), dtype=np.int64),
+    )
     for which, body in enumerate(scene.bodies):
         thing = Scatterer(body.name, _Surface(1.0, body.mesh.vertices[body.mesh.triangles]), body.trajectory)
         for source, receiver in np.ndindex(shape[1:3]):

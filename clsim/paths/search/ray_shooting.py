@@ -14,7 +14,7 @@ from clsim.numerics.sphere import fibonacci_sphere
 from clsim.packages import check_packages
 from clsim.paths.search.beam_tree import Candidates
 from clsim.paths.visibility.clearance import blocks, segments_apart, unfold
-from clsim.paths.visibility.intervals import ends_about, find_intervals
+from clsim.paths.visibility.intervals import find_intervals
 from clsim.scene.motion.instants import Instants
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ def _evaluate(
 ) -> tuple[NDArray[np.bool_], Floats, Floats]:  # fmt: skip
     """Test whether a leg of paths crosses a panel, how far ends may move before that changes, and how far they do."""
     walls = query.walls
-    source, ear, reach = ends_about(query, sequence, receiver, time, half)
+    source, ear, reach = query.ends_about(sequence, receiver, time, half)
     paths = unfold(walls, sequence, source, ear, reach)
     tau, slack = paths.tau, paths.slack
     a, b = paths.along(leg, tau[:, leg]), paths.along(leg, tau[:, leg + 1])
@@ -247,7 +247,7 @@ def _share(query: VisibilityQuery, found: FoundPaths, path: int, leg: int, panel
     walls, receiver = query.walls, np.full(len(times), found.receiver[path])
     met = found.walls[path][found.walls[path] >= 0]
     sequence = np.tile(met, (len(times), 1))
-    source, ear, reach = ends_about(query, sequence, receiver, times, np.zeros(len(times)))
+    source, ear, reach = query.ends_about(sequence, receiver, times, np.zeros(len(times)))
     paths = unfold(walls, sequence, source, ear, reach)
     a, b = (paths.along(leg, paths.tau[:, leg + i]) @ walls.normal[panel] - walls.offset[panel] for i in range(2))
     return np.asarray(a / (a - b))
