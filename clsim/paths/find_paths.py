@@ -95,7 +95,7 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
             found = (*found, of_bodies(bodies, found))
     if scene.scatterers:
         found = (*found, *_scattered(scene, options))
-    paths = PathSet(scene, with_direct(found, levels))
+    paths = PathSet(scene, found if np.all(levels == 1.0) else with_direct(found, levels))
     if scene.scatterers:
         warn_without_shadows(paths, options.scattering_order)
     if not edges:
@@ -208,8 +208,6 @@ def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathF
 
     Where both ends sit in one face, its reflection is the direct sound once more, and is scaled with it.
     """
-    if np.all(levels == 1.0):
-        return families
     each = [np.where(_is_direct(f, levels), levels[f.source, f.receiver], 1.0) for f in families]
     free = tuple(f.part(np.flatnonzero(level == 1.0)) for f, level in zip(families, each, strict=True))
     leaks = [
