@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from clsim.acoustics.fock import fock_hard
-from clsim.numerics.chebyshev import chebyshev_points, interpolation
+from clsim.numerics.band_filters import chebyshev_points, interpolation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
-from clsim.opencl.launch import Scratch, upload, work
+from clsim.opencl.launch import Scratch, compiler_of, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT

@@ -17,10 +17,9 @@ from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.diffuse_tail import DiffuseTail
-from clsim.render.envelope import design_envelope
+from clsim.render.envelope import NarrowFilters, design_envelope, design_split
 from clsim.render.memory import with_blas_threads
 from clsim.render.methods import narrow_part, per_sample, sampled_channel, static
-from clsim.render.methods.narrow_band import NarrowFilters, design_split
 from clsim.render.options import RenderOptions
 from clsim.render.plan import (
     BLOCKS,
@@ -34,8 +33,8 @@ from clsim.render.plan import (
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.scene.signal.occupied_bandwidth import spectra
+from clsim.tail.bands import DiffuseField
 from clsim.tail.design import ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
-from clsim.tail.diffuse_field import DiffuseField
 from clsim.tail.zones import Zones
 from clsim.tracks.pruning import pruned
 from clsim.tracks.sampled import Draw

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError
-from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import check_buffers, find_device, operations_in_launch
-from clsim.opencl.launch import upload, work
+from clsim.opencl.launch import compiler_of, upload, work
 from clsim.tail.host_rays import FLOOR, PI, HostRays
 from clsim.tail.ray_room import ANGLES, ESCAPE_SCALE, FAINT, FARTHEST, MOST_REFLECTIONS, NOT_ESCAPED, SLOTS, Energies
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.numerics.chebyshev import chebyshev_points
+from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.patterns import Omni

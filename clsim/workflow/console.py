@@ -97,7 +97,7 @@ class BuiltPrograms(logging.Handler):
 @contextmanager
 def built_programs() -> Iterator[BuiltPrograms]:
     """Yield a counter of the programs that are built in this block."""
-    log, handler = logging.getLogger("clsim.opencl.compiler"), BuiltPrograms()
+    log, handler = logging.getLogger("clsim.opencl.launch"), BuiltPrograms()
     level, spreads = log.level, log.propagate
     log.addHandler(handler)
     log.setLevel(logging.INFO)

@@ -20,8 +20,8 @@ from made_rays import box, run_in, traced, with_a_sheet
 from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 
 import clsim
-from clsim.opencl import compiler as compiler_module
 from clsim.opencl import device as device_module
+from clsim.opencl import launch as compiler_module
 from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module

@@ -12,7 +12,7 @@ from default_oracle import Circle, Line, Room
 from exhaustive import few
 
 import clsim
-from clsim.opencl import compiler
+from clsim.opencl import launch
 from clsim.opencl.kernels import kernel_source
 from clsim.render import channel_grid
 from clsim.render.channel_grid import (
@@ -128,7 +128,7 @@ MUTANTS = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_the_twin_sees_a_kernel_with_one_thing_wrong(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     old, new = MUTANTS[name]
-    monkeypatch.setattr(compiler, "kernel_source", lambda program: mutated(program, old, new))
+    monkeypatch.setattr(launch, "kernel_source", lambda program: mutated(program, old, new))
     plan = planned(scene(0.3), order=2)
     (part,) = plan.allocation.channels
     assert not apart_db(sound(plan), reference_channels(part, 0, plan.samples)) <= TWIN_DB

@@ -222,7 +222,7 @@ def test_a_run_without_pictures_loads_nothing_that_draws(tmp_path: Path) -> None
         "scipy.interpolate",
         "pyopencl",
     }
-    assert "clsim.render.reference" in loaded
+    assert "clsim.render.methods.per_sample" in loaded
     none(f"{name} is loaded" for name in late & loaded)
 
 

@@ -7,15 +7,20 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
-from clsim.render.reference import ReferenceEngine
+from clsim.tracks.splines import heard
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from clsim.arrays import Complexes, Floats
     from clsim.render.plan import Plan
+    from clsim.render.source_filters import SourceFilters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,3 +96,74 @@ def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine:
     if plan.options.engine == "reference":
         return ReferenceEngine(plan)
     return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
+
+
+_NUMBERS = 2**22  # gains held at a time
+
+
+class ReferenceEngine:
+    """Carries out a plan slowly and exactly."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+
+    def warn(self) -> None:
+        """Tell nothing: all is exact."""
+
+    def until(self, last: int) -> None:
+        """Prepare nothing anyway."""
+
+    def render(self, start: int, stop: int) -> Floats | Complexes:
+        """Return the pressure (rows, stop - start) in Pa; in baseband its complex envelope."""
+        plan = self._plan
+        pressure = np.zeros((plan.row_count, stop - start), dtype=float if plan.baseband is None else complex)
+        for i, pair in enumerate(plan.tracks.pairs):
+            functions, rows = len(plan.source_filters[pair.source].basis), plan.rows_of_pair(i)
+            step = min(max(_NUMBERS // (len(pair) * functions * (rows.stop - rows.start)), 256), 4096)
+            for first in range(start, stop, step):
+                last = min(first + step, stop)
+                pressure[rows, first - start : last - start] += _render_paths(plan, i, first, last)
+        return pressure
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add all paths from sample `start` on to the pressure (rows, n), Pa."""
+        pressure += self.render(start, start + pressure.shape[1])
+
+
+def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Complexes:
+    """Return the sum of a pair's paths over samples `first` to `last` by channel, shape (C, n)."""
+    tracks, member = plan.tracks, plan.tracks.pairs[pair]
+    filters = plan.source_filters[member.source]
+    times = np.arange(first, last) / plan.sampling_rate
+    ramp = 0.5 * tracks.transition
+    rows = np.flatnonzero((member.start - ramp <= times[-1]) & (member.end + ramp >= times[0]))
+    if not len(rows):
+        return np.zeros((1, last - first))
+    delay, _, gain = tracks.evaluate(pair, times, filters.basis, rows)
+    weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
+    gain = np.where(weight > 0.0, gain, 0.0) * weight
+    delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples
+    whole = np.rint(delay_samples)
+    weighted: Any = gain * filters.carrier_phase(delay_samples)
+    samples = filters.oversampling * np.arange(first, last)
+    return _sum_paths(plan, filters, samples - whole.astype(np.int64), delay_samples - whole, weighted)
+
+
+def _sum_paths(
+    plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, gain: Floats | Complexes
+) -> Floats | Complexes:
+    """Apply taps and gains (C, K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
+    length, centre = filters.bank.taps.shape[1], filters.bank.centre
+    total: Any = np.zeros((len(gain), emitted.shape[1]), dtype=gain.dtype)
+    first = int(emitted.min()) + centre - length + 1
+    streams = filters.streams(first, int(emitted.max()) + centre + 1)
+    if not np.any(streams):
+        return np.asarray(total)
+    # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
+    windows = sliding_window_view(streams, length, axis=1)
+    for p in range(len(emitted)):
+        if np.any(gain[:, :, p]):
+            seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
+            delayed = np.einsum("nk,fnk->fn", plan.options.interpolator.taps(filters.bank, mu[p]), seen)
+            total += np.einsum("fn,cfn->cn", delayed, gain[:, :, p])
+    return np.asarray(total)

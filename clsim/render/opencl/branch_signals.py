@@ -18,9 +18,8 @@ from clsim.render.plan import BATCH, NODE_BUDGET, Plan
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.opencl.compiler import Compiler
     from clsim.opencl.device import DeviceInfo
-    from clsim.opencl.launch import Scratch
+    from clsim.opencl.launch import Compiler, Scratch
     from clsim.render.plan import Plan
 
 _LEVELS = 3  # block lengths whose polynomials are kept at the same time

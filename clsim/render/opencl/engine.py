@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, DeviceError, warn
-from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import check_group, find_device
-from clsim.opencl.launch import Scratch, upload, work
+from clsim.opencl.launch import Scratch, compiler_of, upload, work
 from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT, Layout, PathBatch, in_batches
 from clsim.render.opencl.block_polynomials import Residual
 from clsim.render.opencl.branch_signals import Branches, BranchSignals, Limits

@@ -40,6 +40,9 @@ _MARGIN = 14  # points beyond an edge that the spline is made of, where 0.27 ** 
 _MIDDLE_PHASE = 4.0  # rad, of the middle of the table of the transition function at the middle frequency
 # Kinds of tables of directivities: none, by angle to an axis, by direction, and norms of spherical harmonics.
 OMNI, AXIAL, SPHERICAL, HARMONIC = range(4)
+# As programs take them.
+DIRECTIVITIES = {"OMNI": OMNI, "AXIAL": AXIAL, "SPHERICAL": SPHERICAL, "HARMONIC": HARMONIC}
+TABLE_SIZES = {"CELLS": CELLS, "SIDE": SIDE, "FACE_CELLS": FACE_CELLS}
 
 
 def directivity_kind(directivities: Sequence[Directivity]) -> int:

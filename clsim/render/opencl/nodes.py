@@ -13,14 +13,11 @@ from clsim.paths.cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.batches import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.environment import (
-    AXIAL,
-    CELLS,
-    FACE_CELLS,
-    HARMONIC,
+    DIRECTIVITIES,
     OMNI,
     RECEIVER_NODE,
-    SIDE,
     SPHERICAL,
+    TABLE_SIZES,
     VECTOR,
     Environment,
     receiver_at,
@@ -34,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.opencl.compiler import Compiler
+    from clsim.opencl.launch import Compiler
     from clsim.render.opencl.batches import Activity, Boundaries, PathBatch
     from clsim.tracks.tracks import SceneTracks
 
@@ -316,27 +313,25 @@ class NodeMaker:
         retarded, env = self._tracks.kinematics.retarded, self._environments[source]
         reception = env.reception(self._channels(batch))
         functions = len(self._plan.source_filters[source].basis) * reception.channels
-        return self._motion_constants(source) | {
-            "CELL": CELL,
-            "DELAY_TERMS": self._plan.delay_terms,
-            "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
-            "FREQUENCIES": env.count,
-            "PARTS": env.parts,
-            "AIR_TERMS": env.air_terms,
-            "CELLS": CELLS,
-            "SIDE": SIDE,
-            "FACE_CELLS": FACE_CELLS,
-            "CUBIC_COLUMNS": CUBIC_COLUMNS,
-            "MACH_EXPONENT": self._tracks.kinematics.exponent if retarded else 0,
-            "SOURCE_DIRECTIVITY": env.source_kind,
-            "RECEIVER_DIRECTIVITY": reception.kind,
-            "CHANNELS": reception.channels,
-            "HARMONIC": HARMONIC,
-            "OMNI": OMNI,
-            "AXIAL": AXIAL,
-            "SPHERICAL": SPHERICAL,
-            "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
-        }
+        return (
+            self._motion_constants(source)
+            | DIRECTIVITIES
+            | TABLE_SIZES
+            | {
+                "CELL": CELL,
+                "DELAY_TERMS": self._plan.delay_terms,
+                "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
+                "FREQUENCIES": env.count,
+                "PARTS": env.parts,
+                "AIR_TERMS": env.air_terms,
+                "CUBIC_COLUMNS": CUBIC_COLUMNS,
+                "MACH_EXPONENT": self._tracks.kinematics.exponent if retarded else 0,
+                "SOURCE_DIRECTIVITY": env.source_kind,
+                "RECEIVER_DIRECTIVITY": reception.kind,
+                "CHANNELS": reception.channels,
+                "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
+            }
+        )
 
     def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:
         """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes).

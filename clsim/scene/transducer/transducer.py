@@ -13,8 +13,8 @@ from clsim.acoustics.air import absorption_iso9613
 from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.files.sound import as_scale, read_sound_file
+from clsim.numerics.band_filters import minimum_phase, resonance_response, resonance_taps
 from clsim.numerics.resampling import Resampler
-from clsim.numerics.resonator import minimum_phase, resonance_response, resonance_taps
 from clsim.scene.signal.signal import Signal
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.numerics.chebyshev import chebyshev_points
+from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.tracks import sampled
 from clsim.tracks.tracks import SceneTracks, track

@@ -9,8 +9,8 @@ import pytest
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.opencl.compiler import Compiler
 from clsim.opencl.device import LONGEST_LAUNCH, check_group
+from clsim.opencl.launch import Compiler
 from clsim.render.opencl import batches as batches_module
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.batches import fill_batch
