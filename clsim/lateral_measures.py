@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clsim.acoustics.lateral import interaural_correlation, lateral_fractions
+from clsim.acoustics.decay import interaural_correlation, lateral_fractions
 from clsim.arrays import Floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.impulse_responses import ImpulseResponses

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.decay import (
+    SPEECH_BANDS,
+    SPEECH_DB,
     before_noise,
     centre_time,
     clarity,
@@ -19,10 +21,11 @@ from clsim.acoustics.decay import (
     has_decay_range,
     is_clipped,
     level_fall,
+    modulation_transfer,
     reverberation_time,
     sabine_time,
+    transmission_index,
 )
-from clsim.acoustics.speech import SPEECH_BANDS, SPEECH_DB, modulation_transfer, transmission_index
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.files.sound import read_sound_file

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import transition
-from clsim.acoustics.edge_end import end_coefficients
+from clsim.acoustics.diffraction import end_coefficients, transition
 from clsim.paths.response import covered, directivity_gain
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 from clsim.scene.directivity.patterns import Omni
