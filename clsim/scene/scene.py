@@ -15,8 +15,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.pictures.notebook import html_table, inline_page
 from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedFlaws, ViewedPaths, ViewedWall, page_text
 from clsim.scene.air import Air
-from clsim.scene.body import Body, with_carriers
-from clsim.scene.body_checks import check_bodies
+from clsim.scene.body import Body, check_bodies, with_carriers
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.placement import (
     check_distances,

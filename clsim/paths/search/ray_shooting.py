@@ -11,7 +11,7 @@ from clsim.arrays import unique_rows
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.packages import check_packages
 from clsim.paths.search.beam_tree import Candidates
-from clsim.scene.motion.instants import Instants
+from clsim.scene.motion.motion import Instants
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

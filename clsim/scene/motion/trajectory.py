@@ -11,7 +11,6 @@ import numpy as np
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
-from clsim.scene.motion.carried import Carried, CarriedTurning, Swung, velocity_breaks
 from clsim.scene.motion.checks import (
     LONGEST,
     as_choices,
@@ -25,7 +24,7 @@ from clsim.scene.motion.checks import (
     question_turns,
 )
 from clsim.scene.motion.curves import Circular, Static, Straight, frame_about, kinks, legs_through, spline_through
-from clsim.scene.motion.motion import Motion
+from clsim.scene.motion.motion import Carried, CarriedTurning, Motion, Swung, velocity_breaks
 from clsim.scene.motion.orientation import Hinge, as_quaternions, quaternion_product, turning_between
 
 if TYPE_CHECKING:

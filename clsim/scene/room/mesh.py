@@ -17,7 +17,6 @@ from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges, find_edges
 from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
-from clsim.scene.room.floor_plan import extruded_plan
 from clsim.scene.room.healing import HEAL, heal_mesh, healing_tolerance
 from clsim.scene.room.mesh_cleaning import (
     MeshShape,
@@ -28,7 +27,7 @@ from clsim.scene.room.mesh_cleaning import (
     panels_below,
     thin_panels,
 )
-from clsim.scene.room.polygons import checked_polygons, triangulated
+from clsim.scene.room.polygons import checked_polygons, extruded_plan, triangulated
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls, first_contact, first_off, walls_at
 
 if TYPE_CHECKING:
