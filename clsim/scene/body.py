@@ -104,14 +104,10 @@ class Body:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's bodies.
         size : array_like (3,)
             Lengths along its own x, y and z, m; one of them may be 0, and then it is a sheet of two sides.
         material : Material
             Of all faces.
-        trajectory : Trajectory
-            Where the origin of its coordinates is, and how they are turned.
         centre : array_like (3,)
             Of the box in its own coordinates, m.
 
@@ -189,13 +185,7 @@ class Body:
         return np.asarray(np.linalg.norm(self.trajectory.velocity(times), axis=-1) + self.lever * turning)
 
     def describe(self) -> list[str]:
-        """Return a description in one line.
-
-        Returns
-        -------
-        list of str
-            One line.
-        """
+        """Return a description in one line."""
         low, high = self.mesh.extent
         size = " x ".join(f"{x:.4g}" for x in high - low)
         moves = "at rest" if self.is_static else f"no point of it faster than {self.peak_speed:.3g} m/s"

@@ -334,14 +334,10 @@ class Scatterer:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's scatterers.
         target_strength_db : float
             20 lg of the pressure at 1 m from it over that of the wave that meets it, dB; at most 60.
         trajectory : Trajectory
             Where it is.
-        fluctuation : TargetFluctuation, optional
-            How its strength changes with time.
 
         Returns
         -------
@@ -374,8 +370,6 @@ class Scatterer:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's scatterers.
         radius : float
             m, above 0.
         trajectory : Trajectory
@@ -383,8 +377,6 @@ class Scatterer:
         model : {"series", "geometrical", "outline"}
             The series over its modes, exact at every frequency, distance and angle, shadow included; geometrical
             optics, which cast no shadow; or these with the shadow of its outline, as ellipsoids have.
-        fluctuation : TargetFluctuation, optional
-            How its strength changes with time.
 
         Returns
         -------
@@ -420,14 +412,10 @@ class Scatterer:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's scatterers.
         semi_axes : array_like (3,)
             Along its own x, y and z, m, above 0; the longest at most 10 000 times the shortest.
         trajectory : Trajectory
             Where its centre is, and how it is turned.
-        fluctuation : TargetFluctuation, optional
-            How its strength changes with time.
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
@@ -473,16 +461,12 @@ class Scatterer:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's scatterers.
         radius : float
             Of the cylinder and of both half spheres, m, above 0.
         length : float
             Of the cylinder, between the centres of the half spheres, along its own z, m, above 0.
         trajectory : Trajectory
             Where its middle is, and how it is turned.
-        fluctuation : TargetFluctuation, optional
-            How its strength changes with time.
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.

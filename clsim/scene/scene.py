@@ -283,13 +283,7 @@ class Scene:
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return a description of room, air and bodies, a line each; in a closed room also the sides of ends at 0 s.
-
-        Returns
-        -------
-        list of str
-            The lines.
-        """
+        """Return a description of room, air and bodies, a line each; in a closed room also the sides of ends at 0 s."""
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
         air = [_travelling(self.air, source) for source in self.sources] if self.air.dispersion else []
         of_sides = [_side(self.room, field_name, item) for field_name, item in sides]

@@ -6,6 +6,7 @@
 import ast
 import inspect
 import re
+import sys
 import textwrap
 import types
 from collections.abc import Callable, Iterator
@@ -128,6 +129,7 @@ def constructors(model: type[BaseModel]) -> Iterator[Callable[..., Any]]:
     """Yield the constructors whose arguments a model's keys are: its own, or what its methods call by name."""
     if own := getattr(model, "constructor", None):
         yield own
+        yield vars(sys.modules[own.__module__]).get(own.__qualname__.partition(".")[0], own)  # its class
     methods = [
         (name, found) for base in model.__mro__ for name, found in vars(base).items() if inspect.isfunction(found)
     ]

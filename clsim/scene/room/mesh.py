@@ -175,11 +175,6 @@ class MeshRoom:
             them. With "auto" as far as it takes to close the mesh, 12 mm and 2 per mille of its size at most; a mesh
             that is closed, or that gains nothing, keeps every bit. The notes say what was changed.
 
-        Returns
-        -------
-        MeshRoom
-            The room.
-
         Raises
         ------
         InputError
@@ -229,11 +224,6 @@ class MeshRoom:
             As in `MeshRoom`, m.
         labels : sequence of str, optional
             Names of the polygons; numbered when left out.
-
-        Returns
-        -------
-        MeshRoom
-            The room.
 
         Raises
         ------
@@ -291,11 +281,6 @@ class MeshRoom:
         pillars : sequence of array_like (n, 2)
             Outlines of pillars from floor to ceiling, m.
 
-        Returns
-        -------
-        MeshRoom
-            The room.
-
         Raises
         ------
         InputError
@@ -320,11 +305,6 @@ class MeshRoom:
         ----------
         parts : sequence of Room
             Room, furniture, screens.
-
-        Returns
-        -------
-        MeshRoom
-            The room.
 
         Raises
         ------
@@ -592,22 +572,11 @@ class MeshRoom:
         return _edges(self, wall)
 
     def as_mesh(self) -> MeshRoom:
-        """Return the room itself.
-
-        Returns
-        -------
-        MeshRoom
-            The room.
-        """
+        """Return the room itself."""
         return self
 
     def describe(self) -> list[str]:
         r"""Return a description of the mesh, a line each: size, walls, shells, holes, winding, repairs.
-
-        Returns
-        -------
-        list of str
-            The lines.
 
         Examples
         --------

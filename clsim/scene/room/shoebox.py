@@ -238,13 +238,7 @@ class Shoebox(ConvexRoom):
         return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
 
     def describe(self) -> list[str]:
-        """Return the room's size in a line.
-
-        Returns
-        -------
-        list of str
-            One line.
-        """
+        """Return the room's size in a line."""
         x, y, z = self.size
         return [f"room: a shoebox of {x:.4g} x {y:.4g} x {z:.4g} m"]
 

@@ -421,13 +421,6 @@ class Transducer:
             Between the -6 dB points (half the magnitude), Hz; less than `frequency`.
         sensitivity : float
             Magnitude at resonance: Pa at 1 m per V, or V per Pa.
-        name : str
-            What to call it.
-
-        Returns
-        -------
-        Transducer
-            The transducer.
 
         Raises
         ------
@@ -460,13 +453,6 @@ class Transducer:
         outside : {None, "zero", "hold"}
             What the response is beyond the table: refused if a signal needs it (None), nothing, or the value at its
             nearer end.
-        name : str
-            What to call it.
-
-        Returns
-        -------
-        Transducer
-            The transducer.
 
         Raises
         ------
@@ -512,13 +498,6 @@ class Transducer:
             Taps at `sampling_rate`: their spectrum ``sum h[n] exp(-2j pi f n / sampling_rate)`` is the response.
         sampling_rate : float
             Hz. At another rate the taps are resampled, flat to 0.9 of the lower Nyquist frequency.
-        name : str
-            What to call it.
-
-        Returns
-        -------
-        Transducer
-            The transducer.
 
         Raises
         ------
@@ -551,15 +530,8 @@ class Transducer:
             From 0.
         scale : float
             Of a sample of 1: Pa at 1 m per V, or V per Pa.
-        name : str
-            What to call it.
         truncated : bool
             Whether a file that ends before its header says is taken as far as it goes; else it is refused.
-
-        Returns
-        -------
-        Transducer
-            The transducer.
 
         Raises
         ------
