@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 MIKI_RANGE = (0.01, 1.0)  # m³/kg, of frequency over flow resistivity
+_CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
+_RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
+_DENSEST, _STIFFEST = 1e7, 1e7  # kg/m³ and m/s, beyond all solids
+_HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +111,6 @@ class PorousLayer:
         return f"porous layer of {1e3 * self.thickness:g} mm and {self.flow_resistivity:g} Pa s/m²"
 
 
-_CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
-
-
 @dataclass(frozen=True, slots=True)
 class LibraryEntry:
     """A built-in material."""
@@ -151,10 +152,6 @@ def _read(path: Path) -> dict[str, LibraryEntry]:
 
 LIBRARY = _read(Path(__file__).with_name("library.toml"))
 MATERIAL_NAMES = tuple(LIBRARY)
-
-_RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
-_DENSEST, _STIFFEST = 1e7, 1e7  # kg/m³ and m/s, beyond all solids
-_HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)

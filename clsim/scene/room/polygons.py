@@ -81,17 +81,12 @@ def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
 
 def _project(corners: Floats) -> tuple[Floats, float, float]:
     """Return corners (n, 2) in the plane of Newell's normal, turning left, the largest distance from it, the size."""
-    local = corners - corners.mean(axis=0)
+    centre, axes, area = _plane(corners)
+    local = corners - centre
     size = float(np.linalg.norm(np.ptp(local, axis=0)))
-    normal = np.sum(np.cross(local, np.roll(local, -1, axis=0)), axis=0)
-    length = float(np.linalg.norm(normal))
-    if length <= 2.0 * _FLAT * size**2:
+    if area <= _FLAT * size**2:
         return np.zeros((len(corners), 2)), 0.0, size
-    normal = normal / length
-    u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    u /= np.linalg.norm(u)
-    flat = np.ascontiguousarray(local @ np.stack([u, np.cross(normal, u)], axis=1))
-    return flat, float(np.max(np.abs(local @ normal))), size
+    return np.ascontiguousarray(local @ axes[:2].T), float(np.max(np.abs(local @ axes[2]))), size
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

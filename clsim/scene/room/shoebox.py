@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from clsim.scene.room.faces import Mount
 
+WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
+
 
 class ConvexRoom(ABC):
     """A room that is in front of every one of its walls; a subclass gives the rest of `Room`."""
@@ -70,18 +72,7 @@ class ConvexRoom(ABC):
         return np.asarray(self._heights(positions) > margin)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask (n,) of positions (n, 3) with walls on all sides: those inside.
-
-        Parameters
-        ----------
-        positions : array_like (n, 3)
-            m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            Whether they are inside.
-        """
+        """Return a mask of positions inside; see `Room.surrounds`."""
         return self.contains(positions)
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
@@ -91,20 +82,7 @@ class ConvexRoom(ABC):
         return np.minimum(mount.clearance(positions), self._heights(mount.lifted(positions)))
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
-        """Return the first contact: positions (n, 3) outside the room, or off their own wall.
-
-        Parameters
-        ----------
-        positions : ndarray (n, 3)
-            In the order of time, m.
-        mount : Mount, optional
-            The wall that they sit in.
-
-        Returns
-        -------
-        Contact or None
-            The first position that is in the wrong place.
-        """
+        """Return the first contact: outside the room, or off its own wall; see `Room.first_contact`."""
         seen = positions if mount is None else mount.lifted(positions)
         outside = np.flatnonzero(~(self._heights(seen) > 0.0))
         return first_of(
@@ -118,32 +96,12 @@ class ConvexRoom(ABC):
         return Contact(index, "must stay inside the room", "is", hint)
 
     def edges(self) -> Edges:
-        """Return none: no wall ends in the air, and no corner points inwards.
-
-        Returns
-        -------
-        Edges
-            None of them.
-        """
+        """Return none: no wall ends in the air, and no corner points inwards."""
         return Edges.none()
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return the walls whose planes a position (3,) is on.
-
-        Parameters
-        ----------
-        position : ndarray (3,)
-            m.
-
-        Returns
-        -------
-        ndarray (k,) of int
-            Indices of walls.
-        """
+        """Return the walls whose planes a position is on; see `Room.walls_at`."""
         return np.flatnonzero(np.abs(self.faces.normals @ position - self.faces.offsets) < NEAREST)
-
-
-WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,13 +182,7 @@ class Shoebox(ConvexRoom):
         return self.faces.reflections(frequency)
 
     def as_mesh(self) -> MeshRoom:
-        """Return the box as twelve triangles, turning outwards.
-
-        Returns
-        -------
-        MeshRoom
-            With the same names and materials of walls.
-        """
+        """Return the box as twelve triangles, turning outwards, with the same names and materials of walls."""
         corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * self.size
         sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]  # as in WALLS
         triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
