@@ -135,13 +135,7 @@ def missing_chunks(path: Path) -> int:
 
 
 def check_attributes(path: Path) -> None:
-    """Read the attributes of a file: where they are damaged, h5netcdf fails to open it, and once more to close it.
-
-    Raises
-    ------
-    OSError, ValueError, KeyError, RuntimeError, TypeError
-        If they cannot be read.
-    """
+    """Read the attributes of a file: where they are damaged, h5netcdf fails to open it, and once more to close it."""
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -166,8 +160,6 @@ def _sound_span(sound: Any) -> tuple[int, int]:
 def _check_heaps(data: bytes) -> None:
     """Raise a ValueError where the list of a heap's strings does not end, in which the HDF5 library would not return.
 
-    References
-    ----------
     HDF5 File Format Specification Version 3.0, section III.E: signature, version, size; index, count, size of objects.
     """
     at = data.find(b"GCOL")
@@ -184,14 +176,9 @@ def _check_heaps(data: bytes) -> None:
 def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,).
 
-    Notes
-    -----
-    Four words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
+    H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535. Four
+    words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
     follows. Modulo 65535 a factor of 256 exchanges the bytes of a word.
-
-    References
-    ----------
-    H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535.
     """
     missing = -len(data) % (8 * _COLUMNS)
     if missing:  # zeros before the first word change neither sum
