@@ -80,10 +80,7 @@ class RawRows:
 
 
 class SampleFile:
-    """Samples of several receivers in a file that is read as an array, in bounded memory.
-
-    Shapes: shape (int, int).
-    """
+    """Samples of several receivers in a file that is read as an array, in bounded memory."""
 
     def __init__(self, path: Path, shape: tuple[int, int], sample_type: str) -> None:
         self._path, self._shape, self._type = path, shape, np.dtype(sample_type)

@@ -43,10 +43,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Rows of a file.
-
-    Shapes: lines (n,); stamps (n,); times (n,) s; positions (n, 3) m; orientations (n, 4).
-    """
+    """Rows of a file; lines (n,); stamps (n,); times (n,) s; positions (n, 3) m; orientations (n, 4)."""
 
     file: str
     lines: NDArray[np.int64]

@@ -364,10 +364,7 @@ class Carried:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarriedTurning:
-    """Orientation of something mounted on a moving object, which may turn in the object's frame.
-
-    Shapes: aim (4,).
-    """
+    """Orientation of something mounted on a moving object, which may turn in the object's frame; aim (4,)."""
 
     carrier: Motion
     own: Motion

@@ -58,10 +58,7 @@ class Faces:
         return len(self.names)
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return every wall's reflection factor of sound pressure at normal incidence.
-
-        Shapes: result (F ...).
-        """
+        """Return every wall's reflection factor of sound pressure at normal incidence (F, ...)."""
         # Each material once, so that one that warns does so once.
         factors = {id(m): m.reflection_at(frequency) for m in dict.fromkeys(self.materials)}
         return np.array([factors[id(m)] for m in self.materials])

@@ -272,10 +272,7 @@ def describe_mesh(
     shape: MeshShape,
     notes: tuple[str, ...],
 ) -> list[str]:
-    """Return description of a mesh, a line per fact; see `MeshRoom.describe`.
-
-    Shapes: vertices, triangles (V, 3) m.
-    """
+    """Return description of a mesh, a line per fact; see `MeshRoom.describe`."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low
     lines = [

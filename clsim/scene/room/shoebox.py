@@ -1,4 +1,4 @@
-"""Rectangular rooms with six walls, and lower bounds on path lengths in convex rooms."""
+"""Rectangular rooms with six walls, what convex rooms have in common, and the volume and walls of any room."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from clsim.scene.room.mesh import MeshRoom
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from clsim.arrays import Floats
     from clsim.scene.room.faces import Mount
+    from clsim.scene.room.protocol import Room
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
 
@@ -222,3 +224,17 @@ def _checked_walls(walls: object) -> tuple[Material, ...]:
 def _check_material(field: str, material: object) -> None:
     if not isinstance(material, Material):
         raise InputError(field, f"must be a Material, but is {material!r:.80}")
+
+
+def enclosure_of(room: Room) -> tuple[float | None, Floats, tuple[Material, ...]]:
+    """Return the enclosed volume, m³, None of a room that is not closed, and areas, m², and materials of its walls."""
+    if isinstance(room, Shoebox):  # every plan asks: no mesh is made
+        x, y, z = room.size.tolist()
+        return x * y * z, np.array([y * z, y * z, x * z, x * z, x * y, x * y]), room.faces.materials
+    mesh = room.as_mesh()
+    corners = mesh.vertices[mesh.triangles]
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    triangles = 0.5 * np.linalg.norm(sides, axis=1)
+    materials = mesh.faces.materials
+    areas: Floats = np.bincount(mesh.walls.of_triangle, triangles, minlength=len(materials)).astype(np.float64)
+    return mesh.volume, areas, materials

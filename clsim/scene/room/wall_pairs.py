@@ -222,10 +222,7 @@ class WallTree:
         return self._below(top, row, box, meets)
 
     def meeting_segments(self, start: Floats, stop: Floats, slack: float) -> tuple[Ints, Ints]:
-        """Return pairs of a segment and a wall that it may come near to.
-
-        Shapes: start, stop (n, 3) m; result (m,).
-        """
+        """Return pairs of a segment and a wall that it may come near to; start, stop (n, 3) m; result (m,)."""
         centre, along = 0.5 * (start + stop), 0.5 * (stop - start)
         reach = np.abs(along) + slack
 

@@ -105,10 +105,7 @@ def pieces(
     first_edge: Ints,
     size: float,
 ) -> tuple[Floats, Ints, Ints]:
-    """Return walls as convex pieces: their hulls where these fill them, else their triangles.
-
-    Shapes: result (L, 4).
-    """
+    """Return walls as convex pieces: their hulls where these fill them, else their triangles; result (L, 4)."""
     sides = np.diff(first_hull)
     lines = _lines(hull, first_hull, np.repeat(normal, sides, axis=0))
     filled = _filled(lines, first_hull, edge, first_edge, size)

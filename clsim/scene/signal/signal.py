@@ -11,8 +11,18 @@ import numpy as np
 from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.files.sound import as_scale, read_sound_file
-from clsim.scene.signal.sequences import SEQUENCES, binary_sequence, most_repeats
-from clsim.scene.signal.waveforms import Chirp, Noise, Pulses, Samples, Sequence, Tone, Waveform
+from clsim.scene.signal.waveforms import (
+    SEQUENCES,
+    Chirp,
+    Noise,
+    Pulses,
+    Samples,
+    Sequence,
+    Tone,
+    Waveform,
+    binary_sequence,
+    most_repeats,
+)
 
 if TYPE_CHECKING:
     from os import PathLike
