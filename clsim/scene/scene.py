@@ -12,8 +12,16 @@ import numpy as np
 from clsim.arrays import FARTHEST, as_count, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
-from clsim.pictures.notebook import html_table, inline_page
-from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedFlaws, ViewedPaths, ViewedWall, page_text
+from clsim.pictures.view_page import (
+    ViewedBody,
+    ViewedEnd,
+    ViewedFlaws,
+    ViewedPaths,
+    ViewedWall,
+    html_table,
+    inline_page,
+    page_text,
+)
 from clsim.scene.air import Air
 from clsim.scene.body import Body, check_bodies, with_carriers
 from clsim.scene.ends import End, Receiver, Source
