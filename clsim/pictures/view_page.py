@@ -213,8 +213,7 @@ def _wall_traces(walls: Sequence[ViewedWall]) -> list[dict[str, Any]]:
         mine = [wall for wall in walls if wall.material == material]
         group = f"material {m}"
         traces.append(_surface(mine, _MATERIALS[m % len(_MATERIALS)]) | {"legendgroup": group})
-        edges = np.concatenate([wall.outline for wall in mine])
-        edges = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+        edges = _apart(np.concatenate([wall.outline for wall in mine]))
         traces.append(_lines(edges, color="#555555", width=1.5, name="edges") | {"legendgroup": group})
     return traces
 
@@ -223,8 +222,7 @@ def _edge_traces(edges: Floats | None) -> list[dict[str, Any]]:
     """Return the diffracting edges, toggled by one legend entry."""
     if edges is None or not len(edges):
         return []
-    points = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
-    return [_lines(points, color=_EDGES, width=5.0, name="edges that diffract") | {"showlegend": True}]
+    return [_lines(_apart(edges), color=_EDGES, width=5.0, name="edges that diffract") | {"showlegend": True}]
 
 
 def _flaw_traces(flaws: ViewedFlaws | None) -> list[dict[str, Any]]:
@@ -238,10 +236,8 @@ def _flaw_traces(flaws: ViewedFlaws | None) -> list[dict[str, Any]]:
             "hovertemplate": "healed at %{x} %{y} %{z} m<extra></extra>",
         })  # fmt: skip
     if flaws is not None and len(flaws.open_edges):
-        gaps = np.full((len(flaws.open_edges), 1, 3), np.nan)
-        points = np.concatenate([flaws.open_edges, gaps], axis=1).reshape(-1, 3)
         named = "open edges: energy escapes here"
-        traces.append(_lines(points, color=_OPEN, width=6.0, name=named) | {"showlegend": True})
+        traces.append(_lines(_apart(flaws.open_edges), color=_OPEN, width=6.0, name=named) | {"showlegend": True})
     return traces
 
 
@@ -257,6 +253,11 @@ def _surface(walls: Sequence[ViewedWall], color: str) -> dict[str, Any]:
         "text": [_plain(wall.name) for wall in walls for _ in range(3 * len(wall.triangles))],
         "hovertemplate": "%{text}: %{fullData.name}<extra></extra>",
     }  # fmt: skip
+
+
+def _apart(segments: Floats) -> Floats:
+    """Return the ends of segments (E, 2, 3) in a row (3 E, 3), with NaN behind each."""
+    return np.concatenate([segments, np.full((len(segments), 1, 3), np.nan)], axis=1).reshape(-1, 3)
 
 
 def _lines(points: Floats, *, color: str, width: float, name: str) -> dict[str, Any]:

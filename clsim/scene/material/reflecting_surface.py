@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from clsim.acoustics.reflection import coherent_share, limp_transmission
 from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError, warn
-from clsim.scene.material.tabulated import checked_frequencies, over_octaves
+from clsim.scene.material.tabulated import checked_frequencies, curve_of, over_octaves
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,18 +60,16 @@ class LossTable:
         return float(self.frequencies[0]), float(self.frequencies[-1])
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        return np.asarray(10.0 ** (-_curve(self)(frequency) / 20.0))
+        return np.asarray(10.0 ** (-curve_of(self)(frequency) / 20.0))
+
+    def curves(self) -> Callable[[Floats], NDArray[Any]]:
+        return over_octaves(self.frequencies, self.losses_db)
 
     def describe(self) -> str:
         return "table of transmission losses"
 
 
 TransmissionModel = MassLaw | LossTable
-
-
-@lru_cache(maxsize=256)
-def _curve(table: LossTable) -> Callable[[Floats], NDArray[Any]]:
-    return over_octaves(table.frequencies, table.losses_db)
 
 
 def as_transmission(
