@@ -116,14 +116,10 @@ def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:
 def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> tuple[Floats, Floats]:
     """Return the weights and roots of the four terms of the field at a wedge.
 
-    Shapes: angles (..., 4); lit (..., 4); result (..., 4), (..., 4).
-
-    lit: 1 for partners that are taken as seen, -1 for others, also shortly beyond the boundary; by the angles when left
-    out.
-
-    weight: κ of each term, -1 to 1; on its boundary -1 where the partner is seen and 1 where it is not.
-
-    root: root of the detour by the edge against the partner over the breadth of the way, beyond a boundary negative.
+    Shapes: angles (..., 4); lit (..., 4); result (..., 4), (..., 4). lit: 1 for partners that are taken as seen, -1 for
+    others, also shortly beyond the boundary; by the angles when left out. weight: κ of each term, -1 to 1; on its
+    boundary -1 where the partner is seen and 1 where it is not. root: root of the detour by the edge against the
+    partner over the breadth of the way, beyond a boundary negative.
 
     The field over ``exp(-jkL) / L`` is the sum of ``ρ κ E(√(k breadth) root) / 2`` over the terms, with the reflection
     factors ρ of the partners (1 for the first two where n ≥ 1). This is the coefficient of R. G. Kouyoumjian and P. H.
@@ -216,9 +212,8 @@ def exact_wedge_terms(
 ) -> list[Complexes]:
     """Return the four terms of the exact field at a hard wedge, each (..., F), over ``exp(-jkL) / L``.
 
-    Shapes: angles (..., 4); lit (..., 4); wave (..., F) 1/m.
-
-    lit: 1 for partners that are taken as seen, also shortly beyond the boundary, -1 for others.
+    Shapes: angles (..., 4); lit (..., 4); wave (..., F) 1/m. lit: 1 for partners that are taken as seen, also shortly
+    beyond the boundary, -1 for others.
 
     The integral along an infinite edge of U. P. Svensson, R. I. Fred and J. Vanderkooy, "An analytic secondary source
     model of edge diffraction impulse responses", J. Acoust. Soc. Am. 106(5), 1999, eq. 27 and 30, over the length ``L -
@@ -276,13 +271,10 @@ def end_transition(end: Floats, root: Floats, corner: Floats | float = EVEN) -> 
     """Compute the transition function of an edge and of its end, the field at the end over that of the partner.
 
     end: root a of the phase by which the way over the end is longer than the shortest one; negative beyond the boundary
-    at which the shortest way passes the end.
-
-    root: root b of the phase of a term of the edge, as of `transition`; negative beyond the term's boundary.
-
-    corner: the angle φ of ``a + jb`` as the shortest way comes to the corner, where both are less than `AT_CORNER`.
-
-    result: ``E(b) / 2`` for a = 0; 0 for b = 0 and a > 0; about ``E(a) E(b) b² / (a² + b²) / 2`` far out.
+    at which the shortest way passes the end. root: root b of the phase of a term of the edge, as of `transition`;
+    negative beyond the term's boundary. corner: the angle φ of ``a + jb`` as the shortest way comes to the corner,
+    where both are less than `AT_CORNER`. result: ``E(b) / 2`` for a = 0; 0 for b = 0 and a > 0; about ``E(a) E(b) b² /
+    (a² + b²) / 2`` far out.
 
     Along the edge a term is ``b / π ∫ exp(-jt²) / (t² + b²) dt`` with t² the phase of the way's detour: that of an
     infinite edge is E(b) (`exact_wedge` has the integral). What is beyond the end, over the phase of the way by the
@@ -376,10 +368,8 @@ def double_tie(way: EdgeWay, first: Floats, last: Floats) -> Floats:
 def double_transition(first: Floats, last: Floats, tie: Floats, wave: Floats) -> Complexes:
     """Return the transition function of two edges (..., F), which of edges far apart is that of one times the other's.
 
-    Shapes: wave (..., F) 1/m.
-
-    first, last: root of the detour of a term at each edge, with the breadth of the way as that edge sees it, √m;
-    negative beyond a boundary, as of `transition`.
+    Shapes: wave (..., F) 1/m. first, last: root of the detour of a term at each edge, with the breadth of the way as
+    that edge sees it, √m; negative beyond a boundary, as of `transition`.
 
     With a and b, first and last times the root of the wave number, it is
 

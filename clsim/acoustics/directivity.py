@@ -58,12 +58,10 @@ def fit_delay(
 ) -> Floats:
     """Return the delay, linear in the direction, without which complex responses turn the least.
 
-    Shapes: points (n, k); frequencies (F,) Hz; values (n, F); neighbours (m, 2).
-
-    points: directions: unit vectors (k = 3), or cosines of the angle from the axis (k = 1).
-
-    result: ``t``, s: ``values * exp(+2j pi f (t[0] + points @ t[1:]))`` has the slowest phase. A point source that
-    stands at p (3,) m of the transducer's own frame has ``t[1:] = -p / c``.
+    Shapes: points (n, k); frequencies (F,) Hz; values (n, F); neighbours (m, 2). points: directions: unit vectors (k =
+    3), or cosines of the angle from the axis (k = 1). result: ``t``, s: ``values * exp(+2j pi f (t[0] + points @
+    t[1:]))`` has the slowest phase. A point source that stands at p (3,) m of the transducer's own frame has ``t[1:] =
+    -p / c``.
 
     Our own derivation: with ``conj(a) b = |a b| exp(-2j pi scale (step @ t))`` for each pair of neighbours, t is linear
     in their phases. Weighted least squares on the phases of products of neighbours, ``conj(a) b``, in frequency and in

@@ -52,12 +52,9 @@ def ellipsoid_glint(
 ) -> Glint:
     """Return the specular point of a rigid ellipsoid, by geometrical optics.
 
-    Shapes: semi_axes (3,) m; source, receiver (3, n) m; weight (n,).
-
-    near: that of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
-
-    weight: w, of the way to the receiver: ``(1 - M1) / (1 - M2)`` for a surface that moves at Mach numbers M1 off the
-    source and M2 towards the receiver.
+    Shapes: semi_axes (3,) m; source, receiver (3, n) m; weight (n,). near: that of nearly the same ends: one step is
+    then made from it; from what is guessed, a search begins. weight: w, of the way to the receiver: ``(1 - M1) / (1 -
+    M2)`` for a surface that moves at Mach numbers M1 off the source and M2 towards the receiver.
 
     The specular point makes the way ``L = d1 + w d2`` by the surface shortest (Fermat): at rest its normal is the
     bisector of the directions to both ends. On ``x = A u`` with a unit vector u, Newton's method finds it in the plane

@@ -91,10 +91,8 @@ def sphere_aspects(radius: float, source: Floats, receiver: Floats, glint: Glint
 def sphere_field(ka: Floats, aspects: Floats) -> Complexes:
     """Return the field that a rigid sphere scatters from one end to the other.
 
-    Shapes: ka (F,); aspects (..., 4); result (... F).
-
-    result: F: of a source that gives ``exp(-j k d) / d``, the pressure that is scattered is ``a / (2 d1 d2) F exp(-j k
-    l)``, with the length l of the path by the place.
+    Shapes: ka (F,); aspects (..., 4); result (... F). result: F: of a source that gives ``exp(-j k d) / d``, the
+    pressure that is scattered is ``a / (2 d1 d2) F exp(-j k l)``, with the length l of the path by the place.
 
     ``p = j k sum (2 n + 1) j_n'(ka) / h_n'(ka) h_n(k d1) h_n(k d2) P_n(cos gamma)`` with the spherical Hankel functions
     of the second kind (P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2). It is exact wherever
@@ -138,9 +136,8 @@ def _summed(modes: SphereModes, aspects: Floats) -> Complexes:
 def sphere_bound(radius: float, wave: Floats, nearest: Floats) -> Floats:
     """Return a bound (n, F) of what a rigid sphere scatters, times the length of its path.
 
-    Shapes: wave (F,) 1/m; nearest (n,) m.
-
-    nearest: bounds from below of half the harmonic mean of the distances of both ends from the surface, m.
+    Shapes: wave (F,) 1/m; nearest (n,) m. nearest: bounds from below of half the harmonic mean of the distances of both
+    ends from the surface, m.
 
     That of a wave from far away, in the direction where it is largest, with what h_1 is more nearby; and at most 3. The
     largest of all is behind a sphere on the axis, 2.4 times the direct sound (found between ka = 0.1 and 400; our own

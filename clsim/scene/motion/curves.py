@@ -167,10 +167,8 @@ def is_static(curve: Curve) -> bool:
 def frame_about(axis: Floats) -> tuple[Floats, Floats]:
     """Return the unit vectors from which and towards which a circle about `axis` turns at angle 0.
 
-    Shapes: axis (3,); result (3,).
-
-    e1, e2: e1 is +x projected on the plane across the axis (+y where the axis lies along x); e1, e2 and the axis are a
-    right-handed frame.
+    Shapes: axis (3,); result (3,). e1, e2: e1 is +x projected on the plane across the axis (+y where the axis lies
+    along x); e1, e2 and the axis are a right-handed frame.
     """
     largest = np.abs(axis).max()
     if largest == 0.0:
@@ -187,11 +185,8 @@ def frame_about(axis: Floats) -> tuple[Floats, Floats]:
 def spline_through(times: Floats, positions: Floats, ends: Literal["not-a-knot", "natural"]) -> Piecewise:
     """Return the C2 cubic spline through points, continued at its ends by `CONTINUATION`.
 
-    Shapes: times (n,) s; positions (n, 3) m.
-
-    ends: condition at both ends. With "not-a-knot" the error of a smooth motion stays of fourth order up to the ends;
-    "natural" (second derivative zero) is what a smoothing spline has.
-
+    Shapes: times (n,) s; positions (n, 3) m. ends: condition at both ends. With "not-a-knot" the error of a smooth
+    motion stays of fourth order up to the ends; "natural" (second derivative zero) is what a smoothing spline has.
     result: continued by ``x0 + v0 u + a0 u²/2`` with the position, velocity and acceleration of the end.
     """
     from scipy.interpolate import CubicSpline
@@ -288,10 +283,8 @@ def as_smooth(value: Any) -> bool | float:
 def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: Placement) -> Fit:
     """Return the spline of measured points, smoothed in the axes in which they were measured.
 
-    Shapes: times (n,) s; positions (n, 3) m.
-
-    smooth: true removes white noise (generalised cross-validation), a number leaves that rms residual per axis, m, and
-    False goes through the points.
+    Shapes: times (n,) s; positions (n, 3) m. smooth: true removes white noise (generalised cross-validation), a number
+    leaves that rms residual per axis, m, and False goes through the points.
     """
     if smooth is False:
         speed = speed_noise(times, positions)
@@ -352,10 +345,8 @@ def _warn_if_rough(curve: Piecewise, times: Floats) -> None:
 class Smoothed:
     """Points without their noise.
 
-    Shapes: points (n, k); residual (k,).
-
-    points: values of the smoothing splines at their times; the natural cubic spline through them is the smoothing
-    spline.
+    Shapes: points (n, k); residual (k,). points: values of the smoothing splines at their times; the natural cubic
+    spline through them is the smoothing spline.
     """
 
     points: Floats
@@ -386,10 +377,9 @@ def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
 def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smoothed:
     """Smooth each column until the root mean square of its residual is the one given.
 
-    Shapes: times (n,); values (n, k).
-
-    residual: in the unit of the values, above 0. A column that is nearer to a straight line than that becomes the
-    straight line (or what is slower than 7000 steps), with the smaller residual it has.
+    Shapes: times (n,); values (n, k). residual: in the unit of the values, above 0. A column that is nearer to a
+    straight line than that becomes the straight line (or what is slower than 7000 steps), with the smaller residual it
+    has.
     """
     from scipy.optimize import brentq
 

@@ -318,10 +318,8 @@ class Motion:
 class Swung:
     """A point that swings about an axis.
 
-    Shapes: foot, along, across (3,) m.
-
-    foot, along, across: the nearest point of the axis, m; from there to where it is at angle 0, and at a quarter turn,
-    m.
+    Shapes: foot, along, across (3,) m. foot, along, across: the nearest point of the axis, m; from there to where it is
+    at angle 0, and at a quarter turn, m.
     """
 
     foot: Floats
@@ -441,9 +439,7 @@ def seen_by(frame: Motion, point: Motion) -> Motion:
 def even_ways(speed: Floats, rate: float, step: float) -> Floats:
     """Return times (n,), s, between which objects move at most a step; first and last instants are included.
 
-    Shapes: speed (m,) m/s.
-
-    speed: bounds of how fast they go about instants so many per second from 0 s on, m/s.
+    Shapes: speed (m,) m/s. speed: bounds of how fast they go about instants so many per second from 0 s on, m/s.
     """
     pace = np.maximum(speed[1:], speed[:-1]) / (rate * step)  # steps from one instant to the next
     way = np.concatenate([[0.0], np.cumsum(pace)])

@@ -165,10 +165,9 @@ class _Piece:
 def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | None = None) -> Edges:
     """Return the edges of walls at which sound is diffracted.
 
-    inside: mask (n,) of positions (n, 3) in the air of a room; all when left out.
-
-    result: those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between
-    faces of different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
+    inside: mask (n,) of positions (n, 3) in the air of a room; all when left out. result: those between two
+    neighbouring faces, with 360 degrees about a single one, and with 180 degrees between faces of different materials.
+    Inner corners of 180/m degrees are left out: their reflections are the whole field.
     """
     found: list[_Piece] = []
     for line in _lines(walls):

@@ -25,9 +25,8 @@ _FINEST = 1e-8  # of the room's size: less could not be distinguished from round
 class Faces:
     """The walls of a room, F of them: a wall's index is its row here.
 
-    Shapes: normals (F, 3); offsets (F,) m.
-
-    normals: unit normals. They point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
+    Shapes: normals (F, 3); offsets (F,) m. normals: unit normals. They point inwards in a room that `Room.is_convex`;
+    elsewhere their sign means nothing.
     """
 
     normals: Floats

@@ -112,9 +112,8 @@ def _beside(file: Path) -> Any:
 class MeshFile:
     """Content of a mesh file, neither welded nor cleaned.
 
-    Shapes: vertices (V, 3) m; triangles (T, 3); group (T,).
-
-    groups: materials (OBJ: ``usemtl``), or objects where a file names no material; ``("",)`` where it names nothing.
+    Shapes: vertices (V, 3) m; triangles (T, 3); group (T,). groups: materials (OBJ: ``usemtl``), or objects where a
+    file names no material; ``("",)`` where it names nothing.
     """
 
     vertices: Floats
@@ -138,9 +137,8 @@ class _Face:
 def read_mesh(path: Any, *, scale: float = 1.0, up: str = "z") -> MeshFile:
     r"""Read a mesh file.
 
-    path: OBJ, AC3D, STL, PLY, GLB, GLTF, OFF, or another format that trimesh reads (3MF needs its extra packages).
-
-    up: the file's axis that points up. "y" turns (x, y, z) to (x, -z, y), "x" turns it to (y, z, x): rotations both, so
+    path: OBJ, AC3D, STL, PLY, GLB, GLTF, OFF, or another format that trimesh reads (3MF needs its extra packages). up:
+    the file's axis that points up. "y" turns (x, y, z) to (x, -z, y), "x" turns it to (y, z, x): rotations both, so
     that nothing is mirrored.
 
     Polygons of an OBJ file may be concave: they are cut into triangles by ear clipping in their own plane, after

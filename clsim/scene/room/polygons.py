@@ -48,11 +48,8 @@ def polygon_notes(counts: dict[str, int]) -> tuple[str, ...]:
 def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
     """Cut a polygon into triangles.
 
-    Shapes: corners (n, 3).
-
-    corners: in order; concave, and touching itself along a seam, as polygons with holes are written.
-
-    result: indices of corners, turning as the polygon does; none for a polygon without area.
+    Shapes: corners (n, 3). corners: in order; concave, and touching itself along a seam, as polygons with holes are
+    written. result: indices of corners, turning as the polygon does; none for a polygon without area.
     """
     from mapbox_earcut import triangulate_float64
 
@@ -140,9 +137,8 @@ def triangulated(corners: Floats, polygons: list[Ints], which: list[int], near: 
 def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tuple[list[list[Ints]], list[int]]:
     """Cut out of each polygon the smaller ones that lie in it, within a distance, m.
 
-    Shapes: corners (n, 3) m; polygons of corner numbers (k,).
-
-    result: of each polygon its triangles (T, 3) by part if it was cut, else none; and the polygons that were.
+    Shapes: corners (n, 3) m; polygons of corner numbers (k,). result: of each polygon its triangles (T, 3) by part if
+    it was cut, else none; and the polygons that were.
     """
     from shapely import Polygon
     from shapely.constructive import constrained_delaunay_triangles
@@ -203,9 +199,8 @@ def extruded_plan(
 ) -> tuple[Floats, NDArray[np.int64], list[str]]:
     """Return triangles of a room over a floor plan, and the label of each.
 
-    Shapes: outline (n, 2) m; pillars (n, 2) m; result (V, 3) m, (T, 3).
-
-    labels: ``floor``, ``ceiling``, ``wall i`` from corner i of the outline to the next, ``pillar p wall i``.
+    Shapes: outline (n, 2) m; pillars (n, 2) m; result (V, 3) m, (T, 3). labels: ``floor``, ``ceiling``, ``wall i`` from
+    corner i of the outline to the next, ``pillar p wall i``.
     """
     from mapbox_earcut import triangulate_float64
 

@@ -209,9 +209,8 @@ class Walls:
 def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArray[np.int64], flatness: float) -> Walls:
     """Merge coplanar neighbours of one material into walls.
 
-    Shapes: vertices (V, 3) m; triangles (T, 3); material (T,).
-
-    flatness: neighbours are one wall if the corners of each lie this near to the plane of the other, m.
+    Shapes: vertices (V, 3) m; triangles (T, 3); material (T,). flatness: neighbours are one wall if the corners of each
+    lie this near to the plane of the other, m.
     """
     corners = vertices[triangles]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
