@@ -10,7 +10,7 @@ import numpy as np
 from clsim.arrays import as_floats, as_index, as_number, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
-from clsim.pictures.notebook import html_table, inline_sound
+from clsim.pictures.view_page import html_table, inline_sound
 from clsim.version import __version__
 
 if TYPE_CHECKING:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.decay import (
+    SPEECH_BANDS,
+    SPEECH_DB,
     before_noise,
     centre_time,
     clarity,
@@ -17,13 +19,15 @@ from clsim.acoustics.decay import (
     definition,
     eyring_time,
     has_decay_range,
+    interaural_correlation,
     is_clipped,
+    lateral_fractions,
     level_fall,
+    modulation_transfer,
     reverberation_time,
     sabine_time,
+    transmission_index,
 )
-from clsim.acoustics.lateral import interaural_correlation, lateral_fractions
-from clsim.acoustics.speech import SPEECH_BANDS, SPEECH_DB, modulation_transfer, transmission_index
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.files.sound import read_sound_file

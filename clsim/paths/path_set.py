@@ -23,7 +23,7 @@ from clsim.paths.channel import (
 from clsim.paths.family import SPECULAR, TRANSMISSION, PathFamily
 from clsim.paths.path_table import PathTable
 from clsim.paths.view import paths_page
-from clsim.pictures.notebook import html_table, inline_page
+from clsim.pictures.view_page import html_table, inline_page
 from clsim.scene.scene import known_until
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages, check_pictures
-from clsim.pictures.notebook import html_table
+from clsim.pictures.view_page import html_table
 from clsim.score.ranging import RangingScore
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from clsim.packages import check_packages, check_pictures
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.ground_truth import in_sight, reception_times
 from clsim.paths.legs.static import direct_paths
-from clsim.pictures.notebook import html_table
+from clsim.pictures.view_page import html_table
 from clsim.recording import as_recording
 from clsim.score.matched_filter import MatchedFilter, envelope_peak, phase_peak
 

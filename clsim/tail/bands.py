@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.scene.room.enclosure import enclosure_of
+from clsim.scene.room.shoebox import enclosure_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimWarning
 from clsim.files.names import shown
-from clsim.scene_file.words import as_toml
+from clsim.scene_file import as_toml
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

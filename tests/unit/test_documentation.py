@@ -161,6 +161,9 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
     signature = inspect.signature(value)
     arguments = [p for n, p in signature.parameters.items() if n not in ("self", "cls") and not n.startswith("_")]
     described = parameters(told.get("Parameters", "")) | (fields_of(value, told[""]) if is_class else {})
+    owner = getattr(clsim, name.partition(".")[0], None)
+    if not is_class and inspect.isclass(owner):  # what the class describes need not be described again
+        described = parameters(sections(owner.__doc__ or "").get("Parameters", "")) | described
     for argument in arguments:
         kind, text = described.get(argument.name, (None, ""))
         if kind is None:

@@ -196,7 +196,6 @@ def test_help_loads_no_command() -> None:
         "clsim.workflow.console",
         "clsim.commands",
         "clsim.scene_file",
-        "clsim.scene_file.words",
     }
 
 

@@ -25,7 +25,7 @@ from clsim.paths.visibility.occlusion import WallLookup, air_sides
 from clsim.paths.visibility.rates import BodyRates, EndRates
 from clsim.paths.visibility.subdivision import certified, looks
 from clsim.scene.flush import find_mount
-from clsim.scene.motion.carried import even_ways
+from clsim.scene.motion.motion import even_ways
 from clsim.scene.room.walls import build_walls
 
 if TYPE_CHECKING:

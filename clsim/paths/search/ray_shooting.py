@@ -15,7 +15,7 @@ from clsim.packages import check_packages
 from clsim.paths.search.beam_tree import Candidates
 from clsim.paths.visibility.clearance import blocks, segments_apart, unfold
 from clsim.paths.visibility.intervals import find_intervals
-from clsim.scene.motion.instants import Instants
+from clsim.scene.motion.motion import Instants
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import transition
-from clsim.acoustics.edge_end import end_coefficients
+from clsim.acoustics.diffraction import end_coefficients, transition
 from clsim.numerics.quaternions import rotate
 from clsim.numerics.sphere import harmonic_norms
 from clsim.paths.response import SceneResponse, covered, directivity_gain

@@ -10,8 +10,7 @@ import numpy as np
 
 from clsim.acoustics import fock, shade, silhouette
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
-from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE, partner_reflections
-from clsim.acoustics.edge_end import AT_CORNER, END_TERMS
+from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE, partner_reflections
 from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.errors import InputError

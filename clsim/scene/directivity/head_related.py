@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.spherical_head import sphere_surface_field
+from clsim.acoustics.sphere import sphere_surface_field
 from clsim.arrays import Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.convolution import advanced, arrival_times

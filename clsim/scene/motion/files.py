@@ -43,10 +43,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Rows of a file.
-
-    Shapes: lines (n,); stamps (n,); times (n,) s; positions (n, 3) m; orientations (n, 4).
-    """
+    """Rows of a file; lines (n,); stamps (n,); times (n,) s; positions (n, 3) m; orientations (n, 4)."""
 
     file: str
     lines: NDArray[np.int64]
@@ -96,11 +93,9 @@ def read_poses(
     form: TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the quaternion
     w, x, y, z; further columns are left. CSV: a header with ``t,x,y,z`` and perhaps ``qx,qy,qz,qw`` in any order, by
     these names, by those of `columns`, or by aliases; further columns are left. Lines that begin with ``#`` and empty
-    lines are skipped. Bags: see `read_bag`.
-
-    repair: which faults to repair, in this order: "nan" drops rows with something that is no finite number, "times"
-    drops rows whose time is not above all before, "jumps" drops rows out of reach from the last good one at
-    `max_speed`, "gaps" lets the spline bridge them.
+    lines are skipped. Bags: see `read_bag`. repair: which faults to repair, in this order: "nan" drops rows with
+    something that is no finite number, "times" drops rows whose time is not above all before, "jumps" drops rows out of
+    reach from the last good one at `max_speed`, "gaps" lets the spline bridge them.
     """
     if form != "rosbag" and topic is not None:
         raise InputError("topic", f"must be left out for the format {form!r}, but is {topic!r:.80}")

@@ -11,7 +11,6 @@ import numpy as np
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
-from clsim.scene.motion.carried import Carried, CarriedTurning, Swung, velocity_breaks
 from clsim.scene.motion.checks import (
     LONGEST,
     as_choices,
@@ -24,8 +23,19 @@ from clsim.scene.motion.checks import (
     as_topic,
     question_turns,
 )
-from clsim.scene.motion.curves import Circular, Static, Straight, frame_about, kinks, legs_through, spline_through
-from clsim.scene.motion.motion import Motion
+from clsim.scene.motion.curves import (
+    Circular,
+    Placement,
+    Static,
+    Straight,
+    as_smooth,
+    fit_measured,
+    frame_about,
+    kinks,
+    legs_through,
+    spline_through,
+)
+from clsim.scene.motion.motion import Carried, CarriedTurning, Motion, Swung, velocity_breaks
 from clsim.scene.motion.orientation import Hinge, as_quaternions, quaternion_product, turning_between
 
 if TYPE_CHECKING:
@@ -445,9 +455,9 @@ class Trajectory(Motion):
         >>> push.end, push.position(1.5).round(9)
         (3.0, array([2.5, 1. , 1. ]))
         """
-        from clsim.scene.motion import files, measured
+        from clsim.scene.motion import files
 
-        strength = measured.as_smooth(smooth)
+        strength = as_smooth(smooth)
         poses = files.read_poses(
             as_path(path),
             as_choice("format", format, files.FORMATS),
@@ -459,9 +469,9 @@ class Trajectory(Motion):
             max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
             max_gap=None if max_gap is None else as_span("max_gap", max_gap),
         )
-        place = measured.Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
+        place = Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
         times = poses.times + as_number("time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s")
-        fit = measured.fit_measured(times, poses.positions, strength, place)
+        fit = fit_measured(times, poses.positions, strength, place)
         turning = None
         if poses.orientations is not None:
             turning = turning_between(times, quaternion_product(place.rotation, poses.orientations))

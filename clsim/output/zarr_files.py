@@ -1,16 +1,42 @@
-"""Digest of the metadata of a Zarr group: chunks have checksums, ``zarr.json`` has none."""
+"""What Zarr does not check: chunks that are missing, read as the fill value, and changes of ``zarr.json``."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+ALL_CHUNKS = {"clsim_chunks": "all"}  # attribute of groups whose chunks of zeros are files, too
 SEAL = "clsim_metadata_sha256"  # attribute of a group
 _BLANK = "0" * 64  # stands in its place where the digest is computed
+
+
+def arrays_with_missing_chunks(group: Path, metadata: dict[str, Any] | None = None) -> list[str]:
+    """List the arrays of a group whose chunks are not all there; none of a group that left out zeros.
+
+    Names of files are counted, no chunk is opened. `metadata` is the group's ``zarr.json``, with that of all arrays.
+    """
+    found = json.loads((group / "zarr.json").read_bytes()) if metadata is None else metadata
+    if not ALL_CHUNKS.items() <= found.get("attributes", {}).items():
+        return []
+    arrays = found["consolidated_metadata"]["metadata"]
+    return [name for name, array in arrays.items() if _stored(group / name / "c") < _wanted(array)]
+
+
+def _wanted(array: dict[str, Any]) -> int:
+    sizes = array["chunk_grid"]["configuration"]["chunk_shape"]
+    return math.prod(-(-n // size) for n, size in zip(array["shape"], sizes, strict=True))
+
+
+def _stored(folder: Path) -> int:
+    if folder.is_file():  # that of a single number
+        return 1
+    return sum(name.isdigit() for _, _, names in os.walk(folder) for name in names)
 
 
 def seal(group: Path) -> None:
