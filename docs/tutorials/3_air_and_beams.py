@@ -2,8 +2,8 @@
 Air and beams
 =============
 
-At 40 kHz air absorbs more than 1 dB per metre, and transducers have narrow beams. Both depend on the
-frequency and act over the whole band of the signal.
+At 40 kHz air absorbs more than 1 dB per metre, and transducers have narrow beams. Both depend on
+the frequency and act over the whole band of the signal.
 """
 
 import numpy as np

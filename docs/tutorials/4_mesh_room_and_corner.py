@@ -3,8 +3,8 @@ A mesh room and a corner
 ========================
 
 Rooms may have any shape. Here it is a floor plan; ``MeshRoom.from_file`` reads a mesh. A path is
-active exactly while walls let it pass. With ``diffraction=1`` sound goes round edges and fills the
-shadow.
+active exactly while walls let it pass. With ``diffraction=1`` sound goes round edges and fills
+the shadow.
 """
 
 import numpy as np

@@ -31,7 +31,8 @@ found = clsim.score.position(ranges)
 print(f"median {1e3 * ranges.percentile(50):.2f} mm of ranges, {1e3 * found.percentile(50):.2f} mm of positions")
 
 # %%
-# Check: every pulse is detected. The remaining error is mostly the shift of a chirp's peak by Doppler,
-# ``f T / B`` times the speed: 10 ms times at most 0.34 m/s. A beacon at 3 m/s is 3 cm off.
+# Check: every pulse is detected. The remaining error is mostly the shift of a chirp's peak by
+# Doppler, ``f T / B`` times the speed: 10 ms times at most 0.34 m/s. A beacon at 3 m/s is 3 cm
+# off.
 assert ranges.detection_rate == 1.0
 assert ranges.percentile(75) < 4e-3

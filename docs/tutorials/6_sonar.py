@@ -2,8 +2,8 @@
 Sonar
 =====
 
-Moving things scatter sound. Their echoes are far below the direct sound; ``direct=False`` leaves the
-direct sound out.
+Moving things scatter sound. Their echoes are far below the direct sound; ``direct=False`` leaves
+the direct sound out.
 """
 
 import numpy as np
@@ -33,8 +33,8 @@ axes.imshow(correlation, aspect="auto", origin="lower", extent=span)
 axes.set(xlabel="time since the pulse (ms)", ylabel="pulse")
 
 # %%
-# Check: each peak is at the travel time there and back, less the shift of a chirp's peak by Doppler.
-# That is ``f T / B`` times the relative Doppler shift.
+# Check: each peak is at the travel time there and back, less the shift of a chirp's peak by
+# Doppler. That is ``f T / B`` times the relative Doppler shift.
 sent = 0.05 * np.arange(16)
 peaks = correlation.argmax(axis=1) / 192e3
 ball_at = way.position(sent + 0.5 * peaks)

@@ -2,8 +2,8 @@
 A thousand receivers
 ====================
 
-An array is a grid of positions. All receivers share the images of the source. Here a ceiling of 1000
-receivers records one chirp and shows the field as a picture.
+An array is a grid of positions. All receivers share the images of the source. Here a ceiling of
+1000 receivers records one chirp and shows the field as a picture.
 """
 
 import numpy as np
@@ -30,6 +30,7 @@ axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
 figure.colorbar(image, label="level (dB of the highest)")
 
 # %%
-# Check: there are a thousand rows. The highest is near where the beam points, not above the source.
+# Check: there are a thousand rows. The highest is near where the beam points, not above the
+# source.
 assert recording.pressure.shape[0] == 1000
 assert np.linalg.norm(grid[peak.argmax(), :2] - (2.5 + 0.3 * 1.9, 2.0)) < 0.4

@@ -2,8 +2,8 @@
 Your own simulator's delays
 ===========================
 
-clsim also renders delays and gains from any other program. Here two paths follow formulae: a source
-that passes by, and its echo from the ground.
+clsim also renders delays and gains from any other program. Here two paths follow formulae: a
+source that passes by, and its echo from the ground.
 """
 
 import numpy as np
