@@ -112,7 +112,9 @@ def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: 
     if before.leg is None:
         family = moving_paths(scene, Mirrors.of(scene), columns, ("before", "after"), vertex)
         return replace(family, vertex=replace(vertex, nearest=read_only(_nearest_moving(family))))
-    kinds, objects = met_in_order(scene, columns["before"], vertex, columns["after"], of_bodies=False)
+    walls, at = len(scene.room.faces), (vertex.interaction, vertex.objects)
+    kinds, objects = met_in_order((walls, walls), columns["before"], at, columns["after"])
+    kinds, objects = read_only(kinds), read_only(objects.astype(np.int32))
     always: dict[str, Any] = {name: columns[name] for name in ("source", "receiver", "order", "start", "end")}
     legs = tuple(StaticLeg(columns[f"{side}_matrix"], columns[f"{side}_offset"]) for side in ("before", "after"))
     family = Chain(scene=scene, **always, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
