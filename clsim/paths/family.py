@@ -166,6 +166,11 @@ class PathFamily(ABC):
         """Walls of specular reflections (paths, N) from the source's side, -1 elsewhere."""
         return np.where(self.interactions == SPECULAR, self.objects, -1)
 
+    def ends(self, rows: Rows) -> tuple[Source, Receiver]:
+        """Return the source and the receiver of paths of one pair."""
+        source, receiver = self.source[rows], self.receiver[rows]
+        return self.scene.sources[source[0]], self.scene.receivers[receiver[0]]
+
     def digest(self) -> str:
         """Return a hash of all fields but the scene."""
         found = hashlib.sha256(self.identity.encode())
