@@ -35,7 +35,7 @@ from clsim.impulse_responses import ImpulseResponses, as_response_band
 from clsim.numerics.convolution import band_taper
 from clsim.paths.path_table import labelled_dataset
 from clsim.scene.directivity.head_related import EARS
-from clsim.tail.bands import DiffuseField
+from clsim.tail.zones import DiffuseField
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

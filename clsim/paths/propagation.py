@@ -45,19 +45,14 @@ _UPRIGHT = 1e-12  # vertical component of a wall's normal below which it leaves 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Passage:
-    """What a medium makes of ways of sound, of any shape (...), from places to others.
-
-    Attributes
-    ----------
-    speed : float or ndarray (...)
-        By how many metres a way gets longer while its time grows by a second, with both ends as far apart, m/s.
-    carried : ndarray (..., 3) or None
-        By how much the time grows as the receiver goes on from the source, with the way as long, s/m; None for not.
-    """
+    """What a medium makes of ways of sound, of any shape (...), from places to others."""
 
     length: Floats  # (...) of the ways, m, and travel time, s
     time: Floats  # likewise
+    # (...) by how many metres a way gets longer while its time grows by a second, with both ends as far apart, m/s.
     speed: float | Floats
+    # (..., 3) by how much the time grows as the receiver goes on from the source, with the way as long, s/m; None for
+    # not.
     carried: Floats | None
     through: Floats  # (...) length of the air that sound passes, m
 

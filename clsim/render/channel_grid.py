@@ -88,24 +88,12 @@ def node_window(spacing: int) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class ChannelGrid:
-    """Where responses lie over delay, and how long transforms are.
+    """Where responses lie over delay, and how long transforms are."""
 
-    Attributes
-    ----------
-    first : int
-        Delay of the first point, samples.
-    span : int
-        Samples from there to the end of the longest response.
-    spacing : int
-        Samples from node to node.
-    size : int
-        Samples of a transform; of the grid there are 5 / 4 as many points.
-    """
-
-    first: int
-    span: int
-    spacing: int
-    size: int
+    first: int  # delay of the first point, samples
+    span: int  # samples from there to the end of the longest response
+    spacing: int  # samples from node to node
+    size: int  # samples of a transform; of the grid there are 5 / 4 as many points
 
     @classmethod
     def between(cls, shortest: float, longest: float, ringing: int, spacing: int) -> ChannelGrid:

@@ -33,9 +33,8 @@ from clsim.render.plan import (
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.scene.signal.occupied_bandwidth import spectra
-from clsim.tail.bands import DiffuseField
 from clsim.tail.design import ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
-from clsim.tail.zones import Zones
+from clsim.tail.zones import DiffuseField, Zones
 from clsim.tracks.pruning import pruned
 from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track

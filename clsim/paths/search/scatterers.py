@@ -51,23 +51,15 @@ _MOVING_STEPS, _MOVING_FOUND = 30, 1e-12  # the same by mirrors that move
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Side:
-    """Paths between endpoints and scatterers, n of them.
-
-    Attributes
-    ----------
-    leg : StaticLeg or None
-        Their images; None where bodies are among their surfaces.
-    by_body : ndarray (n,) bool
-        Whether any surface is a face of a body.
-    """
+    """Paths between endpoints and scatterers, n of them."""
 
     surfaces: NDArray[np.int32]  # (n, N) from where sound comes, -1 behind the last
     source: NDArray[np.int32]  # (n,) between which
     receiver: NDArray[np.int32]  # likewise
     start: Floats  # (n,) interval of reception, s
     end: Floats  # likewise
-    by_body: NDArray[np.bool_]
-    leg: StaticLeg | None
+    by_body: NDArray[np.bool_]  # (n,) whether any surface is a face of a body
+    leg: StaticLeg | None  # their images; None where bodies are among their surfaces
 
     @staticmethod
     def of(walls: Chain, faces: Chain | None = None) -> Side:

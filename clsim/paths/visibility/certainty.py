@@ -57,19 +57,14 @@ _TAME = 1e-4  # m, by which events may lie off the line for the bounds to hold o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """The straight lines of n paths of N mirrors at one time of reception each.
-
-    Attributes
-    ----------
-    place, time : ndarray (n, N + 2, 3), (n, N + 2)
-        In the room, m, and after the reception, s: emission, where mirrors are met, reception.
-    """
+    """The straight lines of n paths of N mirrors at one time of reception each."""
 
     share: Floats  # (n, N) at which mirrors are met, from 0 at the source to 1 at the receiver if they are met in order
     rise: Floats  # (n, N) how much the height over each mirror changes along the whole line, m
     length: Floats  # (n,) of the line, m
+    # (n, N + 2, 3) in the room, m, and after the reception, s: emission, where mirrors are met, reception.
     place: Floats
-    time: Floats
+    time: Floats  # (n, N + 2) likewise
     start: Floats  # (n, N, 3) what mirror k reflects, S_{k-1}, and where it is reflected to, R_k, in the room, m
     stop: Floats  # likewise
     tame: Bools  # (n, N) whether events lie where mirrors are taken from their motion

@@ -146,20 +146,14 @@ class Beams:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ears:
-    """Spheres that hold R receivers, and what each sees.
-
-    Attributes
-    ----------
-    plane : ndarray (P, 4)
-        Half-spaces of the beams from each receiver through what it sees of each wall; see `beam_planes`.
-    first_plane : ndarray (R * W + 1,) int
-        Where those of receiver r and wall w begin, in row ``r * W + w``; none where it cannot see the wall.
-    """
+    """Spheres that hold R receivers, and what each sees."""
 
     centre: Floats  # (R, 3) of the spheres, m
     radius: Floats  # likewise
     seen: NDArray[np.bool_]  # (R, W) which walls each may see
+    # (P, 4) half-spaces of the beams from each receiver through what it sees of each wall; see `beam_planes`.
     plane: Floats
+    # (R * W + 1,) where those of receiver r and wall w begin, in row ``r * W + w``; none where it cannot see the wall.
     first_plane: Ints
 
 
@@ -286,16 +280,11 @@ def in_air(walls: Walls, sides: Ints, sequence: NDArray[np.int32], end: Floats) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
-    """n apertures as seen from balls, some through windows.
-
-    Attributes
-    ----------
-    window : ndarray (n, m, 3)
-        Corners of convex windows through which the balls are seen, m; their centres where there are none.
-    """
+    """n apertures as seen from balls, some through windows."""
 
     centre: Floats  # (n, 3) of the balls, m
     radius: float  # of all balls, m
+    # (n, m, 3) corners of convex windows through which the balls are seen, m; their centres where there are none.
     window: Floats
     last: Ints  # (n,) walls that the windows are on, -1 for none
     ring: Floats  # (n, k, 3) corners of convex apertures; those beyond `corners` repeat the last one

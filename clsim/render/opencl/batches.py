@@ -79,18 +79,14 @@ class ActivePaths:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boundaries:
-    """Active intervals of the paths of a batch.
-
-    Attributes
-    ----------
-    first, last : ndarray (slots,) int64
-        First sample with a weight, and the one after the last; of slots that fill up a batch the last is the lower.
-    """
+    """Active intervals of the paths of a batch."""
 
     start: Floats  # (slots,) boundaries in samples from time 0; infinite where there is none
     end: Floats  # likewise
+    # (slots,) first sample with a weight, and the one after the last; of slots that fill up a batch the last is the
+    # lower.
     first: NDArray[np.int64]
-    last: NDArray[np.int64]
+    last: NDArray[np.int64]  # (slots,) likewise
     ramp: float  # length of a transition, samples; 0 where paths begin and end at once
 
     def samples_from(self, start: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
