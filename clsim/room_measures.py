@@ -1,4 +1,4 @@
-"""Room-acoustic measures of impulse responses, simulated or measured, by frequency band."""
+"""Room-acoustic and lateral measures of impulse responses, simulated or measured, by frequency band."""
 
 from __future__ import annotations
 
