@@ -53,10 +53,7 @@ def window_spectrum(frequencies: Floats) -> Floats:
 
 @cache
 def window_table() -> Floats:
-    """Return values of the window at the points about a path, and their changes to the next phase.
-
-    Shapes: result (PHASES + 3, 2, TAPS), from one phase before the first to one behind the last.
-    """
+    """Return the window at the points about a path, and its changes to the next phase, (PHASES + 3, 2, TAPS)."""
     phases = np.arange(-1, PHASES + 3) / PHASES
     values = window_at(np.arange(1 - TAPS // 2, TAPS // 2 + 1) - phases[:, None])
     return read_only(np.stack([values[:-1], np.diff(values, axis=0)], axis=1))

@@ -195,10 +195,7 @@ def heard_after(
 
 
 def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
-    """Travel times (n,) to a receiver that moves on meanwhile, s.
-
-    It is sent from places (n, 3) at times (n,), and comes from images (n, 3) of these, m.
-    """
+    """Travel times (n,) from places (n, 3), seen at images (n, 3), to a receiver that moves on meanwhile, s."""
     flight = np.zeros(len(times))
     for _ in range(_STEPS):  # each by the Mach number of the receiver
         at = receiver.position(times + flight)

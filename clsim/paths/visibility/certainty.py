@@ -151,12 +151,7 @@ class _Mirrored:
 
 
 def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium: UniformAir, there: Bools) -> Drift:
-    """Rates of the lines of paths.
-
-    Shapes: there (n,).
-
-    there: paths that meet all faces: until they do no more, their mirrors are no faster than bodies.
-    """
+    """Bound the rates of lines of paths; those `there` (n,) meet all faces: their mirrors are as fast as bodies."""
     c = medium.speed_of_sound
     wind = float(np.linalg.norm(medium.wind or (0.0, 0.0, 0.0)))
     moves = _motions(mirrors, walls, line, pace, there, c, wind)

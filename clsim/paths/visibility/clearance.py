@@ -97,10 +97,7 @@ class Unfolded:
 
 
 def unfold(walls: Walls, sequence: Ints, source: Floats, receiver: Floats, reach: Reach) -> Unfolded:
-    """Return the straight lines of paths.
-
-    Shapes: sequence (n, N); source, receiver (n, 3) m.
-    """
+    """Return the straight lines of paths by sequences (n, N) of walls between places (n, 3), m."""
     count, order = sequence.shape
     start, stop, start_facing, stop_facing = (np.empty((count, order + 1, 3)) for _ in range(4))
     start[:, 0], stop[:, order] = source, receiver

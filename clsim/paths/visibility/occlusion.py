@@ -75,10 +75,7 @@ def beam_planes(
 
 
 def clip_rings(ring: Floats, corners: NDArray[np.int64], planes: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Return convex polygons cut by half-spaces (Sutherland and Hodgman), many at a time.
-
-    Shapes: ring (n, m, 3); corners (n,); planes (n, p, 4); result (n, m', 3), (n,).
-    """
+    """Return convex polygons (n, m, 3) cut by half-spaces (n, p, 4), many at a time (Sutherland and Hodgman)."""
     for p in range(planes.shape[1]):
         plane = planes[:, p]
         height = np.einsum("nmi,ni->nm", ring, plane[:, :3]) - plane[:, 3:]
@@ -176,19 +173,11 @@ class WallLookup:
         self._walls = walls
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Crossings of segments and walls strictly between their endpoints; see `crossed_pieces`.
-
-        Shapes: start, stop (n, 3) m; result (m,).
-        """
+        """Crossings (m,) of segments (n, 3) and walls strictly between their endpoints; see `crossed_pieces`."""
         return crossed_pieces(self._walls, start, stop)
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
-        """Return pairs of a beam and a wall that it may meet, in another plane than its last.
-
-        Shapes: sides (W,); result (m,).
-
-        ears: where given, only walls by which a beam may reach a receiver that sees them.
-        """
+        """Return pairs (m,) of a beam and a wall off its last plane; with `ears` those that a receiver sees."""
         walls = self._walls
         beam, wall = walls.tree.meeting_planes(beams.planes, beams.slack)
         height = np.einsum("ni,ni->n", beams.centre[beam], walls.normal[wall]) - walls.offset[wall]
@@ -226,10 +215,7 @@ class WallLookup:
 
 
 def crossed_pieces(walls: Walls, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-    """Crossings of segments and walls strictly between their endpoints.
-
-    Shapes: start, stop (n, 3) m; result (m,).
-    """
+    """Crossings (m,) of segments between places (n, 3), m, and walls strictly between their endpoints."""
     tolerance = INSIDE * walls.size
     row, wall = walls.tree.meeting_segments(start, stop, tolerance)
     normal, offset = walls.normal[wall], walls.offset[wall]

@@ -201,10 +201,7 @@ def in_batches(
 
 
 def fill_batch(plan: Plan, active: list[ActivePaths], apart: int = 1) -> PathBatch:
-    """Return the slots of some pairs' active paths, sorted by the middle of their delays.
-
-    apart: slots side by side that are dealt from so many equal stretches of that order.
-    """
+    """Return the slots of pairs' active paths by their middle delays, dealt from `apart` stretches of that order."""
     path, padding, first = [], [], [0]
     for pair in active:
         order = pair.rows[np.argsort(pair.low + pair.high, kind="stable")]
