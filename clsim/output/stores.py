@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.pictures.spectrogram import Readable
+    from clsim.pictures.plots import Readable
 
 STORE_FORMAT = 1
 
