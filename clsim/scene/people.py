@@ -238,7 +238,6 @@ def walking_person(name: str, height: float, trajectory: Trajectory, shadow: boo
 
     Examples
     --------
-    >>> from clsim import Trajectory, walking_person
     >>> parts = walking_person("Ada", 1.75, Trajectory.line((1, 2, 0), (4, 2, 0), 3.0))
     >>> len(parts), parts[0].name
     (13, 'Ada head')
@@ -382,7 +381,6 @@ def hand(
 
     Examples
     --------
-    >>> from clsim import Trajectory, hand
     >>> wave = hand("hand", Trajectory.fixed((2.0, 1.0, 1.0)), opening=[(0.0, 1.0), (0.4, 0.0), (0.8, 1.0)])
     >>> len(wave), wave[1].name, wave[1].trajectory.end
     (11, 'hand thumb', 0.8)

@@ -343,7 +343,6 @@ class Scatterer:
 
         Examples
         --------
-        >>> from clsim import Scatterer, Trajectory
         >>> Scatterer.point("bat", -40.0, Trajectory.fixed((2.0, 1.0, 1.0))).shape.strongest
         0.01
         """
@@ -382,7 +381,6 @@ class Scatterer:
 
         Examples
         --------
-        >>> from clsim import Scatterer, Trajectory
         >>> Scatterer.sphere("ball", 0.05, Trajectory.fixed((2.0, 1.0, 1.0))).shape
         SphereShape(radius=0.05)
         """
@@ -424,7 +422,6 @@ class Scatterer:
 
         Examples
         --------
-        >>> from clsim import Scatterer, Trajectory
         >>> hand = Scatterer.ellipsoid("hand", (0.09, 0.05, 0.02), Trajectory.fixed((2.0, 1.0, 1.0)))
         >>> hand.shape.radius
         0.09
@@ -475,7 +472,6 @@ class Scatterer:
 
         Examples
         --------
-        >>> from clsim import Scatterer, Trajectory
         >>> finger = Scatterer.capsule("finger", 0.009, 0.07, Trajectory.fixed((2.0, 1.0, 1.0)))
         >>> round(finger.shape.radius, 3)
         0.044

@@ -320,7 +320,6 @@ def speed_noise(times: Floats, positions: Floats) -> float:
 
     Examples
     --------
-    >>> import numpy as np
     >>> t = np.linspace(0.0, 10.0, 1001)
     >>> noise = np.random.default_rng(1).normal(scale=1e-4, size=(1001, 3))
     >>> round(speed_noise(t, noise + np.sin(t)[:, None]), 3)  # 1.573 * 1e-4 / 0.01

@@ -195,7 +195,6 @@ class Motion:
 
         Examples
         --------
-        >>> import numpy as np
         >>> from clsim import Trajectory
         >>> push = Trajectory.line((0, 0, 1), (2, 0, 1), duration=4.0)
         >>> push.speed_over(np.array([1.0, 9.0]), np.array([1e6, 1e6]))
@@ -244,7 +243,6 @@ class Motion:
 
         Examples
         --------
-        >>> import numpy as np
         >>> from clsim import Trajectory
         >>> turn = [[0, 0, 0, 1], [0, 0, np.sin(0.5), np.cos(0.5)]]
         >>> Trajectory.waypoints([0, 2], [[1, 1, 1], [2, 1, 1]], turn).angular_velocity(1.0).round(9)

@@ -334,7 +334,6 @@ class Trajectory(Motion):
 
         Examples
         --------
-        >>> import numpy as np
         >>> sway = Trajectory.sampled(lambda t: np.stack([np.sin(t), 0 * t, 0 * t], axis=1), 2.0, rate=100.0)
         >>> bool(abs(sway.velocity(1.0)[0] - np.cos(1.0)) < 1e-8)
         True
