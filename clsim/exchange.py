@@ -25,13 +25,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
     from clsim.recording import Recording
     from clsim.scene.ends import Receiver, Source
     from clsim.scene.scene import Scene
 
-    Message = tuple[int, str, str, Any]
+    Message = tuple[int, str, str, Any]  # nanoseconds, topic, kind, content
 
 _STEPS = 2**23  # of 24 bits, on either side of 0
 _FINEST = 65_535  # Hz up to which the format's frames hold any whole rate; beyond, tens
