@@ -101,15 +101,7 @@ class Gait:
 
 
 def cycle_duration(relative_speed: Floats) -> Floats:
-    """Return duration of two steps, ``1.346 / sqrt(v)`` s at v leg lengths a second.
-
-    Shapes: relative_speed (n,).
-
-    Examples
-    --------
-    >>> cycle_duration(np.array([1.0, 4.0])).tolist()
-    [1.346, 0.673]
-    """
+    """Return the duration of two steps, ``1.346 / sqrt(v)`` s, at v leg lengths a second (n,)."""
     return np.asarray(1.346 / np.sqrt(relative_speed))
 
 

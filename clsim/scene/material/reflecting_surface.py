@@ -89,10 +89,7 @@ def as_transmission(
 
 @dataclass(frozen=True, eq=False)
 class Scattering:
-    """Shares of the energy sent back that are scattered, at increasing frequencies; held beyond the ends.
-
-    Shapes: frequencies (n,) Hz; values (n,).
-    """
+    """Shares (n,) of the energy sent back that are scattered, at increasing frequencies (n,), Hz; held beyond."""
 
     frequencies: Floats
     values: Floats
@@ -153,22 +150,11 @@ class SurfaceModel(Protocol):
         ...
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return factors.
+        """Return reflection factors: complex128 if `is_complex`, else float64.
 
-        Parameters
-        ----------
-        frequency : ndarray (...)
-            Hz, within the band.
-        cosine : ndarray (...)
-            Of the angle of incidence; broadcasts against `frequency`.
-        speed_of_sound : float
-            In the air, m/s.
-
-        Returns
-        -------
-        ndarray
-            Float64, or complex128 if `is_complex`: of the shape to which the arguments broadcast, or, where
-            nothing depends on the angle, of that of `frequency`.
+        They are asked for at frequencies (...), Hz, within the band, cosines (...) of the angle of incidence, and the
+        speed of sound, m/s. They have the shape to which both broadcast or, where nothing depends on the angle, that of
+        the frequencies.
         """
         ...
 
