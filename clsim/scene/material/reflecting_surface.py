@@ -150,11 +150,22 @@ class SurfaceModel(Protocol):
         ...
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return reflection factors: complex128 if `is_complex`, else float64.
+        """Return factors.
 
-        They are asked for at frequencies (...), Hz, within the band, cosines (...) of the angle of incidence, and the
-        speed of sound, m/s. They have the shape to which both broadcast or, where nothing depends on the angle, that of
-        the frequencies.
+        Parameters
+        ----------
+        frequency : ndarray (...)
+            Hz, within the band.
+        cosine : ndarray (...)
+            Of the angle of incidence; broadcasts against `frequency`.
+        speed_of_sound : float
+            In the air, m/s.
+
+        Returns
+        -------
+        ndarray
+            Float64, or complex128 if `is_complex`: of the shape to which the arguments broadcast, or, where
+            nothing depends on the angle, of that of `frequency`.
         """
         ...
 
