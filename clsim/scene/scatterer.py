@@ -331,11 +331,6 @@ class Scatterer:
         trajectory : Trajectory
             Where it is.
 
-        Returns
-        -------
-        Scatterer
-            A point.
-
         Raises
         ------
         InputError
@@ -368,11 +363,6 @@ class Scatterer:
         model : {"series", "geometrical", "outline"}
             The series over its modes, exact at every frequency, distance and angle, shadow included; geometrical
             optics, which cast no shadow; or these with the shadow of its outline, as ellipsoids have.
-
-        Returns
-        -------
-        Scatterer
-            A sphere.
 
         Raises
         ------
@@ -409,11 +399,6 @@ class Scatterer:
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
-
-        Returns
-        -------
-        Scatterer
-            An ellipsoid.
 
         Raises
         ------
@@ -459,11 +444,6 @@ class Scatterer:
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
-
-        Returns
-        -------
-        Scatterer
-            A capsule.
 
         Raises
         ------
