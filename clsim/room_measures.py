@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.decay import (
+from clsim.acoustics.room_acoustics import (
     SPEECH_BANDS,
     SPEECH_DB,
     before_noise,

@@ -14,7 +14,7 @@ from scipy.signal import firwin
 from scipy.signal.windows import tukey
 
 import clsim
-from clsim.acoustics.decay import eyring_time, reverberation_time
+from clsim.acoustics.room_acoustics import eyring_time, reverberation_time
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.render.contributions import Contribution
