@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationError
 
-from clsim.acoustics.decay import absorption_for
+from clsim.acoustics.room_acoustics import absorption_for
 from clsim.arrays import as_floats
 from clsim.errors import InputError, not_one_of
 from clsim.files.input_files import read_toml
