@@ -1,4 +1,5 @@
 from clsim import score as score
+from clsim import torch as torch
 from clsim.decoding import decode_binaural
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.exchange import array_signals, write_acoular, write_flac, write_mat, write_mcap
@@ -42,6 +43,7 @@ from clsim.scene.transducer.transducer import Transducer
 from clsim.scene_file import load_scene
 from clsim.study.batch import RenderedScene, render_batch
 from clsim.study.run import run_study
+from clsim.study.shards import read_shards
 from clsim.tracks.tracks import Tracks, track
 from clsim.version import __version__ as __version__
 from clsim.workflow.load_recording import load_recording
@@ -110,6 +112,7 @@ __all__ = [
     "open_store",
     "plan_render",
     "positions_from_file",
+    "read_shards",
     "receiver_array",
     "render",
     "render_batch",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import io
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 _STEPS = 2**23  # of 24 bits, on either side of 0
 _FINEST = 65_535  # Hz up to which the format's frames hold any whole rate; beyond, tens
 _FASTEST = 655_350  # Hz
+_CHANNELS = 8  # of a file at most
 _BLOCK = 2**20  # samples converted at a time
 _LARGEST = 2**31 - 2**16  # bytes of a variable in a file of version 5
 _KEPT = ("delay", "doppler_factor", "line_of_sight", "radial_speed")
@@ -113,6 +115,26 @@ def write_flac(recording: Recording, folder: str | PathLike[str], *, full_scale:
     for path, samples, name, unit in rows:
         _write(path, as_frames(samples[None]), rate, scales[unit], (name, unit))
     return paths
+
+
+def flac_bytes(frames: NDArray[np.float32], rate: float) -> tuple[bytes, float]:
+    """Return frames (n, channels) as a FLAC file of 24 bits, and its full scale."""
+    import soundfile
+
+    if frames.shape[1] > _CHANNELS:
+        raise InputError("format", f"must be wav for more than {_CHANNELS} channels, but there are {frames.shape[1]}")
+    buffer, scale = io.BytesIO(), _power_above(_peak(frames))
+    part = np.rint(frames.astype(np.float64) * (_STEPS / scale)).astype(np.int32) << 8
+    soundfile.write(buffer, part, _rate(rate), subtype="PCM_24", format="FLAC")
+    return buffer.getvalue(), scale
+
+
+def decoded_frames(content: bytes, scale: float) -> NDArray[np.float32]:
+    """Return the frames (n, channels) of a FLAC file of a given full scale."""
+    import soundfile
+
+    frames: NDArray[np.float32] = soundfile.read(io.BytesIO(content), dtype="float32", always_2d=True)[0]
+    return frames * np.float32(scale)
 
 
 def _rate(value: float) -> int:

@@ -196,6 +196,15 @@ def eyring_time(volume: float, surface: float, absorption_area: Floats, air: Flo
     return sabine_time(volume, area, air, speed_of_sound)
 
 
+def absorption_for(seconds: Floats, volume: float, surface: float, speed_of_sound: float = 343.2) -> Floats:
+    """Return the absorption coefficients of walls with which Eyring's time of a room, without its air, is `seconds`.
+
+    ``1 - exp(-24 ln(10) V / (c S T))``, solved for the absorption (H. Kuttruff, "Room Acoustics", 6th edition, 2016,
+    eq. 5.24).
+    """
+    return -np.expm1(-24.0 * math.log(10.0) * volume / (speed_of_sound * surface * np.asarray(seconds)))
+
+
 def lateral_fractions(omni: Floats, eight: Floats, sampling_rate: float, begin: int = 0) -> tuple[float, float]:
     """Early lateral energy fractions LF and LFC of responses (n,) whose direct sound is at a sample, `begin`.
 

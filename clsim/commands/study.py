@@ -35,11 +35,12 @@ def execute(options: argparse.Namespace) -> int:
         options.study, options.output, resume=options.resume, retry=options.retry, limit=options.limit,
         workers=options.workers, scheduler=options.scheduler, progress=progress,
     )  # fmt: skip
+    results = "shards" if (options.output / "shards").exists() else "study.zarr"
     failed = [row for row in rows if row.status == "failed"]
     for row in failed[:_SHOWN]:
         print(f"clsim: member {row.member} failed: {row.error}", file=sys.stderr)
     if len(failed) > _SHOWN:
         print(f"clsim: and {len(failed) - _SHOWN} more", file=sys.stderr)
-    print(f"{len(rows) - len(failed)} of {len(rows)} members finished in {options.output / 'study.zarr'}")
+    print(f"{len(rows) - len(failed)} of {len(rows)} members finished in {options.output / results}")
     print(options.output / "index.jsonl")
     return 1 if failed else 0

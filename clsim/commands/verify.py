@@ -8,6 +8,7 @@ from clsim.commands.arguments import as_path
 from clsim.errors import InputError
 from clsim.output import record as runs
 from clsim.study import member as studies
+from clsim.study import shards
 
 if TYPE_CHECKING:
     import argparse
@@ -26,6 +27,8 @@ def execute(options: argparse.Namespace) -> int:
         changed, count = runs.changed_results(folder, record), len(record.files)
     elif (folder / studies.STORE).is_dir():
         changed, count = studies.changed_results(folder / studies.STORE)
+    elif (folder / shards.FOLDER).is_dir():
+        changed, count = shards.changed_shards(folder)
     else:
         raise InputError("folder", f"must hold results of clsim run or clsim study, but {folder} does not")
     for name in changed:

@@ -410,14 +410,33 @@ def _compressors() -> list[Any]:
     return [ZstdCodec(level=0), Crc32cCodec()]
 
 
-def write_zarr(content: Any, path: Path, mode: str) -> None:
-    """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum."""
-    fresh = [name for name in content.variables if not (path / name).exists()]  # others keep theirs
-    encoding = {name: {"compressors": _compressors()} for name in fresh}
-    uninterrupted(
-        content.assign_attrs(ALL_CHUNKS).to_zarr, path, mode=mode, consolidated=False, zarr_format=3,
-        encoding=encoding, write_empty_chunks=True,
-    )  # fmt: skip
+def write_zarr(content: Any, path: Path, mode: Literal["a", "w-"]) -> None:
+    """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum.
+
+    The metadata of arrays that are there already are gathered with the others. Zarr writes into memory: for many small
+    arrays its threads take longer than all else.
+    """
+    import zarr
+    from zarr.core.buffer import default_buffer_prototype
+
+    made = default_buffer_prototype().buffer.from_bytes
+    there = {p.relative_to(path).as_posix(): p for p in path.glob("*/zarr.json")}
+    data = {name: made(file.read_bytes()) for name, file in there.items()}
+    store = zarr.storage.MemoryStore(data)
+    encoding = {
+        name: {"compressors": _compressors()} for name in content.variables if f"{name}/zarr.json" not in there
+    }  # others keep theirs
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know gathering yet
+        content.assign_attrs(ALL_CHUNKS).to_zarr(
+            store, mode="a", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
+        )
+        zarr.consolidate_metadata(store)
+    path.mkdir(exist_ok=mode == "a")
+    for name, buffer in data.items():
+        if name not in there:
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            (path / name).write_bytes(buffer.to_bytes())
 
 
 def consolidate(path: Path) -> None:

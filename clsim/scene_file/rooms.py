@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationError
 
+from clsim.acoustics.room_acoustics import absorption_for
+from clsim.arrays import as_floats
 from clsim.errors import InputError, not_one_of
 from clsim.files.input_files import read_toml
 from clsim.scene.material.material import Material
@@ -45,6 +48,11 @@ class _Echo(Table):
     band: Pair | None = None
     outside: Hold = None
     tolerance: float = 0.05
+
+
+class _Decay(Model):
+    frequencies: list[float]
+    seconds: list[float]
 
 
 class _Scattering(Model):
@@ -94,16 +102,18 @@ class MaterialModel(Table):
     wav: _ImpulseResponseFile | None = None
     solid: _Solid | None = None
     porous: _Porous | None = None
+    reverberation_time: float | _Decay | None = None
     roughness: float = 0.0
     scattering: float | _Scattering | None = None
     transmission: _Transmission | None = None
 
-    def build(self, base: Path = Path()) -> Material:
+    def build(self, base: Path = Path(), room: tuple[float, float] | None = None) -> Material:
+        """Return the material; `room` has volume, m³, and area, m², of the room if all of its walls are of it."""
         ways = [name for name in type(self).model_fields if name not in ("roughness", "scattering", "transmission")]
         given = [name for name in ways if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError("", f"must have one of {', '.join(ways)}, but has {' and '.join(given) or 'none of them'}")
-        material = self._built(given[0], base)
+        material = self._built(given[0], base, room)
         if self.scattering is not None:
             told = self.scattering
             coefficients = told if isinstance(told, float) else (told.frequencies, told.values)
@@ -115,8 +125,10 @@ class MaterialModel(Table):
         except InputError as error:
             raise InputError("roughness", error.problem) from error
 
-    def _built(self, way: str, base: Path) -> Material:
+    def _built(self, way: str, base: Path, room: tuple[float, float] | None) -> Material:
         value = getattr(self, way)
+        if way == "reverberation_time":
+            return within(way, partial(_decaying, value, room))
         if isinstance(value, Table):
             made: Material = built(way, value, base)
             return made
@@ -124,6 +136,20 @@ class MaterialModel(Table):
             return Material.named(value) if isinstance(value, str) else Material.from_reflection(_number("", value))
         except InputError as error:  # the constructor's word for it is another
             raise InputError(way, error.problem) from error
+
+
+def _decaying(given: float | _Decay, room: tuple[float, float] | None) -> Material:
+    """Return the material of a room's walls that gives it a reverberation time."""
+    if room is None:
+        raise InputError("", "must stand in the one material of all walls of a shoebox, but stands elsewhere")
+    frequencies, seconds = ([1000.0], [given]) if isinstance(given, float) else (given.frequencies, given.seconds)
+    times = as_floats("" if isinstance(given, float) else "seconds", seconds, (len(frequencies),))
+    if not (times > 0.0).all():
+        raise InputError("", f"must be above 0 s, but is {times.min():g} s")
+    absorbed = absorption_for(times, *room)
+    if isinstance(given, float):
+        return Material.from_reflection(math.sqrt(1.0 - absorbed[0]))
+    return Material.from_absorption(frequencies, absorbed)
 
 
 _WORDS = frozenset(MaterialModel.model_fields)
@@ -297,6 +323,13 @@ class ShoeboxRoomModel(_WithObstacles):
     ]
 
     constructor = Shoebox
+
+    def parts(self, base: Path) -> dict[str, Any]:
+        walls, (x, y, z) = self.walls, self.size
+        if not isinstance(walls, MaterialModel):
+            return super().parts(base)
+        room = x * y * z, 2.0 * (x * y + y * z + z * x)
+        return {"size": self.size, "walls": within("walls", partial(walls.build, base, room))}
 
 
 class MeshRoomModel(_WithObstacles, MeshModel):

@@ -7,6 +7,7 @@ import importlib.util
 import json
 import sys
 from collections import deque
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -21,14 +22,16 @@ from clsim.paths.ground_truth import SCALARS, VECTORS
 from clsim.paths.path_table import ATTRIBUTES
 from clsim.recording import Recording
 from clsim.render.render import Rendering
-from clsim.scene_file.scene import build_scene
-from clsim.study.file import TAKEN
+from clsim.study.file import SOUNDS, TAKEN
+from clsim.study.parts import add_direct_labels, add_room_measures, with_parts
 from clsim.workflow.checkpoint import run_identity
 from clsim.workflow.pipeline import check_table_size, plan_scene, render_into, table_times
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from clsim.output.stores import SoundStore
     from clsim.paths.ground_truth import DirectPath, EchoTruth
@@ -40,9 +43,20 @@ if TYPE_CHECKING:
 _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 
 
-def computed(study: Study, member: Member, device: str | None, folder: Path) -> tuple[Any, Path, str]:
-    """Render a member into a group, if its sound is kept."""
-    file = build_scene(study.content_of(member), study.base)
+@dataclass(frozen=True, slots=True, eq=False)
+class Computed:
+    """Results of a member that are not written yet."""
+
+    content: Any  # an xarray Dataset: all but the sound
+    sounds: dict[str, NDArray[Any]]  # (rows, n) by their word in `keep`, but for a recording that is in `group`
+    attributes: dict[str, Any]  # of each sound in a store
+    group: Path  # that holds the sound of a recording which is written as it is rendered
+    device: str  # by id and name
+
+
+def computed(study: Study, member: Member, device: str | None, folder: Path) -> Computed:
+    """Render a member, the sound into a group of a folder if it is kept alone and in no shards."""
+    file, noise = study.parts_of(member)
     planned = plan_scene(file if device is None else file.on_device(device))
     plan, sound = planned.plan, planned.stored_sound(study.base)
     content = sound.coordinates()
@@ -50,16 +64,22 @@ def computed(study: Study, member: Member, device: str | None, folder: Path) -> 
         "parameters": json.dumps(member.parameters), "identity": json.dumps(run_identity(planned)),
     }  # fmt: skip
     store = member_store(folder, sound)
-    recording = _recorded(planned, store if "recording" in study.keep else None, folder if study.metrics else None)
-    if "ground_truth" in study.keep or "paths" in study.keep:
-        _add_tables(content, study, planned)
+    wanted = set(study.keep) & SOUNDS
+    streamed = wanted == {"recording"} and noise is None and study.shards is None
+    whole = bool(study.metrics or (wanted and not streamed))
+    recording = _recorded(planned, store if streamed else None, folder if whole else None)
+    sounds: dict[str, NDArray[Any]] = {}
+    if recording is not None and not streamed:
+        recording, sounds = with_parts(study, member, planned, recording, noise)
+    _add_tables(content, study, planned)
     if study.metrics:
         function = metrics_function(study.metrics, study.folder)
         metrics = function(recording, planned.paths, dict(member.parameters))
-        sound_taken = ["sound"] if "recording" in study.keep else []  # it is in the group already
-        _add_metrics(content, metrics, {*TAKEN, *member.parameters, *sound_taken})
+        _add_metrics(content, metrics, {*TAKEN, *member.parameters, *wanted, "sound"})
     used = None if plan.options.engine != "opencl" else find_device(plan.options.device)[0]
-    return content, store.paths[0], "" if used is None else f"{used.id} {used.name}"
+    return Computed(
+        content, sounds, sound.sound_attributes, store.paths[0], "" if used is None else f"{used.id} {used.name}"
+    )
 
 
 def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | None) -> Recording | None:
@@ -86,11 +106,19 @@ def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | No
 
 
 def _add_tables(content: Any, study: Study, planned: PlannedScene) -> None:
-    if "paths" in study.keep:
+    kept = set(study.keep)
+    if "room_measures" in kept:
+        add_room_measures(content, planned)
+    if "paths" in kept:
         check_table_size(planned.plan, "keep", 'must leave out "paths"')
+    if not kept & {"ground_truth", "paths"}:
+        return
     times = table_times(planned.plan, study.table_rate, "table_rate")
     if "ground_truth" in study.keep:
-        _add_ground_truth(content, planned.ground_truth(times), planned.paths.scene)
+        found = planned.ground_truth(times)
+        _add_ground_truth(content, found, planned.paths.scene)
+        if study.shards is not None:
+            add_direct_labels(content, found, planned)
         for echo in planned.echo_truths(times):
             _add_echo_truth(content, echo)
     if "paths" in study.keep:

@@ -7,7 +7,6 @@ import itertools
 import json
 import math
 import re
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -18,19 +17,24 @@ from pydantic import Field, ValidationError
 from clsim.arrays import as_count, as_number
 from clsim.errors import InputError
 from clsim.files.input_files import read_toml
-from clsim.scene_file.model import UNKNOWN, Model, explain
+from clsim.packages import check_packages
+from clsim.scene_file.model import UNKNOWN, Model, explain, within
 from clsim.scene_file.scene import build_scene, referenced_files
+from clsim.study.draws import Place, RandomModel, draws
+from clsim.study.noise import NoiseModel
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable
 
+    from clsim.scene_file.scene import SceneFile
+
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)|\[(\d+|\*)\]")
-Keep = Literal["recording", "ground_truth", "paths", "metrics"]
+Keep = Literal["recording", "direct", "reverberant", "noise", "ground_truth", "paths", "room_measures", "metrics"]
+PARTS = {"direct", "reverberant"}  # of the sound of paths
+SOUNDS = PARTS | {"recording", "noise"}
 DEFAULT_LIMIT = 1000
 _COUNTABLE = 10**18  # members
-_MOST_DRAWN = 10**7  # numbers
-_LARGEST = 1e300  # of them: sums and products stay finite
 TAKEN = ("member", "status", "seconds", "error", "receiver")  # names in the summary
 
 
@@ -92,19 +96,19 @@ class _Range(Model):
     count: Annotated[int, Field(ge=1)]
 
 
-class _Random(Model):
-    uniform: list[Any] | None = None
-    log_uniform: list[Any] | None = None
-    normal: list[Any] | None = None
-    choice: list[Any] | None = None
-
-
 class _Vary(Model):
     field: str | list[str]
     name: str | list[str] | None = None
     values: list[Any] | None = None
     range: _Range | None = None
-    random: _Random | None = None
+    random: RandomModel | None = None
+
+
+class ShardsModel(Model):
+    """The table ``[shards]`` of a study: results in archives of many members."""
+
+    members: Annotated[int, Field(ge=1, le=100_000)] = 100  # of each
+    format: Literal["wav", "flac"] = "wav"
 
 
 class _StudyModel(Model):
@@ -117,6 +121,8 @@ class _StudyModel(Model):
     table_rate: float = 100.0
     draws: int | None = None
     seed: int = 0
+    noise: NoiseModel | None = None
+    shards: ShardsModel | None = None
     vary: Annotated[list[_Vary], Field(min_length=1)]
 
 
@@ -145,18 +151,32 @@ class Study:
     metrics: str  # ``"module:function"``, or empty
     table_rate: float  # instants of the ground truth per second
     members: tuple[Member, ...]  # all of them
+    seed: int = 0  # of what is random
+    shards: ShardsModel | None = None  # None for a store with a group per member
 
     def content_of(self, member: Member) -> dict[str, Any]:
-        """Return the content of a member's scene file."""
+        """Return the content of a member's scene file, with the table of its noise."""
         content = self.content
         for field, value in member.changes.items():
             content = replaced(content, field, value)
         return content
 
+    def parts_of(self, member: Member) -> tuple[SceneFile, NoiseModel | None]:
+        """Return a member's scene and its noise."""
+        content = dict(self.content_of(member))
+        noise = content.pop("noise", None)
+        return build_scene(content, self.base), None if noise is None else as_noise(noise)
+
     def check(self, member: Member) -> list[Path]:
         """Check a member's scene; return the files that it names."""
         try:
-            return referenced_files(build_scene(self.content_of(member), self.base))
+            file, noise = self.parts_of(member)
+            if noise is not None and any(len(r.directivity.channels) > 1 for r in file.scene.receivers):
+                raise InputError("noise", "must come with receivers of one channel each, but some have several")
+            if PARTS & set(self.keep) and any(r.electronics is not None for r in file.scene.receivers):
+                named = ", ".join(sorted(PARTS & set(self.keep)))
+                raise InputError("keep", f"must leave out {named} where receivers have electronics")
+            return referenced_files(file)
         except InputError as error:
             unknown = [f for f in member.changes if error.problem.startswith(UNKNOWN) and _reaches(f, error.field)]
             if unknown:
@@ -171,6 +191,14 @@ def _reaches(path: str, field: str) -> bool:
     )
 
 
+def as_noise(content: Any) -> NoiseModel:
+    """Return the noise of a table."""
+    try:
+        return within("noise", NoiseModel.model_validate(content).checked)
+    except ValidationError as error:
+        raise explain(error, content, NoiseModel).within("noise") from error
+
+
 def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Study:
     """Read a study file and the scene file that it names."""
     path = Path(path)
@@ -180,6 +208,8 @@ def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Stud
     except ValidationError as error:
         raise explain(error, content, _StudyModel) from error
     as_count("seed", model.seed, at_least=0)
+    if model.shards is not None:
+        check_packages("shards", "a table of labels", "parquet", "pyarrow")
     if model.draws is not None:
         as_count("draws", model.draws, at_least=1)
     as_number("table_rate", model.table_rate, above=0.0, at_most=1e6, unit="Hz")
@@ -192,23 +222,29 @@ def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Stud
         raise InputError("metrics", 'must be given, "module:function", if and only if keep has "metrics"')
     if model.metrics is not None and not all(model.metrics.partition(":")):
         raise InputError("metrics", f'must be "module:function", but is {model.metrics!r:.80}')
+    if "noise" in keep and model.noise is None:
+        raise InputError("keep", "must leave out noise, because there is no table [noise]")
     scene = path.parent / model.scene
     try:
         base = read_toml(scene)
     except InputError as error:
         raise InputError("scene", str(error)) from error
-    members = _members(model, base, as_count("limit", limit, at_least=1))
+    if model.noise is not None:
+        base = base | {"noise": within("noise", model.noise.checked).arguments()}
+    folders = path.parent.resolve(), scene.parent.resolve()
+    members = _members(model, base, as_count("limit", limit, at_least=1), *folders)
     return Study(
-        base, scene.parent.resolve(), path.parent.resolve(), tuple(keep), model.metrics or "", model.table_rate, members
-    )
+        base, folders[1], folders[0], tuple(keep), model.metrics or "", model.table_rate, members, model.seed,
+        model.shards,
+    )  # fmt: skip
 
 
-def _members(model: _StudyModel, content: dict[str, Any], limit: int) -> tuple[Member, ...]:
+def _members(model: _StudyModel, content: dict[str, Any], limit: int, folder: Path, base: Path) -> tuple[Member, ...]:
     """Return every combination of the axes' values; all random fields are one axis, drawn together."""
     for many in (model.draws or 0, *(vary.range.count for vary in model.vary if vary.range is not None)):
         _check_count(many, limit)  # before as many values are made
     axes: list[list[dict[str, Any]]] = []
-    drawn: dict[str, list[Any]] = {}
+    drawn: list[list[dict[str, Any]]] = []
     names: dict[str, str] = {}
     for i, vary in enumerate(model.vary):
         try:
@@ -216,19 +252,32 @@ def _members(model: _StudyModel, content: dict[str, Any], limit: int) -> tuple[M
             if vary.random is None:
                 axes.append(_values(vary, fields))
             else:
-                drawn[fields[0]] = _draws(vary.random, fields, model)
+                if model.draws is None:
+                    raise InputError("random", "must come with draws, the number of them, at the top of the study file")
+                values = draws(vary.random, fields, model.seed, model.draws, folder, base)
+                drawn.append([dict(zip(fields, row, strict=True)) for row in values])
         except InputError as error:
             raise error.within(f"vary[{i}]") from error
     if drawn:
-        axes.append([dict(zip(drawn, row, strict=True)) for row in zip(*drawn.values(), strict=True)])
+        axes.append([{f: v for part in row for f, v in part.items()} for row in zip(*drawn, strict=True)])
     elif model.draws is not None:
         raise InputError("draws", "must be left out, because nothing is random")
     _check_count(math.prod(len(axis) for axis in axes), limit)
     members = []
     for number, row in enumerate(itertools.product(*axes)):
-        changes = {field: value for part in row for field, value in part.items()}
+        changes = _placed(content, {field: value for part in row for field, value in part.items()}, base)
         members.append(Member(number, {names[field]: value for field, value in changes.items()}, changes))
     return tuple(members)
+
+
+def _placed(content: dict[str, Any], changes: dict[str, Any], base: Path) -> dict[str, Any]:
+    """Put places into a member's own room."""
+    places = {field: value for field, value in changes.items() if isinstance(value, Place)}
+    if not places:
+        return changes
+    for field, value in changes.items():
+        content = content if field in places else replaced(content, field, value)
+    return changes | {field: place.within(content.get("room", {}), base) for field, place in places.items()}
 
 
 def _check_count(count: int, limit: int) -> None:
@@ -259,7 +308,7 @@ def _fields(vary: _Vary, content: dict[str, Any], names: dict[str, str]) -> list
     given = [name for name in ("values", "range", "random") if getattr(vary, name) is not None]
     if len(given) != 1:
         raise InputError("", f"must have one of values, range, random, but has {' and '.join(given) or 'none'}")
-    if len(fields) > 1 and vary.values is None:
+    if len(fields) > 1 and vary.range is not None:
         raise InputError("field", f"must be a single one for {given[0]}, but are {len(fields)}")
     return fields
 
@@ -281,49 +330,6 @@ def _values(vary: _Vary, fields: list[str]) -> list[dict[str, Any]]:
                 f"values[{k}]", f"must be a list of one value per field, {len(fields)}, but is {row!r:.80}"
             )
     return [dict(zip(fields, row, strict=True)) for row in values]
-
-
-def _draws(random: _Random, fields: list[str], model: _StudyModel) -> list[Any]:
-    """Return the draws of a field; they depend on seed and field only, so another field changes none of them."""
-    given = {name: value for name, value in random.arguments().items() if value is not None}
-    if len(given) != 1:
-        raise InputError("random", f"must have one distribution, but has {' and '.join(given) or 'none'}")
-    if model.draws is None:
-        raise InputError("random", "must come with draws, the number of them, at the top of the study file")
-    count = model.draws
-    generator = np.random.default_rng([model.seed, zlib.crc32(fields[0].encode())])
-    (name, value), field = next(iter(given.items())), f"random.{next(iter(given))}"
-    if name == "choice":
-        if not value:
-            raise InputError(field, "must hold at least one, but is empty")
-        return [value[i] for i in generator.integers(len(value), size=count)]
-    if len(value) != 2:
-        raise InputError(field, f"must be two numbers, or two lists of them, but are {len(value)}")
-    try:
-        low, high = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in value))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(field, f"must be two numbers, or two lists of them, but is {value!r:.80}") from error
-    if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise InputError(field, f"must be finite, but is {value!r:.80}")
-    if max(np.abs(low).max(initial=0.0), np.abs(high).max(initial=0.0)) > _LARGEST:
-        raise InputError(field, f"must be within {_LARGEST:g}, but is {value!r:.80}")
-    if count * low.size > _MOST_DRAWN:
-        raise InputError(field, f"must draw at most {_MOST_DRAWN} numbers, but draws {count * low.size}")
-    shape = (count, *low.shape)
-    if name == "normal":
-        if (high < 0.0).any():
-            raise InputError(field, f"must be mean and standard deviation, but the latter is {value[1]!r:.60}")
-        drawn = generator.normal(low, high + 0.0, shape)  # NumPy refuses -0
-    else:
-        if (low > high).any():
-            raise InputError(field, f"must be low and high, but is {value!r:.80}")
-        if name == "log_uniform" and (low <= 0.0).any():
-            raise InputError(field, f"must be above 0, but is {value!r:.80}")
-        log = name == "log_uniform"
-        drawn = generator.uniform(np.log(low) if log else low, np.log(high) if log else high, shape)
-        drawn = np.clip(np.exp(drawn), low, high) if log else drawn
-    result: list[Any] = drawn.tolist()
-    return result
 
 
 def checked(study: Study, advance: Callable[[float], None]) -> set[Path]:

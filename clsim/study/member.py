@@ -15,15 +15,20 @@ from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
-from clsim.output.stores import STORE_FORMAT, consolidate, write_zarr
+from clsim.output.stores import STORE_FORMAT, write_zarr
 from clsim.output.zarr_files import arrays_with_missing_chunks, is_sealed, seal
 from clsim.packages import check_packages
+from clsim.render.memory import with_blas_threads
 from clsim.study.content import computed, metrics_function
-from clsim.study.file import Member, Study
+from clsim.study.file import Member, ShardsModel, Study
+from clsim.study.shards import Shards
 from clsim.version import __version__
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from clsim.cluster.dispatch import Call, Row
+    from clsim.study.content import Computed
 
 STORE = "study.zarr"
 INDEX = "index.jsonl"
@@ -41,6 +46,7 @@ class MemberTasks:
 
     def __init__(self, study: Study, folder: Path) -> None:
         render = study.content.get("render", {})
+        self._results = results_of(study, folder)
         self.needs_device = render.get("engine", "opencl") == "opencl"
         self._folder, self._device = folder, render.get("device")
 
@@ -53,8 +59,8 @@ class MemberTasks:
         return run_member, (str(self._folder), number)
 
     def found(self, number: int) -> Row | None:
-        """Return the row of a member whose group is in the store."""
-        return row_of_group(self._folder / STORE / f"m{number:06d}")
+        """Return the row of a member whose results are there."""
+        return self._results.row_of(number)
 
     def failed(self, number: int, error: BaseException) -> Row:
         """Return the row of a member whose call raised an error; a full disk stops all of them."""
@@ -67,15 +73,14 @@ class MemberTasks:
 
 
 def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
-    """Compute a member and write its group into the study's store; return its row of the index.
+    """Compute a member and write its results; return its row of the index.
 
-    A member whose group is there already is not computed again: it was finished by a process that died before it could
-    say so. The group appears whole or not at all.
+    A member whose results are there already is not computed again: it was finished by a process that died before it
+    could say so. They appear whole or not at all.
     """
     study = _settings(folder)
-    member = study.members[number]
-    target = Path(folder) / STORE / member.name
-    found = row_of_group(target)
+    member, results = study.members[number], results_of(study, Path(folder))
+    found = results.row_of(number)
     if found is not None:
         return found
     begun = time.perf_counter()
@@ -86,21 +91,62 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
         partial = Path(folder) / PARTIAL / f"{member.name}-{uuid.uuid4().hex}"
         partial.mkdir(parents=True)
         try:
-            content, group, row["device"] = computed(study, member, device, partial)
+            with with_blas_threads(1):  # on others digits round otherwise, and workers wait for each other
+                made = computed(study, member, device, partial)
+            row["device"] = made.device
             row["seconds"] = round(time.perf_counter() - begun, 3)
             row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
-            content.attrs["study_row"] = json.dumps(row)
-            _finish(content, group, target)
+            results.write(number, made, row)
         except (Exception, SystemExit) as error:  # of the user's function, too: the others go on
             if is_disk_full(error):
                 raise
-            if not (isinstance(error, OSError) and row_of_group(target)):  # another worker was faster
+            if not (isinstance(error, OSError) and results.row_of(number)):  # another worker was faster
                 row |= {"status": "failed", "error": in_one_line(error)}
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     row["seconds"] = round(time.perf_counter() - begun, 3)
     row["warnings"] = [str(w.message) for w in caught if issubclass(w.category, ClsimWarning)]
     return row
+
+
+class Groups:
+    """Results of a study in a Zarr store with a group per member."""
+
+    names = (STORE,)
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def _group(self, number: int) -> Path:
+        return self._folder / STORE / f"m{number:06d}"
+
+    def holds(self, number: int) -> bool:
+        """Test whether a member has results, whole or not."""
+        return self._group(number).exists()
+
+    def row_of(self, number: int) -> dict[str, Any] | None:
+        """Return the row of a member whose results are there and whole."""
+        return row_of_group(self._group(number))
+
+    def discard(self, number: int) -> None:
+        """Delete the results of a member."""
+        discard(self._group(number))
+
+    def write(self, number: int, made: Computed, row: dict[str, Any]) -> None:
+        """Write the results of a member."""
+        content = made.content
+        content.attrs["study_row"] = json.dumps(row)
+        for name, samples in made.sounds.items():
+            content["sound" if name == "recording" else name] = (("receiver", "time"), samples, made.attributes)
+        _finish(content, made.group, self._group(number))
+
+    def settled(self, number: int, rows: Mapping[int, Any]) -> None:
+        """Note that a member is done with: nothing is to be done."""
+
+
+def results_of(study: Study, folder: Path) -> Groups | Shards:
+    """Return the results of a study in a folder."""
+    return Groups(folder) if study.shards is None else Shards(folder, study)
 
 
 def row_of_group(group: Path) -> dict[str, Any] | None:
@@ -176,7 +222,8 @@ def study_to_settings(study: Study) -> dict[str, Any]:
     members = [{"parameters": m.parameters, "changes": m.changes} for m in study.members]
     return {
         "content": study.content, "base": str(study.base), "folder": str(study.folder), "keep": list(study.keep),
-        "metrics": study.metrics, "table_rate": study.table_rate, "members": members,
+        "metrics": study.metrics, "table_rate": study.table_rate, "members": members, "seed": study.seed,
+        "shards": None if study.shards is None else study.shards.arguments(),
     }  # fmt: skip
 
 
@@ -185,14 +232,14 @@ def settings_to_study(settings: dict[str, Any]) -> Study:
     members = tuple(Member(n, **member) for n, member in enumerate(settings["members"]))
     return Study(
         settings["content"], Path(settings["base"]), Path(settings["folder"]), tuple(settings["keep"]),
-        settings["metrics"], settings["table_rate"], members,
+        settings["metrics"], settings["table_rate"], members, settings["seed"],
+        None if settings["shards"] is None else ShardsModel(**settings["shards"]),
     )  # fmt: skip
 
 
 def _finish(content: Any, group: Path, target: Path) -> None:
     """Write all but the sound into a group, and give it its name when all is on the disk."""
     write_zarr(content, group, "a")
-    consolidate(group)
     seal(group)
     tree_to_disk(group)
     if row_of_group(target) is None:

@@ -17,8 +17,8 @@ from clsim.arrays import texts
 from clsim.cluster.dispatch import Dispatch
 from clsim.cluster.workers import Workers
 from clsim.errors import InputError, in_one_line, warn
-from clsim.files.atomic import locked, safe_path, uninterrupted
-from clsim.output.stores import consolidate, write_zarr
+from clsim.files.atomic import locked, remove_leftovers, safe_path, uninterrupted
+from clsim.output.stores import write_zarr
 from clsim.output.zarr_files import is_sealed, seal
 from clsim.study.content import metrics_function
 from clsim.study.file import DEFAULT_LIMIT, Study, checked, load_study
@@ -27,13 +27,15 @@ from clsim.study.member import (
     PARTIAL,
     SETTINGS,
     STORE,
+    Groups,
     MemberTasks,
     as_row,
-    discard,
+    results_of,
     root_attributes,
-    row_of_group,
     study_to_settings,
 )  # fmt: skip
+from clsim.study.shards import FOLDER as SHARDS
+from clsim.study.shards import WAITING, Shards
 from clsim.version import __version__
 from clsim.workflow.console import no_progress
 
@@ -61,29 +63,34 @@ class Index:
     A member counts as finished if its group is in the store and can be read, whatever the file says.
     """
 
-    def __init__(self, folder: Path, members: tuple[Member, ...]) -> None:
+    def __init__(self, folder: Path, members: tuple[Member, ...], results: Groups | Shards | None = None) -> None:
         self._folder, self._path = folder, folder / INDEX
+        self.results = Groups(folder) if results is None else results
         self.rows = {m.number: MemberRow(m.number, m.parameters) for m in members}
         lines = self._path.read_bytes().splitlines() if self._path.exists() else []
-        failed = [row for line in lines if (row := as_row(line)) and row["status"] == "failed"]
-        for row in failed:
-            if row["member"] in self.rows:
+        told = [row for line in lines if (row := as_row(line)) and row["member"] in self.rows]
+        for row in told:
+            if row["status"] == "failed":
                 self._take(row)
+        known = {row["member"]: row for row in told if row["status"] == "finished"}
         for member in members:
-            if (folder / STORE / member.name).exists():
-                self._take_group(member)
+            if self.results.holds(member.number):
+                self._take_results(member, known.get(member.number, {}))
 
-    def _take_group(self, member: Member) -> None:
-        """Take a member as finished, or as waiting if its group is broken; after a failure metrics are read, too."""
+    def _take_results(self, member: Member, known: dict[str, Any]) -> None:
+        """Take a member as finished, or as waiting if its results are broken; after a failure metrics are read, too.
+
+        known: its row in the index, with what its results do not tell.
+        """
+        row, failed = self.results.row_of(member.number), self.rows[member.number].status == "failed"
         group = self._folder / STORE / member.name
-        row = row_of_group(group)
-        if row is None or (self.rows[member.number].status == "failed" and isinstance(metrics_of(group), str)):
-            message = f"member {member.number} is run again: what {group} holds is broken"
-            warn(message)
-            discard(group)
+        if row is None or (failed and isinstance(self.results, Groups) and isinstance(metrics_of(group), str)):
+            where = f"what {group} holds" if isinstance(self.results, Groups) else "its archive"
+            warn(f"member {member.number} is run again: {where} is broken")
+            self.results.discard(member.number)
             self.rows[member.number] = MemberRow(member.number, member.parameters)
         else:
-            self._take(row)
+            self._take(known | row)
 
     @property
     def untouched(self) -> bool:
@@ -109,6 +116,7 @@ class Index:
             file.write(_line(taken))
             file.flush()
             os.fsync(file.fileno())
+        self.results.settled(taken.member, self.rows)
         return taken
 
     def rewrite(self) -> None:
@@ -162,7 +170,6 @@ def write_summary(folder: Path, index: Index) -> None:
     partial, final = folder / PARTIAL / "summary", folder / STORE / "summary"
     shutil.rmtree(partial, ignore_errors=True)
     write_zarr(summary, partial, "w-")
-    consolidate(partial)
     seal(partial)
     shutil.rmtree(final, ignore_errors=True)
     partial.replace(final)
@@ -289,18 +296,23 @@ def run_study(
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / ".lock", "--output"):
         begun = _begin(study, files, folder, new)
-        index = Index(folder, study.members)
+        results = results_of(study, folder)
+        index = Index(folder, study.members, results)
         dispatch = Dispatch(index.todo(retry))
         try:
             index.rewrite()
             _run(MemberTasks(study, folder), dispatch, index, doing, progress)
         except BaseException as error:
-            if any((folder / STORE / member.name).exists() for member in study.members):
+            if any(results.holds(member.number) for member in study.members):
                 error.add_note(f"what is finished is kept in {folder}: --resume goes on with it")
             elif begun and index.untouched and (scheduler is None or not dispatch.begun):
                 _undo(folder)
             raise
-        write_summary(folder, index)
+        if study.shards is None:
+            write_summary(folder, index)
+        else:
+            for number in range(0, len(study.members), study.shards.members):  # a process may have died before
+                results.settled(number, index.rows)
         index.rewrite()
         shutil.rmtree(folder / PARTIAL, ignore_errors=True)
     return tuple(index.rows[n] for n in sorted(index.rows))
@@ -312,7 +324,7 @@ def _refuse_begun(folder: Path) -> None:
         raise InputError(
             "--output", f"must hold no study yet, but {folder} does (--resume goes on, --retry also with what failed)"
         )
-    for name in (STORE, INDEX, PARTIAL):
+    for name in (STORE, SHARDS, WAITING, INDEX, PARTIAL):
         if os.path.lexists(folder / name):
             raise InputError("--output", f"must not hold {name} that is of no study, but {folder} does")
 
@@ -329,7 +341,11 @@ def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
             temporary.write_text(json.dumps(settings, indent=1), "utf-8")
     else:
         _check_same(path, json.loads(json.dumps(settings)))
-    create_store(folder)
+    if study.shards is None:
+        create_store(folder)
+    for name in () if study.shards is None else (SHARDS, WAITING):
+        (folder / name).mkdir(exist_ok=True)
+        remove_leftovers(folder / name)
     shutil.rmtree(folder / PARTIAL, ignore_errors=True)
     (folder / PARTIAL).mkdir()
     return begun
@@ -352,7 +368,7 @@ def _undo(folder: Path) -> None:
     shutil.rmtree(folder / PARTIAL, ignore_errors=True)
     for name in (INDEX, f"{STORE}/zarr.json", SETTINGS, ".lock"):
         (folder / name).unlink(missing_ok=True)
-    for empty in (folder / STORE, folder):
+    for empty in (folder / STORE, folder / SHARDS, folder / WAITING, folder):
         with suppress(OSError):  # it holds something else
             empty.rmdir()
 

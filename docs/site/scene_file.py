@@ -54,6 +54,7 @@ TEXTS = {
     "leave_out": "Materials whose polygons are not in the room.",
     "sheets_below": "Shells thinner than this are taken as sheets, m; 0 for none.",
     "reflection": "The same factor at all frequencies: a number, or `[real, imaginary]`.",
+    "reverberation_time": "In the one material of all walls of a shoebox, s: absorption with which Eyring's time is this, without obstacles and the air's share; or a table by frequency.",
     "named": "Of the built-in materials: `clsim materials` lists them.",
     "pulse": "What is repeated: a signal of its own.",
     "positions": "Where they are: a grid or a file.",
@@ -89,6 +90,7 @@ IN_TABLE = {
         "translate": "Moves what is scaled and turned, m.",
     },
     "PolygonsRoomModel": {"path": "A TOML file of corners and polygons: see [meshes](meshes.md)."},
+    "_Decay": {"frequencies": "Positive and increasing, Hz.", "seconds": "Reverberation times there, s."},
     "_Porous": {"outside": "`\"extend\"`: the model also where it was not fitted; an error where left out."},
 }  # fmt: skip
 

@@ -37,7 +37,7 @@ LAYERS = [
     ("cluster",),
     ("workflow",),
     ("study",),
-    ("measured",),
+    ("measured", "torch"),
     ("commands",),
     ("cli",),
     ("__main__",),

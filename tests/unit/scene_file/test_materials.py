@@ -90,7 +90,7 @@ def test_a_complex_number_is_a_pair(folder):
 @pytest.mark.parametrize(
     ("walls", "message"),
     [
-        ({}, r"room\.walls: must have one of reflection, named, .*, porous, but has none of them"),
+        ({}, r"room\.walls: must have one of reflection, named, .*, reverberation_time, but has none of them"),
         ({"roughness": 1e-4}, r"room\.walls: must have one of .* but has none"),
         ({"reflection": 0.9, "named": "carpet"}, r"room\.walls: must have one of .* but has reflection and named"),
         ({"reflection": 1.2}, r"room\.walls\.reflection: must be from -1 to 1, but is 1.2"),
@@ -157,7 +157,7 @@ def test_groups_of_a_mesh_may_be_called_like_a_constructor(group, tmp_path):
 
 def test_the_schema_knows_every_way():
     properties = scene_schema()["$defs"]["MaterialModel"]["properties"]
-    assert set(properties) == {*WAYS, "roughness", "scattering", "transmission"}
+    assert set(properties) == {*WAYS, "reverberation_time", "roughness", "scattering", "transmission"}
 
 
 def test_all_ways_pass_through_the_checks_of_a_scene_without_warnings(folder):

@@ -1,0 +1,139 @@
+"""Members of a study with shards as a data set of PyTorch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import as_choice, as_count, as_flag
+from clsim.errors import InputError
+from clsim.packages import check_packages
+from clsim.study.file import SOUNDS
+from clsim.study.shards import member_count, members_of, sounds_of, tables_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from os import PathLike
+    from pathlib import Path
+
+    _Base = object
+else:
+    try:
+        from torch.utils.data import IterableDataset as _Base
+    except ImportError:  # who makes a data set is told
+        _Base = object
+
+
+class Members(_Base):
+    """Members of a study that was written as shards, for ``torch.utils.data.DataLoader``.
+
+    Parameters
+    ----------
+    folder : path-like
+        Output folder of ``clsim study``.
+    sounds : sequence of str
+        Sounds of each member, by their words in the study's `keep`: ``"recording"``, ``"direct"``, ``"reverberant"``,
+        ``"noise"``.
+    labels : sequence of str
+        Columns of the shards' tables.
+    shuffle : bool
+        Whether shards, and members within each, come in another order in each epoch; see `set_epoch`.
+    seed : int
+        Of these orders.
+
+    Raises
+    ------
+    InputError
+        If an argument breaks a rule, the folder holds no shards, a package is missing, or, as members are read, a shard
+        is not what was written.
+
+    Notes
+    -----
+    Each member is a dictionary: ``key``, tensors (rows, samples) float32 of the sounds by name, and labels: numbers as
+    tensors, NaN where there is none, and texts. Workers of a loader read shards of their own, so that each member
+    comes once; there should be as many shards as workers, or more. Workers may be forked or spawned.
+
+    Examples
+    --------
+    >>> import clsim.torch
+    >>> clsim.torch.Members("nowhere")
+    Traceback (most recent call last):
+        ...
+    clsim.errors.InputError: folder: must hold shards of a study, but 'nowhere' holds none
+    """
+
+    def __init__(
+        self,
+        folder: str | PathLike[str],
+        sounds: Sequence[str] = ("recording",),
+        labels: Sequence[str] = (),
+        *,
+        shuffle: bool = False,
+        seed: int = 0,
+    ) -> None:
+        self._tables = tables_of(folder)
+        check_packages("folder", "a data set", "torch", "torch")
+        self._sounds = tuple(as_choice(f"sounds[{i}]", name, tuple(sorted(SOUNDS))) for i, name in enumerate(sounds))
+        self._labels, self._shuffle = tuple(labels), as_flag("shuffle", shuffle)
+        self._seed, self._epoch = as_count("seed", seed), 0
+
+    def __len__(self) -> int:
+        return sum(map(member_count, self._tables))
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the order of members.
+
+        Parameters
+        ----------
+        epoch : int
+            Number of the epoch, from 0; to be set before a loader's workers start.
+        """
+        self._epoch = as_count("epoch", epoch)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        from torch.utils.data import get_worker_info
+
+        chance = np.random.default_rng([self._seed, self._epoch])
+        tables = [self._tables[i] for i in chance.permutation(len(self._tables))] if self._shuffle else self._tables
+        worker = get_worker_info()
+        for table in tables if worker is None else tables[worker.id :: worker.num_workers]:
+            yield from self._members_of(table)
+
+    def _members_of(self, table: Path) -> Iterator[dict[str, Any]]:
+        """Yield the members of a shard, those of a shuffled one in an order of its own."""
+        members = members_of(table)
+        if self._shuffle:
+            held = list(members)
+            seeds = [self._seed, self._epoch, int(table.stem.rpartition("-")[2])]
+            members = (held[i] for i in np.random.default_rng(seeds).permutation(len(held)))
+        for labels, files in members:
+            yield self._tensors(labels, files)
+
+    def _tensors(self, labels: dict[str, Any], files: dict[str, bytes]) -> dict[str, Any]:
+        import torch
+
+        found: dict[str, Any] = {"key": labels["key"]}
+        for name, samples in sounds_of(labels, files, self._sounds).items():
+            found[name] = torch.from_numpy(np.ascontiguousarray(samples))
+        for name in self._labels:
+            if name not in labels:
+                raise InputError("labels", f"must be columns of the shards, but {labels['key']} has no {name!r}")
+            found[name] = _tensor(labels[name])
+        return found
+
+
+def _tensor(value: Any) -> Any:
+    """Return nested lists of numbers as a tensor; all else stays."""
+    import torch
+
+    try:
+        return torch.from_numpy(np.array(value, dtype=bool if _is_flag(value) else np.float64))
+    except (TypeError, ValueError):
+        return value
+
+
+def _is_flag(value: Any) -> bool:
+    while isinstance(value, list) and value:
+        value = value[0]
+    return isinstance(value, bool)
