@@ -1,4 +1,5 @@
 from clsim import score as score
+from clsim import torch as torch
 from clsim.decoding import decode_binaural
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.exchange import write_flac, write_mat, write_mcap
@@ -40,6 +41,7 @@ from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 from clsim.scene_file import load_scene
+from clsim.sensitivity.sensitivities import Sensitivities, gradient, sensitivities
 from clsim.study.batch import RenderedScene, render_batch
 from clsim.study.run import run_study
 from clsim.tracks.tracks import Tracks, track
@@ -84,6 +86,7 @@ __all__ = [
     "Scatterer",
     "ScattererTruth",
     "Scene",
+    "Sensitivities",
     "Shoebox",
     "Signal",
     "Source",
@@ -99,6 +102,7 @@ __all__ = [
     "decode_binaural",
     "direct_path",
     "find_paths",
+    "gradient",
     "grid_positions",
     "hand",
     "impulse_responses",
@@ -117,6 +121,7 @@ __all__ = [
     "room_measures",
     "run_study",
     "scatterer_truth",
+    "sensitivities",
     "speech_transmission",
     "track",
     "walking_person",

@@ -53,6 +53,10 @@ class Leg(Protocol):
         """Take some of the legs."""
         ...
 
+    def in_scene(self, scene: Scene, surfaces: Integers) -> Self:
+        """Make the same legs, by surfaces (P, N) as in `Links.surfaces`, in a scene that differs a little."""
+        ...
+
     def named(self, name: str) -> Iterator[tuple[str, Any]]:
         """Yield the columns of legs of a name, "image", "before" or "after" the vertex, as they are hashed."""
         ...
@@ -88,6 +92,10 @@ class Vertex(Protocol):
 
     def part(self, rows: Rows) -> Self:
         """Take some of the vertices."""
+        ...
+
+    def in_scene(self, scene: Scene) -> Self:
+        """Make the same vertices in a scene that differs a little."""
         ...
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
