@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, Rows
     from clsim.paths.propagation import Medium, UniformAir
     from clsim.paths.response import SceneResponse
+    from clsim.scene.scene import Scene
 
     Integers = NDArray[np.signedinteger[Any]]
     Columns = dict[str, Floats]
