@@ -41,6 +41,7 @@ from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 from clsim.scene_file import load_scene
+from clsim.sensitivity.sensitivities import Sensitivities, gradient, sensitivities
 from clsim.study.batch import RenderedScene, render_batch
 from clsim.study.run import run_study
 from clsim.study.shards import read_shards
@@ -86,6 +87,7 @@ __all__ = [
     "Scatterer",
     "ScattererTruth",
     "Scene",
+    "Sensitivities",
     "Shoebox",
     "Signal",
     "Source",
@@ -102,6 +104,7 @@ __all__ = [
     "decode_binaural",
     "direct_path",
     "find_paths",
+    "gradient",
     "grid_positions",
     "hand",
     "impulse_responses",
@@ -121,6 +124,7 @@ __all__ = [
     "room_measures",
     "run_study",
     "scatterer_truth",
+    "sensitivities",
     "speech_transmission",
     "track",
     "walking_person",

@@ -118,6 +118,22 @@ FADES = {
     "block_samples": INT,
     "samples": INT,
 }
+MOMENTS = (
+    (
+        "common/rounding.h", "common/vector.h", "common/polynomials.h", "render/phases.h", "render/transition.h",
+        "render/moments.cl",
+    ),
+    {
+        **BRANCHES,
+        "first_row": taken("int", "FUNCTIONS + 1"),
+        **BLOCKS,
+        "start": taken("float", "slots"), "end": taken("float", "slots"), "per_ramp": FLOAT, "block_subblocks": INT,
+        "row": taken("int", "slots"), "weights": taken("float", "rows, weight_stride"), "weight_stride": INT,
+        "first_sample": INT,
+        "taken": made("float", "blocks, slots, FUNCTIONS, 4"),
+    },
+    frozenset({"LANES", "SUBBLOCK", "OVERSAMPLING", "DELAY_TERMS", "SPARSE", "FUNCTIONS"}),
+)  # fmt: skip
 ROOM = {
     "tolerance": DOUBLE, "thickness": DOUBLE, "plane": taken("double4", "walls"), "sphere": taken("double4", "walls"),
     "same": taken("int", "walls"), "first_edge": taken("int", "walls + 1"), "first_piece": taken("int", "walls + 1"),

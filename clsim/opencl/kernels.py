@@ -27,6 +27,7 @@ from clsim.opencl.arguments import (
     INT,
     INTERVALS,
     MEETINGS,
+    MOMENTS,
     MOTION,
     NODES_MADE,
     PATHS_ACTIVE,
@@ -217,10 +218,7 @@ PROGRAMS = {
     "clear_gains": Program(
         (*_POLYNOMIALS, "render/clear_gains.cl"),
         {
-            "count": INT,
-            "slot": taken("int", "count"),
-            "block": taken("int", "count"),
-            "functions": INT,
+            "count": INT, "slot": taken("int", "count"), "block": taken("int", "count"), "functions": INT,
             "polynomials": changed("float", "blocks, slots, terms"),
             "slots": INT,
         },
@@ -247,6 +245,7 @@ PROGRAMS = {
             }
         ),
     ),
+    "moments": Program(*MOMENTS),
     "scatter": Program(
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "channels/scatter.cl"),
         SCATTER,

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, PeakSpeeds, Rows
     from clsim.paths.links import Integers, Links
     from clsim.paths.response import SceneResponse
+    from clsim.scene.scene import Scene
 
 # Names under which runs know chains, by kind of legs and of vertex.
 _IDENTITIES = {
@@ -232,6 +233,13 @@ class Chain(PathFamily):
         ends = tuple(end for s, r in pairs for end in (self.scene.sources[s], self.scene.receivers[r]))
         made: Links = legs[0].links(self, rows, legs, vertex, ends, tuple(end.trajectory for end in ends))
         return made
+
+    def in_scene(self, scene: Scene) -> Self:
+        """Return the same paths, by the same surfaces and vertices, in a scene that differs a little."""
+        met = self.links(slice(None)).surfaces
+        legs = tuple(leg.in_scene(scene, walls) for leg, walls in zip(self.legs, met, strict=True))
+        vertex = None if self.vertex is None else self.vertex.in_scene(scene)
+        return replace(self, scene=scene, legs=legs, vertex=vertex)
 
     def part(self, rows: Rows) -> Self:
         """Return some of the paths."""

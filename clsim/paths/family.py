@@ -196,6 +196,13 @@ class PathFamily(ABC):
         given = {f.name for f in fields(self) if f.init}
         return replace(self, **{name: getattr(self, name)[rows] for name in own if name in given})
 
+    def in_scene(self, scene: Scene) -> Self:
+        """Return the same paths, by the same things, in a scene that differs a little; intervals stay as they are.
+
+        Kinds whose columns depend on the scene make them anew.
+        """
+        return replace(self, scene=scene)
+
     def pairs(self) -> Iterator[PairPaths]:
         """Yield the paths of every source and receiver that have any, in order."""
         receivers = len(self.scene.receivers)

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, Rows
     from clsim.paths.propagation import Medium, UniformAir
     from clsim.paths.response import SceneResponse
+    from clsim.scene.scene import Scene
 
     Integers = NDArray[np.signedinteger[Any]]
     Columns = dict[str, Floats]
@@ -51,6 +52,10 @@ class Leg(Protocol):
 
     def part(self, rows: Rows) -> Self:
         """Take some of the legs."""
+        ...
+
+    def in_scene(self, scene: Scene, surfaces: Integers) -> Self:
+        """Make the same legs, by surfaces (P, N) as in `Links.surfaces`, in a scene that differs a little."""
         ...
 
     def named(self, name: str) -> Iterator[tuple[str, Any]]:
@@ -88,6 +93,10 @@ class Vertex(Protocol):
 
     def part(self, rows: Rows) -> Self:
         """Take some of the vertices."""
+        ...
+
+    def in_scene(self, scene: Scene) -> Self:
+        """Make the same vertices in a scene that differs a little."""
         ...
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:

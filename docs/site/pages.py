@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 
 import figures
@@ -12,6 +13,7 @@ GROUPS = {
     "Scenes": "clsim.scene",
     "Paths": "clsim.paths",
     "Rendering": "clsim.render",
+    "Derivatives": "clsim.sensitivity",
     "Other": "clsim",
 }
 
@@ -23,6 +25,8 @@ def public_names() -> Iterator[tuple[str, str]]:
         yield next(group for group, prefix in GROUPS.items() if home.startswith(prefix)), f"clsim.{name}"
     for name in clsim.score.__all__:
         yield "Scores", f"clsim.score.{name}"
+    for name in clsim.torch.__all__:
+        yield "PyTorch", f"clsim.torch.{name}"
 
 
 def write_reference(folder: Path) -> None:
@@ -33,7 +37,7 @@ def write_reference(folder: Path) -> None:
         listed.setdefault(group, []).append(name)
         short = name.removeprefix("clsim.")
         module, _, last = name.rpartition(".")
-        is_class = inspect.isclass(getattr(clsim.score if ".score." in name else clsim, last))
+        is_class = inspect.isclass(attrgetter(short)(clsim))
         kind = "autoclass" if is_class else "autofunction"
         text = f"{short}\n{'=' * len(short)}\n\n.. currentmodule:: {module}\n\n.. {kind}:: {last}\n"
         _write(folder / f"{short}.rst", text)

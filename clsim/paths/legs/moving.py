@@ -12,6 +12,7 @@ from clsim.arrays import read_only
 from clsim.paths.chain import Chain
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.legs.events import find_events
+from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.links import Links, in_chunks, met_in_order
 from clsim.paths.propagation import UniformAir
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Instant, Rows
-    from clsim.paths.legs.mirrors import Mirrors
     from clsim.paths.links import Columns, Integers, Vertex
     from clsim.scene.scene import Scene
 
@@ -127,6 +127,10 @@ class MovingLeg:
     def part(self, rows: Rows) -> MovingLeg:
         """Return some of the legs."""
         return MovingLeg(self.surfaces[rows], self.mirrors)
+
+    def in_scene(self, scene: Scene, surfaces: Integers) -> MovingLeg:
+        """Return legs by the mirrors of another scene."""
+        return MovingLeg(self.surfaces, Mirrors.of(scene))
 
     def named(self, name: str) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""

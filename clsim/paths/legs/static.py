@@ -119,6 +119,16 @@ class StaticLeg:
         """Return some of the legs."""
         return StaticLeg(self.matrix[rows], self.offset[rows])
 
+    def in_scene(self, scene: Scene, surfaces: Integers) -> StaticLeg:
+        """Return legs whose offsets are those of displaced walls: ``b <- b - 2 (n b - d) n``; normals stay."""
+        faces, offset = scene.room.faces, np.zeros_like(self.offset)
+        for met in surfaces.T:
+            here = (met >= 0) & (met < len(faces))  # others let sound pass, and mirror nothing
+            normal = np.where(here[:, None], faces.normals[met * here], 0.0)
+            height = np.sum(offset * normal, axis=1) - faces.offsets[met * here] * here
+            offset = offset - 2.0 * height[:, None] * normal
+        return StaticLeg(self.matrix, offset)
+
     def named(self, name: str) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
         yield f"{name}_matrix", self.matrix

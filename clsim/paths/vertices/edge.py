@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from clsim.paths.links import Columns, Links, Pair
     from clsim.paths.response import SceneResponse
     from clsim.paths.vertices.edge_events import EdgeEvents
+    from clsim.scene.scene import Scene
 
     Triple = tuple[Floats, Floats, Floats]
 
@@ -93,6 +94,11 @@ class EdgeVertex:
         """Return some of the vertices."""
         columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
         return replace(self, **columns)
+
+    def in_scene(self, scene: Scene) -> Self:
+        """Return the same vertices with the bodies of another scene; edges of the room stay where they are."""
+        bodies = scene.bodies if self.lines.bodies else ()
+        return replace(self, lines=replace(self.lines, bodies=tuple(bodies)))
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""

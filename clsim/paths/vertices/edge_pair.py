@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from clsim.paths.vertices.edge import Triple
     from clsim.paths.vertices.edge_events import EdgeEvents
     from clsim.paths.vertices.edge_pair_events import EdgePairEvents
+    from clsim.scene.scene import Scene
 
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
@@ -53,6 +54,11 @@ class EdgePairVertex(EdgeVertex):
         """Return some of the vertices."""
         columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
         return replace(self, **columns, last=self.last.part(rows), shared=self.shared[rows])
+
+    def in_scene(self, scene: Scene) -> Self:
+        """Return the same vertices with the bodies of another scene."""
+        first = EdgeVertex.in_scene(self, scene)
+        return replace(first, last=self.last.in_scene(scene))
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""

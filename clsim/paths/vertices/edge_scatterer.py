@@ -10,7 +10,7 @@ Images move with the end and with the scatterer, which Mach numbers take into ac
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from clsim.paths.response import SceneResponse
     from clsim.paths.vertices.edge import EdgeVertex
     from clsim.scene.scatterer import Scatterer
+    from clsim.scene.scene import Scene
 
 _ROUNDS, _CLOSE, _SETTLED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
 
@@ -95,6 +96,14 @@ class EdgeScattererVertex(ScattererVertex):
         """Return some of the vertices."""
         edges: Any = tuple(edge if edge is None else edge.part(rows) for edge in self.edges)
         return replace(self, scatterer=self.scatterer[rows], nearest=self.nearest[rows], edges=edges)
+
+    def in_scene(self, scene: Scene) -> Self:
+        """Return the same vertices with the scatterers of another scene, and their images by its walls."""
+        edges: Any = tuple(
+            None if beside is None else replace(beside, leg=beside.leg.in_scene(scene, beside.walls))
+            for beside in self.edges
+        )
+        return replace(ScattererVertex.in_scene(self, scene), edges=edges)
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""

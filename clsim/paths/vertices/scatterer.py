@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from clsim.paths.response import SceneResponse
     from clsim.paths.vertices.scatterer_paths import ScatteredEvents, Way
     from clsim.scene.scatterer import Scatterer
+    from clsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +63,10 @@ class ScattererVertex:
     def part(self, rows: Rows) -> ScattererVertex:
         """Return some of the vertices."""
         return ScattererVertex(self.scatterer[rows], self.nearest[rows], self.fastest, self.scatterers)
+
+    def in_scene(self, scene: Scene) -> Self:
+        """Return the same vertices with the scatterers of another scene."""
+        return replace(self, scatterers=tuple(scene.scatterers))
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""

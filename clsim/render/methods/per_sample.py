@@ -16,6 +16,8 @@ from clsim.render.opencl.engine import OpenclEngine
 from clsim.tracks.splines import heard
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
@@ -153,17 +155,26 @@ def _sum_paths(
     plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, gain: Floats | Complexes
 ) -> Floats | Complexes:
     """Apply taps and gains (C, K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
-    length, centre = filters.bank.taps.shape[1], filters.bank.centre
     total: Any = np.zeros((len(gain), emitted.shape[1]), dtype=gain.dtype)
+    for p, delayed in delayed_streams(plan, filters, emitted, mu, np.any(gain, axis=(0, 1, 3))):
+        total += np.einsum("fn,cfn->cn", delayed, gain[:, :, p])
+    return np.asarray(total)
+
+
+def delayed_streams(
+    plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, active: NDArray[np.bool_]
+) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Yield active paths (P,), and the streams of all functions as they arrive on each, (K, n); nothing in silence.
+
+    Shapes: emitted, mu (P, n), samples.
+    """
+    length, centre = filters.bank.taps.shape[1], filters.bank.centre
     first = int(emitted.min()) + centre - length + 1
     streams = filters.streams(first, int(emitted.max()) + centre + 1)
     if not np.any(streams):
-        return np.asarray(total)
+        return
     # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
     windows = sliding_window_view(streams, length, axis=1)
-    for p in range(len(emitted)):
-        if np.any(gain[:, :, p]):
-            seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
-            delayed = np.einsum("nk,fnk->fn", plan.options.interpolator.taps(filters.bank, mu[p]), seen)
-            total += np.einsum("fn,cfn->cn", delayed, gain[:, :, p])
-    return np.asarray(total)
+    for p in np.flatnonzero(active).tolist():
+        seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
+        yield p, np.einsum("nk,fnk->fn", plan.options.interpolator.taps(filters.bank, mu[p]), seen)

@@ -1,0 +1,1 @@
+"""Derivatives of received signals: tangents of paths, the linear map from them to signals, and its transpose."""

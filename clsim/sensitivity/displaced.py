@@ -1,0 +1,139 @@
+"""Scenes in which one thing differs a little: the same paths are solved there again."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import numpy as np
+
+from clsim.scene.material.material import Material
+from clsim.scene.motion.curves import Static
+from clsim.scene.motion.orientation import quaternion_product
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from clsim.arrays import Floats
+    from clsim.scene.motion.curves import Curve
+    from clsim.scene.room.faces import Faces
+    from clsim.scene.room.protocol import Room
+
+T = TypeVar("T")
+
+
+def varied(thing: T, **changes: Any) -> T:
+    """Copy a frozen value with changed fields, without its checks: a small step may break one."""
+    made = copy.copy(thing)
+    for name, value in changes.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Displaced:
+    """A curve plus a multiple `by` of another one."""
+
+    curve: Curve
+    shift: Curve
+    by: float
+
+    def position(self, time: Floats) -> Floats:
+        """Return positions (..., 3), m."""
+        return self.curve.position(time) + self.by * self.shift.position(time)
+
+    def velocity(self, time: Floats) -> Floats:
+        """Return velocities (..., 3), m/s."""
+        return self.curve.velocity(time) + self.by * self.shift.velocity(time)
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return bounds (n,) of the speed between two times, m/s."""
+        return self.curve.speed_over(begin, end) + abs(self.by) * self.shift.speed_over(begin, end)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pushed:
+    """A velocity along an axis without a displacement."""
+
+    axis: int
+
+    def position(self, time: Floats) -> Floats:
+        """Return zeros (..., 3), m."""
+        return np.zeros((*time.shape, 3))
+
+    def velocity(self, time: Floats) -> Floats:
+        """Return the axis (..., 3), m/s."""
+        return np.broadcast_to(np.eye(3)[self.axis], (*time.shape, 3))
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return ones (n,), m/s."""
+        return np.ones(len(begin))
+
+
+def displaced(motion: T, shift: Curve, by: float) -> T:
+    """Displace a motion by a multiple of a curve; a fixed point stays one."""
+    own: Any = motion
+    if isinstance(own.curve, Static) and isinstance(shift, Static):
+        place = own.curve.position(np.zeros(()))
+        return varied(motion, curve=Static(place + by * shift.position(np.zeros(()))), _peaks={})
+    return varied(motion, curve=Displaced(own.curve, shift, by), _peaks={})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turned:
+    """Orientations of a source or receiver, turned in the room by one more quaternion (4,)."""
+
+    own: Any
+    turn: Floats
+
+    def orientation(self, time: Floats) -> Floats:
+        """Return unit quaternions (..., 4)."""
+        own = self.own.orientation(time.ravel()).reshape(*time.shape, 4)
+        return quaternion_product(np.broadcast_to(self.turn, own.shape), own)
+
+
+def turned(end: T, axis: int, angle: float) -> T:
+    """Turn a source or receiver about an axis of the room by an angle, rad."""
+    turn = np.append(math.sin(0.5 * angle) * np.eye(3)[axis], math.cos(0.5 * angle))
+    given: Any = end
+    return varied(end, aim=None, trajectory=varied(given.trajectory, turning=_Turned(end, turn)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shifted(Material):
+    """A material whose reflection factor is larger by `by`, at all frequencies and angles."""
+
+    by: float = 0.0
+
+    def reflection_at(
+        self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2
+    ) -> NDArray[Any]:
+        """Return the reflection factor, which may be above 1 by the shift."""
+        return np.asarray(Material.reflection_at(self, frequency, cosine, speed_of_sound) + self.by)
+
+
+def shifted(material: Material, by: float) -> Material:
+    """Return a material whose reflection factor is larger by a number."""
+    own = {field.name: getattr(material, field.name) for field in fields(Material)}
+    return _Shifted(**own, by=by)
+
+
+class _Refaced:
+    """A room with other faces; all else is that of the room."""
+
+    def __init__(self, room: Room, faces: Faces) -> None:
+        self._room, self.faces = room, faces
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._room, name)
+
+
+def with_wall(room: Room, wall: int, *, along: float = 0.0, reflection: float = 0.0) -> Room:
+    """Return a room with one wall moved along its normal, m, or with a larger reflection factor."""
+    faces = room.faces
+    materials = [shifted(m, reflection) if i == wall and reflection else m for i, m in enumerate(faces.materials)]
+    offsets = faces.offsets + along * (np.arange(len(faces)) == wall)
+    made: Any = _Refaced(room, replace(faces, offsets=offsets, materials=tuple(materials)))
+    return cast("Room", made)

@@ -1,0 +1,79 @@
+"""The transpose of the sum over paths on an OpenCL device: moments of what arrives on each path, block by block."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.render.opencl.engine import OpenclEngine, Run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+
+    # Takes a pair, rows of its paths, a sample, samples in a block, and moments (blocks, paths, functions, 4).
+    Take = Callable[[int, NDArray[np.int64], int, int, Floats], None]
+
+_FAR = 2.0**23  # samples, up to which float32 counts
+
+
+class MomentEngine(OpenclEngine):
+    """Multiplies what arrives by weights of the received samples, instead of adding it up."""
+
+    take: Take
+    weights: Any  # on the device, of a chunk
+
+    @property
+    def run(self) -> type[Run]:
+        """Class that takes a batch of paths."""
+        return _MomentRun
+
+    def taken(self, weights: Floats, take: Take) -> None:
+        """Pass the moments of all paths on, piece by piece, of weights (rows, samples)."""
+        self.take, self.skips_silence = take, False
+        for start in range(0, weights.shape[1], self._plan.chunk):
+            self.add(weights[:, start : start + self._plan.chunk], start)
+
+    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
+        """Leave the weights as they are."""
+
+    def _add(self, pressure: NDArray[Any], start: int) -> None:
+        length = self.branch_signals.whole_blocks(start, start + pressure.shape[1])
+        padded = np.zeros((len(pressure), length), dtype=np.float32)
+        padded[:, : pressure.shape[1]] = pressure
+        self.weights = self._upload(padded)
+        super()._add(pressure, start)
+
+
+class _MomentRun(Run):
+    """Takes the moments of a batch of paths, in blocks as they would be rendered."""
+
+    _engine: MomentEngine
+
+    def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        import pyopencl as cl
+
+        engine, batch, plan = self._engine, self._batch, self._plan
+        begin, subblock = segment * plan.segment, plan.subblock(self._source, block)
+        blocks, filters, ramp = (end - begin) // block, plan.source_filters[self._source], batch.bounds.ramp
+        out = np.empty((blocks, batch.count, self._functions, 4), dtype=np.float32)
+        on_device = engine._scratch.take("moments", out.nbytes)
+        bounds = [np.clip(x - (self._start + begin), -_FAR, _FAR) for x in (batch.bounds.start, batch.bounds.end)]
+        constants = {"SUBBLOCK": subblock, "FUNCTIONS": self._functions, "OVERSAMPLING": filters.oversampling}
+        layout = {"LANES": engine._layout.lanes, **self._polynomial_constants(nodes)}
+        engine._compiler.kernel("moments", constants | layout)(
+            engine._queue, ((batch.count, blocks), (1, 1)), **self._branch_arguments(begin),
+            **self._block_arguments(nodes, first_block), first_row=filters.rows,
+            start=np.where(batch.padding, _FAR, bounds[0]).astype(np.float32), end=bounds[1].astype(np.float32),
+            per_ramp=1.0 / ramp if ramp else 0.0, block_subblocks=block // subblock,
+            row=np.repeat(batch.row, np.diff(batch.first_slot)), weights=engine.weights, weight_stride=self._length,
+            first_sample=begin, taken=on_device,
+        )  # fmt: skip
+        cl.enqueue_copy(engine._queue, out, on_device)
+        for i, pair in enumerate(batch.pairs):
+            mine = np.flatnonzero(~batch.padding[batch.of_pair(i)]) + batch.of_pair(i).start
+            engine.take(pair, batch.path[mine], self._start + begin, block, out[:, mine].astype(np.float64))

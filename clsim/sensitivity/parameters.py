@@ -1,0 +1,259 @@
+"""Parameters by which received signals are differentiated: their names, units, and scenes a step away."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.errors import InputError
+from clsim.paths.family import DIFFRACTION
+from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.motion.curves import Piecewise, Static, legs_through, spline_through
+from clsim.scene.transducer.electronics import Electronics
+from clsim.sensitivity.displaced import Pushed, displaced, turned, varied, with_wall
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from clsim.paths.path_set import PathSet
+    from clsim.render.options import RenderOptions
+    from clsim.scene.motion.curves import Curve
+    from clsim.scene.scene import Scene
+
+    Moved = Callable[[Scene, float], Scene]
+
+# What has no derivative, and what is done instead.
+WITHOUT_DERIVATIVE = {
+    "starts and ends of paths": "the interval in which a path is active stays as it is; the field is continuous "
+    "there with diffraction only",
+    "healing and simplification of meshes": "walls and edges stay those that were found",
+    "displacement of walls next to edges": "refused in scenes with diffracted paths",
+    "noise and converters of receivers": "left out: the derivative is that of the signal before noise and rounding",
+    "the diffuse tail": "refused: its noise is drawn anew",
+    "receivers of several channels": "refused",
+    "complex envelopes (baseband)": "refused",
+    "ends that bodies carry": "they stay where they are as `bodies[i].position` changes",
+}
+_AXES = "xyz"
+_STEP = 1e-5  # m: a phase of 0.7 mrad at 40 kHz; rounding of delays is then below 1e-7 of their derivative
+# Name, unit, step and multiple of the step in the field's own unit.
+_OF_AIR = {
+    "temperature_celsius": ("°C", 1e-3), "relative_humidity": ("1", 1e-5), "pressure": ("Pa", 10.0),
+    "speed_of_sound": ("m/s", 1e-3), "wind": ("m/s", 1e-3),
+}  # fmt: skip
+_OF_ELECTRONICS = {"clock_ppm": ("ppm", 0.1), "clock_offset": ("s", 1e-7), "gain_db": ("dB", 1e-3)}
+_END = re.compile(r"(sources|receivers|scatterers|bodies)\[(\d+)\]\.(.+)")
+_WALL = re.compile(r"room\.walls\.(.+)\.(reflection|displacement)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameter:
+    """One real parameter of a scene.
+
+    Attributes
+    ----------
+    name, unit : str
+        As in errors and scene files.
+    step : float
+        By which it is varied to both sides, in its unit.
+    moved : callable
+        Takes a scene and a step; returns the scene with the parameter larger by that.
+    source, receiver : int or None
+        The only source or receiver whose paths depend on it; None for all.
+    gain_db : float
+        By how many dB per unit all these paths get louder.
+    knot : Piecewise or None
+        How a trajectory changes with one coordinate of one of its points; None for other parameters.
+    """
+
+    name: str
+    unit: str
+    step: float
+    moved: Moved
+    source: int | None = None
+    receiver: int | None = None
+    gain_db: float = 0.0
+    knot: Piecewise | None = None
+
+    @property
+    def kind(self) -> str:
+        """The name without numbers of things: what responses by parameters of one kind have in common."""
+        return re.sub(r"\[\d+\]", "", self.name)
+
+
+def parameters_of(paths: PathSet, wrt: Sequence[str]) -> list[Parameter]:
+    """Return the parameters of names; a name of a vector gives all of its components."""
+    if isinstance(wrt, str) or not wrt or not all(isinstance(name, str) for name in wrt):
+        raise InputError("wrt", f"must be a list of names, but is {wrt!r:.80}")
+    found = [parameter for name in wrt for parameter in _named(paths, name)]
+    names = [parameter.name for parameter in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("wrt", f"must name each parameter once, but names {name} twice")
+    return found
+
+
+def check_differentiable(paths: PathSet, options: RenderOptions) -> None:
+    """Refuse what has no derivative."""
+    for i, receiver in enumerate(paths.scene.receivers):
+        if isinstance(receiver.directivity, ChannelDirectivity):
+            raise InputError(f"receivers[{i}].directivity", "must have one channel where derivatives are asked for")
+    if options.baseband is not None or options.tail != "off":
+        name = "tail" if options.baseband is None else "baseband"
+        raise InputError(name, "must be left out where derivatives are asked for")
+
+
+def _named(paths: PathSet, name: str) -> Iterator[Parameter]:
+    scene = paths.scene
+    if name.removeprefix("air.") in _OF_AIR and name.startswith("air."):
+        yield from _of_air(name, name.removeprefix("air."))
+    elif wall := _WALL.fullmatch(name):
+        yield _of_wall(paths, name, *wall.groups())
+    elif (end := _END.fullmatch(name)) and int(end[2]) < len(getattr(scene, end[1])):
+        yield from _of_thing(scene, name, end[1], int(end[2]), end[3])
+    else:
+        raise InputError(
+            "wrt",
+            f'must name parameters of the scene, such as "sources[0].position" or "air.temperature_celsius", but has '
+            f"{name!r:.80}",
+        )
+
+
+def _of_air(name: str, field: str) -> Iterator[Parameter]:
+    unit, step = _OF_AIR[field]
+    if field != "wind":
+        yield Parameter(name, unit, step, partial(_with_air, field))
+        return
+    for axis in range(3):
+        yield Parameter(f"{name}.{_AXES[axis]}", unit, step, partial(_with_wind, axis))
+
+
+def _with_air(field: str, scene: Scene, by: float) -> Scene:
+    air, asked = scene.air, "_asked_speed" if field == "speed_of_sound" else field
+    value: Any = getattr(air, field)
+    larger: Any
+    if callable(value):
+        larger = _Raised(value, by)
+    else:
+        larger = tuple(v + by for v in value) if isinstance(value, tuple) else value + by
+    return varied(scene, air=replace(air, **{asked: larger}))
+
+
+@dataclass(frozen=True, slots=True)
+class _Raised:
+    """A function of the height plus a number; equal ones are the same air."""
+
+    own: Callable[[Any], Any]
+    by: float
+
+    def __call__(self, heights: Any) -> Any:
+        return self.own(heights) + self.by
+
+
+def _with_wind(axis: int, scene: Scene, by: float) -> Scene:
+    wind = np.zeros(3) if scene.air.wind is None else np.array(scene.air.wind)
+    return varied(scene, air=varied(scene.air, wind=tuple((wind + by * np.eye(3)[axis]).tolist())))
+
+
+def _of_wall(paths: PathSet, name: str, wall: str, what: str) -> Parameter:
+    names = paths.scene.room.faces.names
+    if wall not in names:
+        raise InputError("wrt", f"must name a wall of the room ({', '.join(names[:12])}), but has {name!r:.80}")
+    index = names.index(wall)
+    if what == "reflection":
+        return Parameter(name, "1", 1e-6, partial(_with_wall, index, "reflection"))
+    if bool((paths.interactions == DIFFRACTION).any()):
+        raise InputError("wrt", f"must not have {name!r} in scenes with diffracted paths: edges move with walls")
+    return Parameter(name, "m", _STEP, partial(_with_wall, index, "along"))
+
+
+def _with_wall(wall: int, what: str, scene: Scene, by: float) -> Scene:
+    return varied(scene, room=with_wall(scene.room, wall, **{what: by}))
+
+
+def _of_thing(scene: Scene, name: str, kind: str, index: int, what: str) -> Iterator[Parameter]:
+    own: dict[str, Any] = {kind[:-1]: index} if kind in ("sources", "receivers") else {}
+    thing, prefix = getattr(scene, kind)[index], f"{kind}[{index}]"
+    with_thing = partial(_with_thing, kind, index)
+    if what == "position":
+        for axis in range(3):
+            shift = Static(np.eye(3)[axis])
+            yield Parameter(f"{name}.{_AXES[axis]}", "m", _STEP, partial(with_thing, partial(_displaced, shift)), **own)
+    elif what == "trajectory":
+        for (number, axis), knot in _knots(name, thing.trajectory.curve):
+            label = f"{prefix}.trajectory.positions[{number}].{_AXES[axis]}"
+            change = partial(with_thing, partial(_displaced, knot))
+            yield Parameter(label, "m", _STEP, change, **own, knot=knot if own else None)
+    elif what == "orientation" and own:
+        for axis in range(3):
+            yield Parameter(f"{name}.{_AXES[axis]}", "°", 1e-3, partial(with_thing, partial(_turned, axis)), **own)
+    elif what == "start" and kind == "sources":
+        yield Parameter(name, "s", 1e-7, partial(with_thing, _started), **own)
+    elif what == "gain_db" and kind == "sources":
+        yield Parameter(name, "dB", 1e-3, _unmoved, **own, gain_db=1.0)
+    elif what.removeprefix("electronics.") in _OF_ELECTRONICS and kind == "receivers":
+        field = what.removeprefix("electronics.")
+        unit, step = _OF_ELECTRONICS[field]
+        moved: Moved = _unmoved if field == "gain_db" else partial(with_thing, partial(_clocked, field))
+        yield Parameter(name, unit, step, moved, **own, gain_db=float(field == "gain_db"))
+    else:
+        raise InputError("wrt", f"must name parameters that have a derivative, but has {name!r:.80}")
+
+
+def _knots(name: str, curve: Curve) -> Iterator[tuple[tuple[int, int], Piecewise]]:
+    """Yield knot and axis, and the curve by which the motion changes as that coordinate of the knot does."""
+    if not isinstance(curve, Piecewise):
+        raise InputError("wrt", f"must name positions, not the trajectory, of what has no knots, but has {name!r:.80}")
+    times = curve.polynomial.x[1:-1]  # without what it is continued by
+    straight = not np.any(curve.polynomial.c[:2])
+    for knot in range(len(times)):
+        for axis in range(3):
+            places = np.zeros((len(times), 3))
+            places[knot, axis] = 1.0
+            shift = legs_through(times, places) if straight else spline_through(times, places, "not-a-knot")
+            yield (knot, axis), shift
+
+
+def displacements(knot: Parameter) -> list[Parameter]:
+    """Return the displacements of the end to which a knot belongs along all axes, and of a source its velocities."""
+    kind = "receivers" if knot.source is None else "sources"
+    index = knot.receiver if knot.source is None else knot.source
+    assert index is not None
+    shifts: list[Curve] = [Static(axis) for axis in np.eye(3)]
+    shifts += [] if knot.source is None else [Pushed(axis) for axis in range(3)]
+    return [
+        replace(knot, moved=partial(_with_thing, kind, index, partial(_displaced, shift)), knot=None)
+        for shift in shifts
+    ]
+
+
+def _with_thing(kind: str, index: int, change: Callable[[Any, float], Any], scene: Scene, by: float) -> Scene:
+    things = list(getattr(scene, kind))
+    things[index] = change(things[index], by)
+    return varied(scene, **{kind: tuple(things)})
+
+
+def _unmoved(scene: Scene, by: float) -> Scene:
+    return scene
+
+
+def _displaced(shift: Curve, thing: Any, by: float) -> Any:
+    return varied(thing, trajectory=displaced(thing.trajectory, shift, by))
+
+
+def _turned(axis: int, thing: Any, by: float) -> Any:
+    return turned(thing, axis, math.radians(by))
+
+
+def _started(thing: Any, by: float) -> Any:
+    return varied(thing, start=thing.start + by)
+
+
+def _clocked(field: str, thing: Any, by: float) -> Any:
+    end = thing.electronics or Electronics()
+    return varied(thing, electronics=varied(end, **{field: getattr(end, field) + by}))

@@ -1,0 +1,287 @@
+"""Derivatives of recordings by positions, clocks, air and walls, and what they say about noisy recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.arrays import Floats, as_floats, read_only, short_repr
+from clsim.errors import InputError
+from clsim.packages import check_packages
+from clsim.paths.path_set import PathSet
+from clsim.render.memory import within_memory
+from clsim.render.options import RenderOptions
+from clsim.sensitivity.adjoint import adjoint, adjoint_signal
+from clsim.sensitivity.linear_map import LinearMap, plan_of
+from clsim.sensitivity.parameters import parameters_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_SINGULAR = 1e-12  # least eigenvalue of normalised information that says something
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivities:
+    """Derivatives of the signals at all receivers by some parameters of a scene.
+
+    Attributes
+    ----------
+    jacobian : ndarray (parameters, receivers, samples)
+        Pa, or V of receivers with a transducer, per unit of the parameter.
+    parameters, units : tuple of str
+        Name and unit of each parameter.
+    receivers : tuple of str
+        Names.
+    sampling_rate : float
+        Hz.
+    """
+
+    jacobian: Floats
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    receivers: tuple[str, ...]
+    sampling_rate: float
+
+    __repr__ = short_repr
+
+    def fisher(self, noise: Any) -> Floats:
+        """Fisher information of the parameters in a recording with white Gaussian noise.
+
+        Parameters
+        ----------
+        noise : float or array_like (receivers,)
+            Standard deviation of a sample, in the unit of the signals, Pa or V, above 0.
+
+        Returns
+        -------
+        ndarray (parameters, parameters)
+            Per product of the units of both parameters.
+
+        Raises
+        ------
+        InputError
+            If noise is not above 0, or not one number per receiver.
+
+        Notes
+        -----
+        ``F_ij = sum over receivers and samples of dy/dθ_i dy/dθ_j / noise²`` (S. M. Kay, Fundamentals of Statistical
+        Signal Processing: Estimation Theory, 1993, equation 3.31).
+        """
+        sigma = np.asarray(noise, dtype=np.float64)
+        if sigma.shape not in ((), (len(self.receivers),)) or not np.all(sigma > 0.0):
+            raise InputError("noise", f"must be above 0, one number or one per receiver, but is {noise!r:.80}")
+        rows = (self.jacobian / np.broadcast_to(sigma, len(self.receivers))[:, None]).reshape(len(self.parameters), -1)
+        return np.asarray(rows @ rows.T)
+
+    def bounds(self, noise: Any) -> Floats:
+        """Cramér-Rao bounds: the least standard deviations of unbiased estimates of all parameters together.
+
+        Parameters
+        ----------
+        noise : float or array_like (receivers,)
+            As of `fisher`, Pa or V.
+
+        Returns
+        -------
+        ndarray (parameters,)
+            In the units of the parameters.
+
+        Raises
+        ------
+        InputError
+            If noise is not above 0, or the recording does not determine all parameters.
+        """
+        return crb(self.fisher(noise), self.parameters)
+
+    def to_xarray(self) -> Any:
+        """Return the Jacobian as an xarray DataArray.
+
+        Returns
+        -------
+        xarray.DataArray
+            Dimensions ``parameter``, ``receiver`` and ``time``, s; the units as a coordinate ``unit``.
+
+        Raises
+        ------
+        InputError
+            If xarray is missing.
+        """
+        check_packages("to_xarray", "a DataArray", "tables", "xarray")
+        import xarray
+
+        time = np.arange(self.jacobian.shape[2]) / self.sampling_rate
+        coordinates = {
+            "parameter": list(self.parameters), "receiver": list(self.receivers), "time": time,
+            "unit": ("parameter", list(self.units)),
+        }  # fmt: skip
+        return xarray.DataArray(self.jacobian, coordinates, ("parameter", "receiver", "time"), "jacobian")
+
+
+def crb(information: Floats, names: Sequence[str]) -> Floats:
+    """Return the roots of the diagonal of the inverse of an information matrix; it is scaled first."""
+    scale = np.sqrt(np.diag(information))
+    if np.any(scale == 0.0):
+        raise InputError("wrt", f"must name what is heard, but {names[int(np.argmin(scale))]} has no effect")
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    if values[0] < _SINGULAR:
+        mixed = [names[i] for i in np.argsort(-np.abs(vectors[:, 0]))[:3]]
+        raise InputError("wrt", f"must be told apart by the recording, but {', '.join(mixed)} are not: fix one of them")
+    return np.asarray(np.sqrt(np.sum(vectors**2 / values, axis=1)) / scale)
+
+
+def sensitivities(paths: PathSet, wrt: Sequence[str], sampling_rate: float, **options: Any) -> Sensitivities:
+    """Differentiate the signals at all receivers by positions, clocks, air and walls.
+
+    Parameters
+    ----------
+    paths : PathSet
+        The paths of a scene, from `find_paths`.
+    wrt : sequence of str
+        Names of parameters as in errors and scene files. A vector gives a parameter for each component.
+
+        - ``sources[0].position``, ``receivers[3].position``, ``scatterers[0].position``, ``bodies[0].position``:
+          displacement of the whole trajectory, m
+        - ``sources[0].trajectory``: displacement of each of its points, m, as of `Trajectory.waypoints`
+        - ``sources[0].orientation``: rotation about the room's axes, degrees
+        - ``sources[0].start``, s, and ``sources[0].gain_db``, dB
+        - ``receivers[3].electronics.clock_ppm``, ``….clock_offset``, s, and ``….gain_db``
+        - ``air.temperature_celsius``, ``air.relative_humidity``, ``air.pressure``, ``air.speed_of_sound``, ``air.wind``
+        - ``room.walls.floor.reflection``: of the reflection factor, at all frequencies and angles
+        - ``room.walls.floor.displacement``: along the normal in `Room.faces`, m
+    sampling_rate : float
+        Of the signals, Hz.
+    **options
+        As of `render`, but for baseband and tail; pairs at rest and narrow bands are rendered as all others.
+
+    Returns
+    -------
+    Sensitivities
+        float64.
+
+    Raises
+    ------
+    InputError
+        If an argument breaks a rule, or a parameter has no derivative.
+    DeviceError
+        If there is no OpenCL device, or it fails.
+
+    Notes
+    -----
+    Of a path of delay τ and response R the derivative has the same delay, and the response
+    ``dR/dθ - 2j pi f dτ/dθ R``. Starts and ends of paths are not differentiated; noise and converters are left out.
+
+    Examples
+    --------
+    >>> import clsim
+    >>> room = clsim.Shoebox(size=(8.0, 6.0, 3.0), walls=clsim.Material.from_reflection(0.9))
+    >>> tone = clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3, fade=0.002)
+    >>> robot = clsim.Source("robot", tone, clsim.Trajectory.fixed((4.0, 3.0, 1.5)))
+    >>> ceiling = clsim.Receiver("ceiling", clsim.Trajectory.fixed((1.0, 1.0, 2.9)))
+    >>> paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [robot], [ceiling]), max_order=1)
+    >>> found = sensitivities(paths, ["receivers[0].position"], 192e3, engine="reference", duration=0.02)
+    >>> found.jacobian.shape, found.parameters[0], found.units[0]
+    ((3, 1, 3840), 'receivers[0].position.x', 'm')
+    """
+    parameters = parameters_of(_checked(paths), wrt)
+    linear = LinearMap.of(paths, parameters, RenderOptions(sampling_rate, **options))
+    shape = len(parameters), linear.plan.row_count, linear.plan.samples
+    with within_memory("wrt", "all derivatives (see `gradient`)", 8 * int(np.prod(shape))):
+        jacobian = np.empty(shape)
+    for i, rows in enumerate(linear.forward()):
+        jacobian[i] = rows
+    names, units = tuple(p.name for p in parameters), tuple(p.unit for p in parameters)
+    return Sensitivities(read_only(jacobian), names, units, linear.plan.row_names, linear.plan.sampling_rate)
+
+
+def gradient(
+    paths: PathSet, loss_gradient: Any, wrt: Sequence[str], sampling_rate: float, **options: Any
+) -> dict[str, Any]:
+    """Differentiate a loss of the received signals by any number of parameters in one pass.
+
+    Parameters
+    ----------
+    paths : PathSet
+        The paths of a scene, from `find_paths`.
+    loss_gradient : array_like (receivers, samples)
+        Derivative of the loss by each sample of the recording.
+    wrt : sequence of str
+        Names as of `sensitivities`, and ``sources[0].signal`` for what a source without transducer emits.
+    sampling_rate : float
+        Of the recording, Hz.
+    **options
+        As of `sensitivities`, but for the duration.
+
+    Returns
+    -------
+    dict
+        The derivative by name: a number, (3,) of positions, (points, 3) of trajectories, (samples,) of signals.
+
+    Raises
+    ------
+    InputError
+        If an argument breaks a rule, or a parameter has no derivative.
+
+    Notes
+    -----
+    It is the transpose of `sensitivities`, in float64 NumPy whatever the engine: what arrives on each path is
+    multiplied by the loss's derivative and brought to nodes, at which the tangents of all parameters are taken.
+
+    Examples
+    --------
+    >>> import clsim
+    >>> room = clsim.Shoebox(size=(8.0, 6.0, 3.0), walls=clsim.Material.from_reflection(0.9))
+    >>> tone = clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3, fade=0.002)
+    >>> robot = clsim.Source("robot", tone, clsim.Trajectory.fixed((4.0, 3.0, 1.5)))
+    >>> ceiling = clsim.Receiver("ceiling", clsim.Trajectory.fixed((1.0, 1.0, 2.9)))
+    >>> paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [robot], [ceiling]), max_order=1)
+    >>> sound = clsim.render(paths, 192e3, engine="reference", duration=0.02).pressure
+    >>> by = gradient(paths, sound, ["receivers[0].position", "sources[0].gain_db"], 192e3)  # of half its energy
+    >>> by["receivers[0].position"].shape, bool(by["sources[0].gain_db"] > 0.0)
+    ((3,), True)
+    """
+    weights = as_floats("loss_gradient", loss_gradient, (None, None))
+    settings = RenderOptions(sampling_rate, **options | {"duration": weights.shape[1] / sampling_rate})
+    emitted = [name for name in wrt if name.endswith(".signal")]
+    others = [name for name in wrt if name not in emitted]
+    each = [parameters_of(_checked(paths), [name]) for name in others]
+    found: dict[str, Any] = {}
+    if others:
+        linear = LinearMap.of(paths, [p for of_name in each for p in of_name], settings)
+        values = adjoint(linear, _of_rows(weights, linear.plan.row_count))
+        parts = np.split(values, np.cumsum([len(of_name) for of_name in each])[:-1])
+        for name, part in zip(others, parts, strict=True):
+            found[name] = part.reshape(-1, 3) if name.endswith(".trajectory") else part if len(part) > 1 else part[0]
+    for name in emitted:
+        found[name] = _by_signal(paths, name, weights, settings)
+    return {name: found[name] for name in wrt}
+
+
+def _by_signal(paths: PathSet, name: str, weights: Floats, options: RenderOptions) -> Floats:
+    """Return the derivative by the samples that a source emits."""
+    index = next((i for i in range(len(paths.scene.sources)) if name == f"sources[{i}].signal"), None)
+    if index is None:
+        raise InputError("wrt", f"must name signals of the scene's sources, but has {name!r:.80}")
+    source = paths.scene.sources[index]
+    if source.transducer is not None or source.signal.sampling_rate != options.sampling_rate:
+        raise InputError(
+            name,
+            f"must be emitted without transducer and at the sampling rate of the recording, {options.sampling_rate:g} "
+            f"Hz, for a derivative, but is at {source.signal.sampling_rate:g} Hz",
+        )
+    plan = plan_of(paths, options)
+    return adjoint_signal(plan, index, _of_rows(weights, plan.row_count))
+
+
+def _of_rows(weights: Floats, rows: int) -> Floats:
+    if len(weights) != rows:
+        raise InputError("loss_gradient", f"must have a row for each receiver, {rows}, but has {len(weights)}")
+    return weights
+
+
+def _checked(paths: PathSet) -> PathSet:
+    if not isinstance(paths, PathSet):
+        raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
+    return paths

@@ -1,0 +1,124 @@
+"""Tangents of paths: how the response of each path changes with a parameter, at the delays of the paths themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from clsim.paths.arrivals import RETARDED
+from clsim.paths.family import PathFamily
+from clsim.paths.response import SceneResponse
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals, Kinematics
+    from clsim.paths.family import Rows
+    from clsim.sensitivity.parameters import Parameter
+
+_NEPERS = np.log(10.0) / 20.0  # in one dB
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TangentPaths(PathFamily):
+    """Derivatives by one parameter θ of paths, as paths of the same delays τ and of another response.
+
+    The received signal is the sum of ``R(f, θ) exp(-2j pi f tau(θ))`` times the spectrum of what is emitted, so that
+    the response of its derivative is ``dR/dθ - 2j pi f dtau/dθ R``. Both derivatives are central differences of the
+    delay and the response of each path, which are smooth, in scenes a step of the parameter to both sides.
+    """
+
+    base: PathFamily  # the paths
+    ahead: PathFamily  # the same where the parameter is larger by a step, and smaller
+    behind: PathFamily  # likewise
+    parameter: Parameter
+    kinematics: Kinematics  # of the rendering
+
+    @classmethod
+    def of(cls, base: PathFamily, parameter: Parameter, kinematics: Kinematics) -> Self:
+        """Return the tangents of paths by a parameter."""
+        own: dict[str, Any] = {f.name: getattr(base, f.name) for f in fields(PathFamily)}
+        ahead, behind = (base.in_scene(parameter.moved(base.scene, sign * parameter.step)) for sign in (1.0, -1.0))
+        return cls(**own, base=base, ahead=ahead, behind=behind, parameter=parameter, kinematics=kinematics)
+
+    def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
+        """Return the arrivals of the paths themselves."""
+        return self.base.arrivals(rows, times, kinematics)
+
+    def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Complexes:
+        """Return the response (P, T, F) of the derivative, per unit of the parameter."""
+        return self.beside(rows, self.base.response(rows, found, times, at), times, at)
+
+    def beside(self, rows: Rows, own: Floats | Complexes, times: Floats, at: SceneResponse) -> Complexes:
+        """Return the same from the responses (P, T, F) of the paths themselves."""
+        source, step = int(self.source[rows][0]), self.parameter.step
+        delays, responses = [], []
+        for family in (self.ahead, self.behind):
+            later = self._later(family, rows, times)
+            there = family.arrivals(rows, times + later, self.kinematics)
+            beside = SceneResponse(family.scene, source, at.frequencies)
+            responses.append(family.response(rows, there, times + later, beside))
+            started = family.scene.sources[source].start - self.scene.sources[source].start
+            delays.append(there.delay - later + started)
+        gain_rate = (responses[0] - responses[1]) / (2.0 * step) + _NEPERS * self.parameter.gain_db * own
+        delay_rate = (delays[0] - delays[1]) / (2.0 * step)
+        return np.asarray(gain_rate - 2j * np.pi * at.frequencies * delay_rate[..., None] * own)
+
+    def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
+        """Return the vertices of the paths themselves."""
+        return self.base.vertices(rows, time, kinematics)
+
+    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
+        """Return the lengths of the paths themselves."""
+        return self.base.lengths(rows, source, receiver)
+
+    def delay_bounds(self, rows: Rows, start: Any, end: Any, speeds: Any) -> tuple[Floats, Floats]:
+        """Return the bounds of the paths themselves."""
+        return self.base.delay_bounds(rows, start, end, speeds)
+
+    def max_rate(self, source_speed: float, receiver_speed: float) -> float:
+        """Return the bound of the paths themselves."""
+        return self.base.max_rate(source_speed, receiver_speed)
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether responses have phases: that of a derivative by time."""
+        return True
+
+    @property
+    def varies(self) -> bool:
+        """Whether those of the paths do."""
+        return self.base.varies
+
+    @property
+    def costly(self) -> bool:
+        """Whether those of the paths do."""
+        return self.base.costly
+
+    @property
+    def moves(self) -> bool:
+        """Whether the paths do."""
+        return self.base.moves
+
+    def hashed(self) -> Iterator[tuple[str, Any]]:
+        """Yield names and values of the columns, and the parameter's name."""
+        yield from self.base.hashed()
+        yield "parameter", self.parameter.name
+
+    def part(self, rows: Rows) -> Self:
+        """Return some of the paths."""
+        base, ahead, behind = (family.part(rows) for family in (self.base, self.ahead, self.behind))
+        own = {f.name: getattr(base, f.name) for f in fields(PathFamily)}
+        return replace(self, **own, base=base, ahead=ahead, behind=behind)
+
+    def _later(self, family: PathFamily, rows: Rows, times: Floats) -> Floats:
+        """Time (s) by which a receiver of a scene beside takes the samples later that it takes at `times`."""
+        receiver = int(self.receiver[rows][0])
+        own, other = self.scene.receivers[receiver], family.scene.receivers[receiver]
+        if own is other:
+            return np.zeros_like(times)
+        told = (times - own.clock_error(np.zeros(1))) / own.clock_rate
+        return np.asarray(other.clock_error(told) - own.clock_error(told))
