@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,6 +43,7 @@ _END_CELLS = 256
 _END_POINTS = 120  # of the half-way rule: within 1e-11, however near the corner
 _END_FIRST, _END_FADED = -3.4, 36.0  # of the points, exp(u - exp(-u)), and exponent of the fall at which they end
 _DOUBLE_POINTS = 72
+_TERMS_AT_ONCE = 8192
 _DOUBLE_FIRST, _DOUBLE_FADED = -2.7, 20.0  # of the points, exp(u - exp(-u)), and exponent of the fall at which they end
 _DOUBLE_FINEST = 1e-5  # of the root of a phase, what is finer adds as little
 _DOUBLE_LEAST = 2e-5  # the same where both edges are on their boundaries: the function is 1, within as much
@@ -385,42 +386,78 @@ def double_transition(first: Floats, last: Floats, tie: Floats, wave: Floats) ->
     both boundaries).
     """
     a, b = np.abs(first), np.abs(last)
-    found = _along_the_contour(a, b, tie, wave)
+    found = _along_the_contour(a, b, tie, wave, (1.0, -1.0))
     for root, other, beyond in ((a, b, first < 0.0), (b, np.where(first < 0.0, -a, a), last < 0.0)):
         some = np.nonzero(beyond)
         if len(some[0]):  # shortly beyond a boundary the partner is added
-            found[some] = _over_one_edge(root[some], other[some], tie[some], wave[some]) - found[some]
+            found[some] = _over_one_edge(root[some], other[some], tie[some], wave[some], (-1.0, 1.0)) - found[some]
     return found
 
 
-def _over_one_edge(root: Floats, other: Floats, tie: Floats, wave: Floats) -> Complexes:
+def gap_transition(first: Floats, last: Floats, tie: Floats, wave: Floats) -> Complexes:
+    """Compute the transition functions (..., K, F) of K pairs of terms of two edges across open air.
+
+    Shapes: first, last, tie (..., K); wave (..., F) 1/m.
+
+    first, last: as of `double_transition`.
+
+    tie: of `double_tie`, times the cosine between the two directions in which the partners are seen past the edges, of
+    one before the edge that is dark; with its sign changed for each of both terms whose partner is seen.
+
+    Along no face the double integral is even in both angles together, not in each. With ``c = -tie`` it is the integral
+    over the quarter plane beyond both edges,
+
+        E(a, b) = 4j √(1 - c²) / π ∬ exp(-j (u² + 2cuv + v² + 2 √(1 - c²) (au + bv))) du dv,
+
+    a bivariate error function: ``1 + (2/π) arcsin(tie)`` on both boundaries, where two parallel half-planes leave a
+    quarter of it. The mean over both signs of the tie is that of `double_transition`. Our own derivation: of skew edges
+    the quadratic form of the detour by the places where the way passes both half-planes, least along the edges, has
+    this c.
+    """
+    a, b = np.abs(first), np.abs(last)
+    one, other = np.where(first < 0.0, -1.0, 1.0), np.where(last < 0.0, -1.0, 1.0)
+    parts = np.array_split(np.arange(len(a)), max(1, min(len(a), a.size // _TERMS_AT_ONCE)))
+    sign, over = tie * one * other, wave[..., None, :]
+    found = np.concatenate([_along_the_contour(a[p], b[p], sign[p], over[p], (1.0,)) for p in parts])
+    for root, beside, sign, beyond in ((a, b, tie * other, first < 0.0), (b, one * a, tie, last < 0.0)):
+        some = np.nonzero(beyond)
+        if len(some[0]):
+            found[some] = (
+                _over_one_edge(root[some], beside[some], sign[some], wave[some[:-1]], (-1.0, -1.0)) - found[some]
+            )
+    return found
+
+
+def _over_one_edge(root: Floats, other: Floats, tie: Floats, wave: Floats, signs: tuple[float, float]) -> Complexes:
     """Return the transition over one of the edges alone, where the other's boundary is passed."""
     turned = np.exp(1j * wave * ((1.0 - tie**2) * root**2)[..., None])
     scale, moved = np.sqrt(wave), tie * root
-    return np.asarray(
-        turned * (transition((other + moved)[..., None] * scale) + transition((other - moved)[..., None] * scale))
-    )
+    one, more = (transition((other + sign * moved)[..., None] * scale) for sign in signs)
+    return np.asarray(turned * (one + more))
 
 
-def _along_the_contour(a: Floats, b: Floats, tie: Floats, wave: Floats) -> Complexes:
-    """Return it for positive a and b: over s = v², with points that are dense about the least of its scales."""
+def _along_the_contour(a: Floats, b: Floats, tie: Floats, wave: Floats, signs: tuple[float, ...]) -> Complexes:
+    """Return it for positive a and b: over s = v², with points that are dense about the least of its scales.
+
+    That is the least of all where there is but one sign of the tie.
+    """
     left, longest = 1.0 - tie**2, np.sqrt(wave.max(axis=-1))
     on_both = np.maximum(a, b) * longest < _DOUBLE_LEAST
     a, b = (np.where(on_both, _DOUBLE_LEAST / longest, x) for x in (a, b))
     finest = (np.clip(np.sqrt(left) * np.minimum(a, b) * longest, _DOUBLE_FINEST, 1.0) / longest) ** 2
+    if len(signs) == 1:
+        finest = finest.min(axis=-1, keepdims=True)
     last = np.log(_DOUBLE_FADED / (wave.min(axis=-1) * finest))
     spacing = (last - _DOUBLE_FIRST) / _DOUBLE_POINTS
     u = _DOUBLE_FIRST + spacing[..., None] * (np.arange(_DOUBLE_POINTS) + 0.5)
     fine = np.exp(-u)
     s = finest[..., None] * np.exp(u - fine)
     a, b, w, left, turned = a[..., None], b[..., None], tie[..., None], left[..., None], -1j * s
-    roots, total = (
-        (np.sqrt(left * a**2 + turned), np.sqrt(left * b**2 + turned)),
-        np.zeros(s.shape, dtype=np.complex128),
-    )
-    for sign in (1.0, -1.0):
+    roots: Any = np.sqrt(left * a**2 + turned), np.sqrt(left * b**2 + turned)
+    total = np.zeros(roots[0].shape, dtype=np.complex128)
+    for sign in signs:
         pole = a**2 + b**2 + 2.0 * sign * w * a * b + turned
         total += ((b + sign * w * a) / roots[0] + (a + sign * w * b) / roots[1]) / pole
-    total *= turned * (1.0 + fine) * (0.5 / np.pi * spacing[..., None])
+    total *= turned * (1.0 + fine) * (1.0 / np.pi / len(signs) * spacing[..., None])
     both = np.stack([total.real, total.imag], axis=-2) @ np.exp(-s[..., None] * wave[..., None, :])
     return np.asarray(both[..., 0, :] + 1j * both[..., 1, :])

@@ -30,6 +30,7 @@ _IDENTITIES = {
     "static edge": "diffraction.family.EdgePaths",
     "static exact edge": "diffraction.exact.ExactEdgePaths",
     "static edge pair": "diffraction.double.DoubleEdgePaths",
+    "static edge gap": "vertices.gap_pair.GapPaths",
     "static scatterer": "scattering.family.ScatteredPaths",
     "static edge scatterer": "vertices.edge_scatterer.EdgeScattererPaths",
     "static scatterer edge": "vertices.edge_scatterer.ScattererEdgePaths",
@@ -39,6 +40,7 @@ _IDENTITIES = {
     "moving edge": "moving.edge_family.MovingEdgePaths",
     "moving exact edge": "moving.edge_family.MovingEdgePaths",
     "moving edge pair": "moving.edge_family.MovingEdgePairPaths",
+    "moving edge gap": "vertices.gap_pair.MovingGapPaths",
     "moving scatterer": "moving.scattered.BodyScatteredPaths",
 }
 

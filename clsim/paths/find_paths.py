@@ -17,11 +17,12 @@ from clsim.paths.family import BODY, SPECULAR
 from clsim.paths.options import FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
+from clsim.paths.search.body_edge_gaps import moving_gap_paths
 from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths
 from clsim.paths.search.body_edges import moving_edge_paths
 from clsim.paths.search.corner_events import at_one_time
 from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
-from clsim.paths.search.edges import double_edge_paths, edge_paths
+from clsim.paths.search.edges import double_edge_paths, edge_paths, gap_edge_paths
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.search.shoebox import shoebox_paths
@@ -80,10 +81,10 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     """
     levels, edges = direct_levels(scene, options.direct), options.diffraction
     finders = with_plugins(FAMILY_FINDERS, PATH_FAMILIES)
-    steps = len(finders) + edges
+    steps = len(finders) + len(OVER_EDGES[edges])
     parts = _parts(options, steps + (steps + 1 if scene.bodies else 0))
     found = tuple(find(scene, next(parts)) for find in finders.values())
-    for kind in (edge_paths, double_edge_paths)[:edges]:
+    for kind in OVER_EDGES[edges]:
         found = (*found, kind(scene, next(parts), found))
     if edges:
         found = at_one_time(scene, found, resolution_of(scene, options.resolution))
@@ -91,7 +92,7 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
         bodies = BodySearch(scene, options)
         found = tuple(behind_bodies(bodies, family, next(parts).tell) for family in found)
         found = (*found, bodies.paths(next(parts).tell))
-        for of_bodies in (moving_edge_paths, moving_edge_pair_paths)[:edges]:
+        for of_bodies in OVER_BODIES[edges]:
             found = (*found, of_bodies(bodies, found))
     if scene.scatterers:
         found = (*found, *_scattered(scene, options))
@@ -164,6 +165,8 @@ def _specular_paths(scene: Scene, search: PathOptions) -> PathFamily:
     return find(scene, scene.room, search)
 
 
+OVER_EDGES = (), (edge_paths,), (edge_paths, double_edge_paths, gap_edge_paths)  # by `diffraction`
+OVER_BODIES = (), (moving_edge_paths,), (moving_edge_paths, moving_edge_pair_paths, moving_gap_paths)
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet
 

@@ -1,7 +1,7 @@
 """Legs of paths, and vertices between them: what a kind of leg and a kind of vertex must provide.
 
 A *leg* is a part of a path between two vertices or endpoints, reflected by any number of surfaces. A *vertex* is a
-point at which a path changes direction otherwise: an edge, two edges of one face, a scatterer. The paths of one kind of
+point at which a path changes direction otherwise: an edge, two edges, a scatterer. The paths of one kind of
 leg and one kind of vertex are a `Chain`: specular paths are one static leg, edge paths a static leg, an edge and a
 static leg, paths by a scatterer behind a body a moving leg, a scatterer and a moving leg.
 
@@ -217,7 +217,11 @@ def in_chunks(links: Links, times: Floats, nodes: int, solve: Callable[[Links, F
 
 
 def met_in_order(
-    counts: tuple[int, int], before: Integers, vertex: tuple[int, Integers] | None, after: Integers | None
+    counts: tuple[int, int],
+    before: Integers,
+    vertex: tuple[int, Integers] | None,
+    after: Integers | None,
+    between: Integers | None = None,
 ) -> tuple[Integers, Integers]:
     """Make interactions and objects (P, N) of paths from their surfaces, and from interaction and objects of vertices.
 
@@ -226,7 +230,9 @@ def met_in_order(
     walls, faces = counts
     things, at_vertex = before, NONE if vertex is None else vertex[0]
     if vertex is not None and after is not None:
-        things = np.concatenate([before, faces + np.atleast_2d(vertex[1].T).T, after], axis=1)
+        own = faces + np.atleast_2d(vertex[1].T).T
+        inner = own[:, :0] if between is None else between  # mirrors between two vertices
+        things = np.concatenate([before, own[:, :1], inner, own[:, 1:], after], axis=1)
     things = np.take_along_axis(things, np.argsort(things < 0, axis=1, kind="stable"), axis=1)
     kinds = np.select([things < 0, things < walls, things < faces], [NONE, SPECULAR, BODY], at_vertex)
     return kinds.astype(np.int8), np.where(things >= walls, things - walls, things)

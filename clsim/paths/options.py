@@ -33,7 +33,7 @@ class PathOptions:
         Largest number of reflections, 0 for the direct sound alone.
     diffraction : int
         Largest number of edges that a path turns round: 0, 1 for paths with one edge and up to `max_order` reflections
-        before and after it, of the room or of bodies, or 2 for those over two edges of one face of the room as well.
+        before and after it, of the room or of bodies, or 2 for those over two edges as well.
     diffraction_model : {"utd", "btm"}
         Of the field at an edge: the uniform theory of diffraction, for some 5 kHz and more, or the exact field of a
         wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two edges are those of

@@ -57,6 +57,7 @@ SUPPORT = {  # by `Chain.kind`
     "static edge": Support("one edge", (DEVICE, HOST, HOST, HOST), "edges"),
     "static exact edge": Support('one edge, `diffraction_model="btm"`', (HOST, HOST, HOST, HOST)),
     "static edge pair": Support("two edges of one face", _BEHIND_BODIES, refusal=_TWO_EDGES),
+    "static edge gap": Support("two edges with air between", _BEHIND_BODIES, refusal=_TWO_EDGES),
     "static scatterer": Support("a scatterer", (DEVICE, DEVICE, REFUSED, REFUSED), "scatterers", _SCATTERERS),
     "static scatterer pair": Support("two scatterers", (HOST, REFUSED, REFUSED, REFUSED), refusal=_TWO_SCATTERERS),
     "static edge scatterer": Support(
@@ -72,6 +73,7 @@ SUPPORT = {  # by `Chain.kind`
     "moving edge": Support("bodies and an edge", _BEHIND_BODIES, refusal=_BODIES),
     "moving exact edge": Support('bodies and an edge, `diffraction_model="btm"`', _BEHIND_BODIES, refusal=_BODIES),
     "moving edge pair": Support("bodies and two edges of one face", _BEHIND_BODIES, refusal=_BODIES),
+    "moving edge gap": Support("bodies and two edges with air between", _BEHIND_BODIES, refusal=_BODIES),
     "moving scatterer": Support("bodies and a scatterer", _BEHIND_BODIES, refusal=_BODIES),
 }
 

@@ -3,6 +3,8 @@
 Run as a program it prints the values that are stored in `PILLAR` and `WALLS`.
 """
 
+from typing import Any
+
 import numpy as np
 from scipy.special import hankel2
 
@@ -77,21 +79,23 @@ WALLS = {  # by thickness, m
 }
 
 
-def outline(size: tuple[float, float], step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return Gauss points (N, G, 2), weights (N, G) and outward normals (N, 2) of elements, short near the corners."""
+def outline(polygon: Any, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return Gauss points (N, G, 2), weights (N, G) and outward normals (N, 2) of elements, short near the corners.
+
+    The corners of the polygon go round it counterclockwise.
+    """
     x, w = np.polynomial.legendre.leggauss(4)
     points, weights, normals = [], [], []
-    for i, angle in enumerate(0.5 * np.pi * np.arange(4)):
-        off, side = size[i % 2], size[1 - i % 2]
+    for start, stop in zip(np.array(polygon), np.roll(polygon, -1, axis=0), strict=True):
+        side = np.linalg.norm(stop - start)
+        along = (stop - start) / side
         count = max(int(np.ceil(side / step)) | 1, 9)
         share = np.linspace(0.0, 1.0, count + 1)
-        ends = side * (share - np.sin(2.0 * np.pi * share) / (2.5 * np.pi) - 0.5)
+        ends = side * (share - np.sin(2.0 * np.pi * share) / (2.5 * np.pi))
         middle, half = 0.5 * (ends[1:] + ends[:-1]), 0.5 * np.diff(ends)
-        along = middle[:, None] + half[:, None] * x
-        out, right = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-        points.append(0.5 * off * out + along[..., None] * right)
+        points.append(start + (middle[:, None] + half[:, None] * x)[..., None] * along)
         weights.append(half[:, None] * w)
-        normals.append(np.tile(out, (count, 1)))
+        normals.append(np.tile([along[1], -along[0]], (count, 1)))
     return np.concatenate(points), np.concatenate(weights), np.concatenate(normals)
 
 
@@ -109,15 +113,26 @@ def dipoles(x: np.ndarray, points: np.ndarray, weights: np.ndarray, normals: np.
 def field_behind(
     size: tuple[float, float], frequency: float, elements: float = 9.0, at: list[tuple[float, float]] = RECEIVERS
 ) -> np.ndarray:
-    """Total over the free field at places, with so many elements in a wavelength."""
-    k = 2.0 * np.pi * frequency / C
-    points, weights, normals = outline(size, C / frequency / elements)
+    """Total over the free field at places behind a rectangle, with so many elements in a wavelength."""
+    x, y = 0.5 * size[0], 0.5 * size[1]
+    return field_about([[(-x, -y), (x, -y), (x, y), (-x, y)]], SOURCE, at, frequency, elements)
+
+
+def field_about(
+    polygons: list[list[tuple[float, float]]], source: tuple[float, float], at: list[tuple[float, float]],
+    frequency: float, elements: float = 9.0,
+) -> np.ndarray:  # fmt: skip
+    """Total over the free field at places about convex polygons, with so many elements in a wavelength."""
+    k, rng = 2.0 * np.pi * frequency / C, np.random.default_rng(1)
+    parts = zip(*(outline(polygon, C / frequency / elements) for polygon in polygons), strict=True)
+    points, weights, normals = (np.concatenate(part) for part in parts)
     middles = np.einsum("ngi,ng->ni", points, weights) / weights.sum(axis=1)[:, None]
     # Places within, where there is nothing, tell resonances of the inside apart.
-    inside = np.random.default_rng(1).uniform(-0.45, 0.45, (40, 2)) * size
+    shares = rng.dirichlet(np.ones(len(polygons[0])), 40)
+    inside = np.concatenate([0.9 * shares @ p + 0.1 * np.mean(p, axis=0) for p in map(np.array, polygons)])
 
     def free(x: np.ndarray) -> np.ndarray:
-        return -0.25j * hankel2(0, k * np.linalg.norm(x - np.array(SOURCE), axis=1))
+        return -0.25j * hankel2(0, k * np.linalg.norm(x - np.array(source), axis=1))
 
     on = 0.5 * np.eye(len(points)) - dipoles(middles, points, weights, normals, k)
     matrix = np.concatenate([on, -dipoles(inside, points, weights, normals, k)])

@@ -43,6 +43,7 @@ OWN = {
     "band_taper": "a product of two functions of scipy",
     "bank_error": "a maximum",
     "double_transition": "derived: a double integral as four single ones",
+    "gap_transition": "derived: a quarter plane of a quadratic phase",
     "double_tie": "derived: the coupling of two phases that are quadratic in both angles",
     "angle_polynomials": "a recurrence of Chebyshev polynomials",
     "end_coefficients": "derived: a quadrature of end_transition at Chebyshev nodes",

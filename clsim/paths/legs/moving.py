@@ -52,6 +52,10 @@ class MovingLinks(Links):
                 if last is None:  # the receiver stands behind all mirrors
                     continue
                 m, two = int(np.sum(some.legs[1].surfaces[i] >= 0)), some.vertex.objects.ndim - 1
+                if (between := some.between).shape[1]:
+                    b = int(np.sum(between[i] >= 0))
+                    found[p, n + 2 : n + 2 + b] = events.between.place[i, 0, 1 : b + 1]
+                    n += b
                 found[p, n + 2 : n + m + 3 + two] = last.place[i, 0, 1 - two : m + 2]
         return found
 
@@ -78,7 +82,13 @@ class MovingLinks(Links):
     @property
     def all_surfaces(self) -> Integers:
         """Mirrors (P, N) of all legs, -1 for none."""
-        return np.concatenate(self.surfaces, axis=1)
+        return np.concatenate([*self.surfaces, self.between], axis=1)
+
+    @property
+    def between(self) -> Integers:
+        """Mirrors (P, B) between two vertices, -1 for none."""
+        none = np.empty((len(self), 0), dtype=np.int32)
+        return none if self.vertex is None else getattr(self.vertex, "between", none)
 
 
 def _columns(kinematics: Kinematics, links: Any, times: Floats) -> Columns:
@@ -98,7 +108,8 @@ def _columns(kinematics: Kinematics, links: Any, times: Floats) -> Columns:
     else:
         delay, rate, through = delay + last.delay, rate + last.rate, through + last.distance
         rate = rate - first.rate * last.rate if retarded else rate
-        cosine = np.concatenate([cosine, last.cosine], axis=2)
+        way = [passed.between.cosine] if links.between.shape[1] else []
+        cosine = np.concatenate([cosine, last.cosine, *way], axis=2)
         own = links.vertex.passed(passed, kinematics)
     return {
         "delay": delay, "delay_rate": rate, "departure": first.departure, "arrival": last.arrival,
@@ -148,7 +159,7 @@ def moving_paths(
     each: Any = vertex
     walls, at = len(scene.room.faces), None if vertex is None else (each.interaction, each.objects)
     counts = walls, walls + sum(len(body.faces) for body in scene.bodies)
-    kinds, objects = met_in_order(counts, surfaces[0], at, surfaces[-1])
+    kinds, objects = met_in_order(counts, surfaces[0], at, surfaces[-1], getattr(vertex, "between", None))
     wide = np.int32 if at is not None and at[0] == DIFFRACTION else np.int64  # as they are hashed
     kinds, objects = read_only(kinds), read_only(objects.astype(wide))
     always: dict[str, Any] = {name: columns[name] for name in ("source", "receiver", "order", "start", "end")}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def moving_edge_pair_paths(search: BodySearch, others: tuple[PathFamily, ...]) -
 
     others: paths over fewer edges, and over two of the room: where one of these is taken over from, its time is taken.
     """
-    finder, scene = _EdgePairFinder(search), search.scene
+    finder, scene = EdgePairFinder(search), search.scene
     held = finder.every_path()
     own: dict[str, Any] = {name: held[name] for name in COLUMNS}
     alike: dict[str, Any] = {"lines": finder.lines, "model": "utd"}
@@ -50,15 +50,17 @@ def moving_edge_pair_paths(search: BodySearch, others: tuple[PathFamily, ...]) -
     return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
 
 
-class _EdgePairFinder(EdgeFinder):
+class EdgePairFinder(EdgeFinder):
     """Looks for paths over two edges, from each source to each receiver."""
+
+    on_faces: ClassVar[bool] = True  # whether the ways between both edges are
 
     def __init__(self, search: BodySearch) -> None:
         super().__init__(search)
         self._faces = _FacesBetween(search, self.lines)
 
     def _look(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Codes]:
-        return _PairLook(self._search, self._faces, pair, chains)
+        return PairLook(self._search, self._faces, pair, chains)
 
     def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> EdgePairs:
         sides = self._reached(source, None, span), self._reached(source, receiver, span)
@@ -76,10 +78,18 @@ class _EdgePairFinder(EdgeFinder):
     ) -> dict[str, Any]:
         columns = self._own_columns(ends, chains, heard, code)
         met, bits = columns["order"] - 1, _SECOND << np.arange(TERMS)
+        met = met + self.met_between(chains)
         last_lit = np.where(code[:, None] & bits, 1, -1).astype(np.int8)
-        last_lit[met[:, None] + partner_reflections(self.lines.n[chains.last]) > self._order] = 0
-        more = {"order": columns["order"] + 1, "last_edge": chains.last, "last_lit": last_lit, "shared": chains.face}
+        first, last = (partner_reflections(self.lines.n[edge]) for edge in (chains.edge, chains.last))
+        least = (x.min(axis=1, keepdims=True) * self.on_faces for x in (first, last))
+        for lit, mine, other in zip((last_lit, columns["lit"]), (last, first), least, strict=True):
+            lit[met[:, None] + mine + other > self._order] = 0
+        more = {"order": met + 2, "last_edge": chains.last, "last_lit": last_lit, "shared": chains.face}
         return columns | more
+
+    def met_between(self, chains: Any) -> Any:
+        """Numbers (n,) of mirrors between both edges."""
+        return 0
 
 
 class _FacesBetween:
@@ -113,7 +123,7 @@ class _FacesBetween:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PairLook:
+class PairLook:
     """How paths over two edges are at some times, as codes: `ABSENT`, or bits for what of theirs is seen."""
 
     search: BodySearch
@@ -121,33 +131,56 @@ class _PairLook:
     pair: PairQuery
     pairs: EdgePairs
 
+    solver: ClassVar[type[EdgePairSolver]] = EdgePairSolver
+
     def __call__(self, rows: Rows, times: Floats) -> Codes:
+        """Codes of paths at times (P, T), s."""
         lines, pair = self.faces.lines, self.pair
-        solver = EdgePairSolver(self.search.obstacles.mirrors, lines, pair.ends, pair.medium, rounds=ROUNDS)
+        solver = self.solver(self.search.obstacles.mirrors, lines, pair.ends, pair.medium, rounds=ROUNDS)
         pairs = self.pairs.part(rows)
         events: Any = solver.find(pairs, times)
-        p, t = free_legs(self.search, pairs, events, times, self._on(solver, pairs, events))
-        there = self.faces.free(pairs.part(p), events.along[p, :, t])
+        p, t = free_legs(self.search, pairs, events, times, self.on(solver, pairs, events))
+        there = self.free(pairs, events, p, t)
         p, t = p[there], t[there]
-        n, last_n = lines.n[pairs.edge[p]], lines.n[pairs.last[p]]
-        (t_s, t_r), face = (end[1][p, t] for end in (events.source, events.receiver)), np.pi * pairs.face[p]
-        met = np.sum(pairs.before[p] >= 0, axis=1) + np.sum(pairs.after[p] >= 0, axis=1)
+        wedges = lines.n[pairs.edge[p]], lines.n[pairs.last[p]]
+        t_s, t_r = (end[1][p, t] for end in (events.source, events.receiver))
+        ahead, back = self.between(pairs, events, p, t)
+        met = np.sum(pairs.before[p] >= 0, axis=1) + np.sum(pairs.after[p] >= 0, axis=1) + self.met(pairs)[p]
         code = np.full(times.shape, ABSENT, dtype=np.int16)
         code[p, t] = 0
-        for first, wedge, angles in ((1, n, (t_s, face[:, 0] * n)), (_SECOND, last_n, (face[:, 1] * last_n, t_r))):
+        for first, wedge, angles in ((1, wedges[0], (t_s, ahead)), (_SECOND, wedges[1], (back, t_r))):
             seen = (lit_angles(wedge, *angles) >= 0.0) & (
                 met[:, None] + partner_reflections(wedge) <= self.search.order
             )
             code[p, t] += (seen @ (first << np.arange(TERMS))).astype(np.int16)
-        code[p, t] += halves((n, last_n), (t_s, t_r)).astype(np.int16)
+        code[p, t] += halves(wedges, (t_s, t_r)).astype(np.int16)
         return code
 
-    def _on(self, solver: EdgePairSolver, pairs: EdgePairs, events: EdgePairEvents) -> NDArray[np.bool_]:
+    def free(self, pairs: Any, events: Any, p: Rows, t: Rows) -> NDArray[np.bool_]:
+        """Mask (n,) of some paths at times (n,) of which the way between both edges is free."""
+        return self.faces.free(pairs.part(p), events.along[p, :, t])
+
+    def between(self, pairs: Any, events: Any, p: Rows, t: Rows) -> tuple[Floats, Floats]:
+        """Angles (n,) of the way between about both edges."""
+        face, lines = np.pi * pairs.face[p], self.faces.lines
+        return face[:, 0] * lines.n[pairs.edge[p]], face[:, 1] * lines.n[pairs.last[p]]
+
+    def met(self, pairs: Any) -> NDArray[np.int64]:
+        """Numbers (P,) of mirrors between both edges."""
+        return np.zeros(len(pairs.edge), dtype=np.int64)
+
+    def on(self, solver: EdgePairSolver, pairs: EdgePairs, events: EdgePairEvents) -> NDArray[np.bool_]:
         """Mask (P, T) of paths that meet both edges, from the air, with each end beyond the other's edge."""
-        lines, edges = solver.lines, np.stack([pairs.edge, pairs.last], axis=1)
-        on = np.all((events.along > 0.0) & (events.along < lines.length[edges][..., None]), axis=1)
-        for edge, (_, angle, _) in zip(edges.T, (events.source, events.receiver), strict=True):
-            on &= (angle > 0.0) & (angle < np.pi * lines.n[edge][:, None])
+        on = on_edges(solver, pairs, events)
         for r, _ in solver.ahead(pairs, events):
             on &= r > 0.0
         return np.asarray(on)
+
+
+def on_edges(solver: EdgePairSolver, pairs: EdgePairs, events: EdgePairEvents) -> NDArray[np.bool_]:
+    """Mask (P, T) of paths that meet both edges from the air."""
+    lines, edges = solver.lines, np.stack([pairs.edge, pairs.last], axis=1)
+    on = np.all((events.along > 0.0) & (events.along < lines.length[edges][..., None]), axis=1)
+    for edge, (_, angle, _) in zip(edges.T, (events.source, events.receiver), strict=True):
+        on &= (angle > 0.0) & (angle < np.pi * lines.n[edge][:, None])
+    return np.asarray(on)

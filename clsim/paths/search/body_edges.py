@@ -124,16 +124,19 @@ class EdgeFinder:
                 parts.append((before, after, np.full(len(before), edge), np.full(len(before), end)))
         return Chains(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
 
-    def _met(self, sides: tuple[Any, Any], edges: tuple[int, int], most: int) -> tuple[Any, Any]:
+    def _met(
+        self, sides: tuple[Any, Any], edges: tuple[int, int], most: int, at_rest: bool | None = None
+    ) -> tuple[Any, Any]:
         """Mirrors (n, order) before the first and after the last of some edges, not more than `most` together.
 
-        Of edges of the room a mirror must belong to a body: other paths are those of a room without any.
+        Where the edges, and all between them, are `at_rest` a mirror must belong to a body: other paths are those of a
+        room without any.
         """
         before, after = sides[0][edges[0]], sides[1][edges[1]]
         i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
         both = np.concatenate([before[i], after[j]], axis=1)
         kept = np.sum(both >= 0, axis=1) <= most
-        if self.lines.owner[edges[0]] == ROOM:
+        if self.lines.owner[edges[0]] == ROOM if at_rest is None else at_rest:
             kept &= np.any(np.append(self._mirrors.owner, ROOM)[both] >= 0, axis=1)
         before, after = np.hsplit(both[kept], 2)
         return before, after
@@ -144,45 +147,48 @@ class EdgeFinder:
         return max(self._order, 1)
 
     def _find_reached(self, source: int, receiver: int | None, span: tuple[float, float]) -> list[NDArray[np.int32]]:
-        """Return for each edge the mirrors (n, order) by which one end may reach it, both from the source's side.
-
-        Beams run from a ball that holds the end to balls that hold the edges, about one pose of the bodies, with the
-        slack of `BodySearch` for what moves off it.
-        """
+        """Return for each edge the mirrors (n, order) by which one end may reach it, both from the source's side."""
         (query, longest), (begin, end) = self._search.queries[source], span
+        row, first = (0, begin - longest) if receiver is None else (1 + receiver, begin - longest)
+        given = self._beams(source, query.trajectory_tables.sphere(row, first, end), span)
+        return [self._padded(edge, met, receiver is not None) for edge, met in enumerate(given)]
+
+    def _beams(
+        self, source: int, ball: tuple[Floats, float], span: tuple[float, float]
+    ) -> list[list[NDArray[np.int32]]]:
+        """Return for each edge the mirrors (n, N) by which it may be reached from a ball, by their number.
+
+        Beams run from the ball to balls that hold the edges, about one pose of the bodies, with the slack of
+        `BodySearch` for what moves off it.
+        """
+        (_, longest), (begin, end) = self._search.queries[source], span
         times = np.linspace(begin - longest, end, 9)
         middle = 0.5 * (begin - longest + end)
-        moved = self._search.moved(middle, times)
-        slack = 2.0 * (self._order + 1) * moved
-        at_rest, lines = np.full((len(self.lines), 1), middle), self.lines
-        everyone = np.arange(len(lines))
-        spheres = BoundingSpheres(
-            lines.placed(everyone, 0.5 * lines.length[:, None], at_rest)[:, 0], 0.5 * lines.length + slack
-        )
-        tables = query.trajectory_tables
-        ball = (
-            tables.sphere(0, begin - longest, end)
-            if receiver is None
-            else tables.sphere(1 + receiver, begin - longest, end)
-        )
+        slack = 2.0 * (self._order + 1) * self._search.moved(middle, times)
         walls = self._search.posed(middle)
         # What bodies hide in this pose they may not hide in the next: as for `BodySearch`, nothing is.
+        spheres = BoundingSpheres(self._middles(middle), 0.5 * self.lines.length + slack)
         tree = BeamTree(walls, ball[0], ball[1] + slack, spheres, BEAM_LIMIT, None, UnhiddenLookup(walls))
-        width = max(self._order, 1)
-        found: list[list[Any]] = [[np.empty((0, width), dtype=np.int32)] for _ in everyone]
+        found: list[list[Any]] = [[] for _ in range(len(self.lines))]
         for batch in tree.candidates(self._order):
             for edge in np.unique(batch.receiver).tolist():
-                given = batch.sequence[batch.row[batch.receiver == edge]]
-                found[edge].append(self._padded(edge, given, receiver is not None))
-        return [np.concatenate(parts) for parts in found]
-
-    def _padded(self, edge: int, given: NDArray[np.int32], backwards: bool) -> NDArray[np.int32]:
-        """Return sequences (n, order) but those that meet a mirror at the edge, turned round if they are backwards."""
-        if given.shape[1]:
-            given = given[~self._held[edge][given[:, -1]]]
-        found = np.full((len(given), max(self._order, 1)), -1, dtype=np.int32)
-        found[:, : given.shape[1]] = given[:, ::-1] if backwards else given
+                found[edge].append(batch.sequence[batch.row[batch.receiver == edge]])
         return found
+
+    def _middles(self, time: float) -> Floats:
+        """Middles of all edges (E, 3) at a time, m."""
+        everyone, at_rest = np.arange(len(self.lines)), np.full((len(self.lines), 1), time)
+        return self.lines.placed(everyone, 0.5 * self.lines.length[:, None], at_rest)[:, 0]
+
+    def _padded(self, edge: int, parts: list[NDArray[np.int32]], backwards: bool) -> NDArray[np.int32]:
+        """Return sequences (n, order) but those that meet a mirror at the edge, turned round if they are backwards."""
+        padded = [np.empty((0, self.width), dtype=np.int32)]
+        for given in parts:
+            some = given[~self._held[edge][given[:, -1]]] if given.shape[1] else given
+            found = np.full((len(some), self.width), -1, dtype=np.int32)
+            found[:, : given.shape[1]] = some[:, ::-1] if backwards else some
+            padded.append(found)
+        return np.concatenate(padded)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,12 +230,12 @@ def free_legs(search: BodySearch, chains: Chains, events: EdgeEvents, times: Flo
     """Paths (n,) and times (n,) of those among `on` (P, T) of which both legs are free."""
     p, t = np.nonzero(on)
     for mirrors, legs, when in ((chains.before, events.first, events.time), (chains.after, events.last, times)):
-        there = _free(search, mirrors[p], legs, when, p, t)
+        there = leg_is_free(search, mirrors[p], legs, when, p, t)
         p, t = p[there], t[there]
     return p, t
 
 
-def _free(search: BodySearch, mirrors: NDArray[np.int32], legs: Events, when: Floats, p: Rows, t: Rows) -> Any:
+def leg_is_free(search: BodySearch, mirrors: NDArray[np.int32], legs: Events, when: Floats, p: Rows, t: Rows) -> Any:
     """Mask (n,) of some paths at times (n,) that meet their mirrors (n, N) and are free of obstacles."""
     some = type(legs)(*(getattr(legs, f.name)[p, t][:, None] for f in fields(legs)))
     there = search.obstacles.there(mirrors, some, when[p, t][:, None])[:, 0]

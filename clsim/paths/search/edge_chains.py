@@ -18,6 +18,8 @@ from clsim.paths.search.mesh import image_isometries
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.vertices.edge_pair import EdgePairVertex
+from clsim.paths.vertices.gap_pair import GapPairVertex
+from clsim.paths.visibility.edge_gaps import seen_frames
 from clsim.paths.visibility.edges import ENDS_BESIDE, SIDES
 
 if TYPE_CHECKING:
@@ -47,6 +49,25 @@ def edge_chain(scene: Scene, model: str, order: int, rows: Found) -> Chain:
 
 def edge_pair_chain(scene: Scene, order: int, rows: Found) -> Chain:
     """Make paths over two edges that share a face."""
+    return _chain(scene, order, rows, EdgePairVertex(**_both_edges(scene, rows)))
+
+
+def gap_chain(scene: Scene, order: int, rows: Found) -> Chain:
+    """Make paths over two edges with air between."""
+    columns, walls = _both_edges(scene, rows), scene.room.as_mesh().walls
+    between = np.full((len(rows), order), -1, dtype=np.int32)
+    for row, r in zip(between, rows, strict=True):
+        row[: len(r["between"])] = r["between"]
+    met = np.array([len(r["before"]) + len(r["after"]) + len(r["between"]) for r in rows], dtype=np.int64)
+    seen = seen_frames(walls, scene.room.edges(), columns["last"].edge, between)
+    held: dict[str, Any] = {
+        name: read_only(x) for name, x in (("seen", seen), ("between", between), ("budget", order - met))
+    }
+    return _chain(scene, order, rows, GapPairVertex(**columns, **held))
+
+
+def _both_edges(scene: Scene, rows: Found) -> dict[str, Any]:
+    """Columns of `EdgePairVertex`."""
     lines, columns = EdgeLines.of(scene, of_bodies=False), _first_edges(rows)
     second = {
         "edge": np.array([r["edges"][1] for r in rows], dtype=np.int64),
@@ -54,8 +75,7 @@ def edge_pair_chain(scene: Scene, order: int, rows: Found) -> Chain:
     }
     last = EdgeVertex(**(columns | second), lines=lines, model="utd")
     shared = read_only(np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2))
-    vertex = EdgePairVertex(**columns, lines=lines, model="utd", last=last, shared=shared)
-    return _chain(scene, order, rows, vertex)
+    return columns | {"lines": lines, "model": "utd", "last": last, "shared": shared}
 
 
 def _first_edges(rows: Found) -> dict[str, Any]:
@@ -74,11 +94,13 @@ def _chain(scene: Scene, order: int, rows: Found, vertex: EdgeVertex) -> Chain:
     kinds = np.full((count, order + 2), NONE, dtype=np.int8)
     for i, r in enumerate(rows):
         n, m = len(r["before"]), len(r["after"])
-        things = r["edges"] if r["faces"][0] >= 0 else r["edges"][:1]
+        first, last = r["edges"]
+        things = [first, *r["between"], last] if r["faces"][0] >= 0 else [first]
         if r["end_of"] >= 0:
-            things = [edges + 2 * things[0] + r["end_of"]]
+            things = [edges + 2 * first + r["end_of"]]
         objects[i, : n + m + len(things)] = [*r["before"], *things, *r["after"][::-1]]
-        kinds[i, : n + m + len(things)] = [SPECULAR] * n + [DIFFRACTION] * len(things) + [SPECULAR] * m
+        met = [DIFFRACTION, *[SPECULAR] * len(r["between"]), DIFFRACTION][: len(things)]
+        kinds[i, : n + m + len(things)] = [SPECULAR] * n + met + [SPECULAR] * m
     longest = order + max((1 + (r["faces"][0] >= 0) for r in rows), default=1)
     objects, kinds = read_only(objects[:, :longest]), read_only(kinds[:, :longest])
     legs = _leg(scene, order, [r["before"] for r in rows]), _leg(scene, order, [r["after"] for r in rows])

@@ -12,7 +12,8 @@ from clsim.arrays import as_count
 from clsim.errors import InputError
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
-from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, with_swaps
+from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, gap_chain, with_swaps
+from clsim.paths.search.edge_gaps import edge_gaps
 from clsim.paths.search.mesh import (
     BEAM_LIMIT,
     LARGEST_MESH_ORDER,
@@ -28,7 +29,7 @@ from clsim.paths.visibility.edge_intervals import EdgeSearch, Pieces, find_piece
 from clsim.paths.visibility.edges import ENDS_BESIDE, EdgeCandidates
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -42,7 +43,10 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
+    Reached = Callable[[tuple[Floats, float]], Sides]
+    Vertices = Callable[[EdgeSearch, Reached, int], list[list[Any]]]
 
+NO_WALL = np.empty(0, dtype=np.int32)
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
 _SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
@@ -56,7 +60,7 @@ def edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]
 
     A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
     """
-    rows, order, within = _rows_of(scene, search, others, pairs=False)
+    rows, order, within = _rows_of(scene, search, others, _edges_and_ends)
     return with_swaps(edge_chain(scene, search.diffraction_model, order, rows), within)
 
 
@@ -67,12 +71,21 @@ def double_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamil
     is taken.
     """
     check_support("static edge pair", scene.air)
-    rows, order, within = _rows_of(scene, search, others, pairs=True)
+    rows, order, within = _rows_of(scene, search, others, _edge_pairs)
     return with_swaps(edge_pair_chain(scene, order, rows), within)
 
 
+def gap_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]) -> Chain:
+    """Return every path over two edges with air between, with up to `max_order` reflections before, between and after.
+
+    others: paths without edges and over one, whose times are taken as by `double_edge_paths`.
+    """
+    rows, order, within = _rows_of(scene, search, others, edge_gaps)
+    return with_swaps(gap_chain(scene, order, rows), within)
+
+
 def _rows_of(
-    scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], pairs: bool
+    scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], vertices: Vertices
 ) -> tuple[list[dict[str, Any]], int, float]:
     """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
 
@@ -84,10 +97,11 @@ def _rows_of(
     within = 0.0
     if len(edges):
         for source in range(len(scene.sources)):
-            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), pairs)
+            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), vertices)
             rows, within = rows + found, _FARTHEST * resolution
-    rows.sort(key=lambda r: (r["source"], r["receiver"], len(r["before"]) + len(r["after"]),
-                             *r["edges"], r["end_of"], *r["before"], *r["after"], r["start"]))  # fmt: skip
+    walls = "before", "between", "after"
+    rows.sort(key=lambda r: (r["source"], r["receiver"], sum(len(r[name]) for name in walls), *r["edges"], r["end_of"],
+                             *(wall for name in walls for wall in r[name]), r["start"]))  # fmt: skip
     return rows, order, within
 
 
@@ -98,7 +112,7 @@ def _source_rows(
     order: int,
     search: PathOptions,
     partners: _Partners,
-    pairs: bool,
+    vertices: Vertices,
 ) -> tuple[list[dict[str, Any]], float]:
     """Return the paths of a source, one by one, and to which time their ends are found, s."""
     room = scene.room.as_mesh()
@@ -111,7 +125,8 @@ def _source_rows(
     from_source = reached(tables.sphere(0, -longest))
     to_receivers = [reached(tables.sphere(1 + r)) for r in range(len(scene.receivers))]
     done = source / len(scene.sources)
-    for share, candidates in _candidates(room.walls, from_source, to_receivers, edges, order, pairs):
+    sides = from_source, to_receivers
+    for share, candidates in _candidates(room.walls, sides, edges, order, vertices(finder, reached, order)):
         pieces = find_pieces(finder, candidates, order, partial(search.tell, done))
         found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
         if len(found) > search.path_limit:
@@ -171,28 +186,30 @@ def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDAr
 
 
 def _candidates(
-    walls: Walls, from_source: Sides, to_receivers: list[Sides], edges: Edges, order: int, pairs: bool
+    walls: Walls, sides: tuple[Sides, list[Sides]], edges: Edges, order: int, vertices: list[list[Any]]
 ) -> Iterator[tuple[float, EdgeCandidates]]:
     """Yield pairs of sequences to vertices, by numbers of walls, and the share of the work so far.
 
-    Vertices are edges and their free ends, or `pairs` of edges that share a face.
+    Vertices are told as edges, faces shared, end, fewest reflections of an adjacent path, and walls between, by how
+    many these are.
     """
-    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
-    vertices = _edge_pairs(edges) if pairs else _edges_and_ends(edges)
-    for done, (n, m) in enumerate(numbers):
+    numbers = [(n, m, b) for b in range(len(vertices)) for n in range(order + 1 - b) for m in range(order + 1 - b - n)]
+    for done, (n, m, b) in enumerate(numbers):
         parts: list[tuple[Any, ...]] = []
         waiting = 0
-        for receiver, to_receiver in enumerate(to_receivers):
-            for both, face, end, fewest in vertices:
-                if n + m + fewest > order:
+        for receiver, to_receiver in enumerate(sides[1]):
+            for both, face, end, fewest, between in vertices[b]:
+                if n + m + b + fewest > order:
                     continue
-                before, after = from_source[both[0]][n], to_receiver[both[1]][m]
+                before, after = sides[0][both[0]][n], to_receiver[both[1]][m]
                 if end >= 0:  # nothing comes to an end by a wall that it lies in
                     place = (edges.start, edges.stop)[end][both[0]]
                     before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
                 i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
-                vertex = (np.tile(x, (len(i), 1)) for x in (both, face))
-                parts.append((before[i], after[j], *vertex, *(np.full(len(i), x) for x in (end, receiver))))
+                both_and_face, met = ((np.tile(x, (len(i), 1)) for x in each) for each in ((both, face), (between,)))
+                parts.append(
+                    (before[i], after[j], *both_and_face, *(np.full(len(i), x) for x in (end, receiver)), *met)
+                )
                 waiting += len(i)
                 if waiting >= _BATCH:
                     yield done / len(numbers), _together(parts)
@@ -201,16 +218,18 @@ def _candidates(
             yield (done + 1) / len(numbers), _together(parts)
 
 
-def _edges_and_ends(edges: Edges) -> Iterable[Any]:
-    """List edges and free ends of them: edges, faces shared, end, and fewest reflections of an adjacent path."""
+def _edges_and_ends(finder: EdgeSearch, reached: Reached, order: int) -> list[list[Any]]:
+    """List edges and free ends of them, see `_candidates`."""
+    edges = finder.edges
     fewest = partner_reflections(edges.n).min(axis=1).tolist()
     ends = [(-1, *np.flatnonzero(free).tolist()) for free in edges.free]
-    return [((e, e), (-1, -1), end, fewest[e]) for e in range(len(edges)) for end in ends[e]]
+    return [[((e, e), (-1, -1), end, fewest[e], NO_WALL) for e in range(len(edges)) for end in ends[e]]]
 
 
-def _edge_pairs(edges: Edges) -> Iterable[Any]:
+def _edge_pairs(finder: EdgeSearch, reached: Reached, order: int) -> list[list[Any]]:
     """List pairs of edges that share a face, likewise."""
-    return [(pair, face, -1, 0) for pair, face in zip(*edges.pairs(), strict=True)]
+    edges, fewest = finder.edges, partner_reflections(finder.edges.n).min(axis=1)
+    return [[(pair, face, -1, fewest[pair].sum(), NO_WALL) for pair, face in zip(*edges.pairs(), strict=True)]]
 
 
 def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:
@@ -263,15 +282,21 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, partners: _Partn
         if begin[i] < end[i]:
             yield {
                 "receiver": int(asked.receiver[row]), "before": asked.before[row], "after": asked.after[row],
-                "edges": asked.edge[row].tolist(), "faces": asked.face[row].tolist(), "end_of": int(asked.end[row]),
-                "start": begin[i], "end": end[i], "sides": pieces.sides[i],
+                "edges": asked.edge[row].tolist(), "between": asked.between[row], "faces": asked.face[row].tolist(),
+                "end_of": int(asked.end[row]), "start": begin[i], "end": end[i], "sides": pieces.sides[i],
             }  # fmt: skip
 
 
 def _instead(edges: Edges, asked: EdgeCandidates, row: int, term: int) -> list[int]:
     """Interactions of a term's partner in place of the edges: faces in turn, or the other one of two edges."""
-    one, other = asked.edge[row].tolist()
-    if asked.face[row, 0] >= 0:
+    (one, other), shared = asked.edge[row].tolist(), int(asked.face[row, 0])
+    if shared in (0, 1):
         return [-1 - (other if term < TERMS else one)]
-    faces, count = edges.faces[one].tolist(), int(partner_reflections(edges.n[one])[term])
-    return [int(faces[(term + bounce) % 2]) for bounce in range(count)]
+    second = term > TERMS
+    edge, term = (other, term - TERMS - 1) if second else (one, term)
+    faces, count = edges.faces[edge].tolist(), int(partner_reflections(edges.n[edge])[term])
+    bounces = [int(faces[(term + bounce) % 2]) for bounce in range(count)]
+    if shared < 0:
+        return bounces
+    between = asked.between[row].tolist()
+    return [-1 - one, *between, *bounces] if second else [*bounces, *between, -1 - other]

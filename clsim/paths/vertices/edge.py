@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from clsim.acoustics.diffraction import EVEN, ON_LINE, edge_way, end_detour, lit_angles, wedge_terms
+from clsim.acoustics.diffraction import EVEN, edge_way, end_detour, lit_angles, wedge_terms
 from clsim.paths.arrivals import RETARDED, Arrivals
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.propagation import UniformAir, arrivals_by
@@ -21,7 +21,7 @@ from clsim.paths.vertices.edge_field import (
     partner_factors,
     utd_field,
 )
-from clsim.paths.vertices.edge_lengths import EdgeView, LayeredLengths, RolledOut, edge_lengths
+from clsim.paths.vertices.edge_lengths import EdgeView, LayeredLengths, edge_lengths, polar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -166,9 +166,10 @@ class EdgeVertex:
         first, last = (EdgeView.of(leg.matrix, leg.offset, self.frame) for leg in links.legs)
         return first, last
 
-    def beyond(self) -> tuple[RolledOut, RolledOut] | None:
-        """Take the views from two edges of paths beyond each other, or None for paths over one."""
-        return None
+    def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
+        """Places on the first and last edges, and lengths, of shortest paths between ends at r and z, (P, T) m each."""
+        way = edge_way(*source, *receiver)
+        return (way.apex, way.apex), way.length
 
     def on_static_legs(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
         """Solve paths between static legs.
@@ -181,7 +182,7 @@ class EdgeVertex:
             return arrivals_by(partial(LayeredLengths, links), medium, (source, receiver), times, kinematics)
         views = self.views(links)
         found = edge_lengths(
-            views, self.beyond(), self.end_place, source, receiver.position(times), times, medium, kinematics.retarded
+            views, self.met, self.end_place, source, receiver.position(times), times, medium, kinematics.retarded
         )
         leaving, back = found.parts
         direction, onwards = views[0].back(leaving), -views[1].back(back)
@@ -238,7 +239,7 @@ class EdgeVertex:
         """Lengths (P, T) of paths on moving legs as their edges see them, m."""
         return np.asarray(np.hypot(*events.source[::2]) + np.hypot(*events.receiver[::2]))
 
-    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> Pair:
+    def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> tuple[Floats, ...]:
         """Locate the first and last edge's points (P, 3), m, of paths between endpoints (P, 3) on static legs."""
         return self._apexes(links, ends)
 
@@ -282,7 +283,8 @@ class EdgeVertex:
             (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
             t_s, t_r = (_turned(n, side, t) for n, side, t in zip(self.wedges, self.beside.T, (t_s, t_r), strict=True))
             wave = wave * found.more["doppler"][..., None]
-            response = self._field((r_s, t_s, z_s), (r_r, t_r, z_r), np.zeros((1, 1)), wave, at)
+            middle = found.more.get("middle", np.zeros((1, 1)))
+            response = self._field((r_s, t_s, z_s), (r_r, t_r, z_r), middle, wave, at)
             response *= passing
             response *= (found.mach_factor * found.more["carried"])[..., None]
             return response
@@ -316,12 +318,15 @@ class EdgeVertex:
         return self.loudest
 
     def _apexes(self, links: Links, ends: Pair) -> Pair:
-        coordinates = (view.places(x[:, None])[..., 0] for view, x in zip(self.views(links), ends, strict=True))
-        (r_s, z_s), (r_r, z_r) = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in coordinates)
-        end, frame = self.end_place, self.frame
-        place = np.where(np.isnan(end), edge_way(r_s, z_s, r_r, z_r).apex, end)
-        apex = np.asarray(frame[:, 0] + place[:, None] * frame[:, 3])
+        place, apex = np.where(np.isnan(self.end_place), self._met_by(links, ends)[0], self.end_place), self.frame
+        apex = np.asarray(apex[:, 0] + place[:, None] * apex[:, 3])
         return apex, apex
+
+    def _met_by(self, links: Links, ends: Pair) -> Pair:
+        """Places (P,) on the first and last edges, m, of shortest paths between endpoints (P, 3) on static legs."""
+        seen = (polar(view.places(x[:, None])) for view, x in zip(self.views(links), ends, strict=True))
+        first, last = self.met(*seen)[0]
+        return first[:, 0], last[:, 0]
 
     def __len__(self) -> int:
         return len(self.edge)

@@ -11,10 +11,15 @@ from clsim.acoustics.diffraction import ON_LINE, edge_way
 from clsim.paths.propagation import Folds, straight
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from clsim.arrays import Floats
     from clsim.paths.links import Links
     from clsim.paths.propagation import Medium, Passage
     from clsim.scene.motion.motion import Motion
+
+    End = tuple[Floats, Floats]
+    Meeting = Callable[[End, End], tuple[tuple[Floats, Floats], Floats]]
 
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s
@@ -110,14 +115,15 @@ class EdgeLengths:
 
 
 def edge_lengths(
-    views: tuple[EdgeView, EdgeView], beyond: tuple[RolledOut, RolledOut] | None, end_place: Floats, source: Motion,
-    receiver: Floats, times: Floats, medium: Medium, retarded: bool,
+    views: tuple[EdgeView, EdgeView], met: Meeting, end_place: Floats, source: Motion, receiver: Floats, times: Floats,
+    medium: Medium, retarded: bool,
 ) -> EdgeLengths:  # fmt: skip
     """Return the ways of P paths between a source and a receiver.
 
     Shapes: end_place (P,) m; receiver (T, 3) m; times (T,) s.
 
-    beyond: how the first edge sees what is beyond the last one, and this what is beyond the first, of paths over two.
+    met: takes r and z (P, T) of both images about the first and the last edge; returns where the shortest paths meet
+    these, and their lengths, each (P, T) m.
 
     end_place: of the ends that paths run over, m; NaN for paths over the edge itself, by the shortest way.
 
@@ -134,7 +140,7 @@ def edge_lengths(
     delay = np.zeros(shape)
     for step_count in range(_NEWTON_LIMIT):
         emitted_at = views[0].places(positions)
-        places, length = _met(emitted_at, heard_at, beyond)
+        places, length = met(polar(emitted_at), polar(heard_at))
         towards, first = towards_edge(emitted_at, places[0])
         if len(over_end):
             place = np.array(np.broadcast_to(places[0], shape))
@@ -161,16 +167,10 @@ def edge_lengths(
     return EdgeLengths(emitted_at, heard_at, places, times - delay, delay, length, sound, mach)
 
 
-def _met(
-    emitted_at: Floats, heard_at: Floats, beyond: tuple[RolledOut, RolledOut] | None
-) -> tuple[tuple[Floats, Floats], Floats]:
-    """Points where the shortest paths meet the first and the last edge, and their lengths, each (P, T) m."""
-    source, receiver = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in (emitted_at, heard_at))
-    if beyond is None:
-        way = edge_way(*source, *receiver)
-        return (way.apex, way.apex), way.length
-    way = edge_way(*source, *beyond[0](*receiver))
-    return (way.apex, edge_way(*receiver, *beyond[1](*source)).apex), way.length
+def polar(seen: Floats) -> tuple[Floats, Floats]:
+    """Distances from edges and places along them (P, T) of coordinates (3, P, T), m."""
+    x, y, z = seen
+    return np.maximum(np.hypot(x, y), ON_LINE), z
 
 
 def towards_edge(end: Floats, place: Floats) -> tuple[Floats, Floats]:

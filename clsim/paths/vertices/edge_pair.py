@@ -83,6 +83,12 @@ class EdgePairVertex(EdgeVertex):
         first, last = (EdgeView.of(leg.matrix, leg.offset, edge.frame) for leg, edge in edges)
         return first, last
 
+    def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
+        """Places on both edges, and lengths, of shortest paths between ends at r and z about them, (P, T) m each."""
+        beyond = self.beyond()
+        way = edge_way(*source, *beyond[0](*receiver))
+        return (way.apex, edge_way(*receiver, *beyond[1](*source)).apex), way.length
+
     def beyond(self) -> tuple[RolledOut, RolledOut]:
         """Take the views from both edges beyond each other, across the shared face."""
         return RolledOut.between((self.frame, self.last.frame), self.wedges, self.shared)
@@ -106,14 +112,8 @@ class EdgePairVertex(EdgeVertex):
         return edge_way(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length[:, 0]
 
     def _apexes(self, links: Links, ends: Pair) -> Pair:
-        coordinates = [view.places(x[:, None]) for view, x in zip(self.views(links), ends, strict=True)]
-        (r_s, z_s), (r_r, z_r) = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in coordinates)
-        beyond = self.beyond()
-        first = edge_way(r_s, z_s, *beyond[0](r_r, z_r)).apex
-        last = edge_way(r_r, z_r, *beyond[1](r_s, z_s)).apex
-        one, other = (
-            frame[:, 0] + place * frame[:, 3] for frame, place in ((self.frame, first), (self.last.frame, last))
-        )
+        places = zip((self.frame, self.last.frame), self._met_by(links, ends), strict=True)
+        one, other = (frame[:, 0] + place[:, None] * frame[:, 3] for frame, place in places)
         return np.asarray(one), np.asarray(other)
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
@@ -144,7 +144,8 @@ class EdgePairVertex(EdgeVertex):
                 field += 0.25 * weight * other * double_transition(first[..., i], last[..., j], tie, wave)
         field /= ways[0].length[..., None]
         both = 1.0 + np.where(self.shared[:, 1, None, None] == 1, last_factors[1], last_factors[0])
-        both = np.where(np.any(self.lit[:, 2:], axis=1)[:, None, None], both, 1.0)
+        twice = np.where((self.n < 1.0)[:, None], self.lit[:, :2], self.lit[:, 2:])
+        both = np.where(np.any(twice, axis=1)[:, None, None], both, 1.0)
         return field / np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
 
     @staticmethod
@@ -160,9 +161,18 @@ class EdgePairVertex(EdgeVertex):
         factors = [
             face_factor(walls, np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape), at) for walls in faces.T
         ]
-        kept = weight * np.abs(lit)[:, None]
-        weights = [kept[..., i, None] + kept[..., j, None] * factors[j - 2] for i, j in enumerate(by_face)]
-        return root[..., :2] * np.sqrt(breadth)[..., None], weights, factors
+        kept, past, inner = weight * np.abs(lit)[:, None], np.ones((len(n), 1, 1)), np.flatnonzero(n < 1.0)
+        sheets = np.flatnonzero(at.panels[faces[:, 0]] & (faces[:, 0] == faces[:, 1]))
+        if len(inner):  # these stand for reflections by both faces
+            past = np.ones(factors[0].shape, dtype=np.complex128)
+            past[inner] = (factors[0] * factors[1])[inner]
+        if len(sheets):  # what passes them needs no edge, see `partner_factors`
+            past = past * np.ones(factors[0].shape, dtype=np.complex128)
+            cosine = np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape)
+            past[sheets] -= face_factor(faces[sheets, 0] + at.surfaces, cosine[sheets], at)
+        weights = [kept[..., i, None] * past + kept[..., j, None] * factors[j - 2] for i, j in enumerate(by_face)]
+        root = np.where(lit[:, None, :2] != 0, root[..., :2], root[..., list(by_face)])
+        return root * np.sqrt(breadth)[..., None], weights, factors
 
 
 def _ahead(r: Floats, z: Floats) -> tuple[Floats, Floats]:

@@ -8,7 +8,7 @@ on the way. From there Newton's method leads to where the time of the whole way 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -84,21 +84,25 @@ class EdgePairSolver(EdgeSolver):
         return self.lines.length[np.stack([pairs.edge, pairs.last], axis=1)][..., None]
 
     def _next(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
-        """Places (P, 2, T) from which to go on: as rolled out where that is far, else by Newton's method, m."""
-        ends = (found.source[::2], found.receiver[::2]), self.ahead(pairs, found)
-        ways = [edge_way(*end, np.maximum(r, ON_LINE), z).apex for end, (r, z) in zip(*ends, strict=True)]
-        place, near = np.stack(ways, axis=1), _NEAR * np.minimum(found.source[0], found.receiver[0])
+        """Places (P, 2, T) from which to go on: as if all rested where that is far, else by Newton's method, m."""
+        place, near = self._solved(pairs, found), _NEAR * np.minimum(found.source[0], found.receiver[0])
         (a, both), (_, b) = np.moveaxis(found.bend, (1, 2), (0, 1))
         first, last = np.moveaxis(found.slope, 1, 0)
         step = np.stack([b * first - both * last, a * last - both * first], axis=1) / (a * b - both**2)[:, None]
         close = np.all(np.abs(np.stack([place - found.along, step])) < near[:, None], axis=(0, 2))
         return np.where(close[:, None], found.along - step, place)
 
+    def _solved(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
+        """Places (P, 2, T) on both edges if all rested where it is seen: rolled out, m."""
+        ends = (found.source[::2], found.receiver[::2]), self.ahead(pairs, found)
+        ways = [edge_way(*end, np.maximum(r, ON_LINE), z).apex for end, (r, z) in zip(*ends, strict=True)]
+        return np.stack(ways, axis=1)
+
     def _at(self, pairs: EdgePairs, now: Floats, along: Floats) -> EdgePairEvents:
         points = [EdgePoint(self.lines, edge, along[:, i]) for i, edge in enumerate((pairs.edge, pairs.last))]
         last = self.leg(pairs.after, (points[1], self.ends[1]), now)
         leaving = self.begun(last, now)
-        between = self.leg(pairs.after[:, :0], (points[0], points[1]), leaving)
+        between = self.leg(self.walls_between(pairs), (points[0], points[1]), leaving)
         time = self.begun(between, leaving)
         first = self.leg(pairs.before, (self.ends[0], points[0]), time)
         source, doppler, carried = self.source_seen(points[0], time, first)
@@ -107,13 +111,26 @@ class EdgePairSolver(EdgeSolver):
         (r_s, t_s, z_s), (r_r, t_r, z_r) = source, heard
         seen = (r_s, t_s, z_s + along[:, 0]), (r_r, t_r, z_r + along[:, 1])
         courses = [_course(source), _course(onto), _course(came), _course(heard)]
-        one, other = (self.lines.frames[edge, 3] for edge in (pairs.edge, pairs.last))
-        slopes = [c.slope for c in courses]
-        mixed = -(dot(one, other)[:, None] + slopes[1] * slopes[2]) / np.maximum(between.distance, ON_LINE)
+        slopes, cosine = [c.slope for c in courses], self._between_axes(pairs, time, leaving, between)
+        mixed = -(cosine + slopes[1] * slopes[2]) / np.maximum(between.distance, ON_LINE)
         bend = [[courses[0].bend + courses[1].bend, mixed], [mixed, courses[2].bend + courses[3].bend]]
         slope = np.stack([slopes[0] + slopes[1], slopes[2] + slopes[3]], axis=1)
         bends = np.moveaxis(np.array(bend), 2, 0)
-        return EdgePairEvents(along, time, first, self._joined(between, last), *seen, doppler, carried, slope, bends)
+        found = EdgePairEvents(along, time, first, self._joined(between, last), *seen, doppler, carried, slope, bends)
+        return self._with_between(pairs, found, (leaving, between, onto, came))
+
+    def walls_between(self, pairs: EdgePairs) -> NDArray[np.int32]:
+        """Mirrors (P, B) between both edges."""
+        return pairs.after[:, :0]
+
+    def _between_axes(self, pairs: EdgePairs, time: Floats, leaving: Floats, between: Events) -> Floats:
+        """Cosines (P, T) between both edges as the first one sees the second."""
+        one, other = (self.lines.frames[edge, 3] for edge in (pairs.edge, pairs.last))
+        return dot(one, other)[:, None]
+
+    def _with_between(self, pairs: EdgePairs, found: EdgePairEvents, between: tuple[Any, ...]) -> EdgePairEvents:
+        """Events with what must be known of the way between: nothing."""
+        return found
 
     def _joined(self, between: Events, last: Events) -> Events:
         """Events of the last leg that begin at the first edge."""

@@ -11,6 +11,8 @@ import numpy as np
 from clsim.acoustics.diffraction import ON_LINE, TERMS, partner_reflections
 from clsim.errors import InputError
 from clsim.paths.search.edge_chains import joined_over_ends
+from clsim.paths.vertices.gap_pair import ACROSS_AIR
+from clsim.paths.visibility.edge_gaps import GapLegs, GapVisibility
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, ENDS_BESIDE, FAR, SIDES, EdgeVisibility, FaceLegs
 from clsim.paths.visibility.intervals import (
     ALONG,
@@ -58,7 +60,7 @@ class EdgeSearch:
         """Return the intervals in which candidates are there."""
         found = self._there(candidates)
         row, walls = found.path, self.query.walls
-        stance = EdgeVisibility(self.edges, candidates).stance(
+        stance = self.visibility(candidates).stance(
             self.query, row, 0.5 * (found.begin + found.end), np.zeros(len(row))
         )
         met = [
@@ -67,6 +69,12 @@ class EdgeSearch:
         ]
         kept = np.flatnonzero(met[0] & met[1])
         return Intervals(row[kept], found.begin[kept], found.end[kept], found.evaluations)
+
+    def visibility(self, candidates: EdgeCandidates) -> EdgeVisibility:
+        """Make the test of whether candidates are there."""
+        if np.any(candidates.face == ACROSS_AIR):
+            return GapVisibility.of(self.edges, candidates, self.query.walls)
+        return EdgeVisibility(self.edges, candidates)
 
     def _there(self, candidates: EdgeCandidates) -> Intervals:
         """Return the intervals in which candidates are there within the tolerances of outlines.
@@ -80,7 +88,10 @@ class EdgeSearch:
             found = self._find(candidates, side, row, (begin, end))
             row, begin, end = row[found.path], found.begin, found.end
             evaluations += found.evaluations
-        legs = FaceLegs(EdgeVisibility(self.edges, candidates), self.query.walls)
+        visibility = self.visibility(candidates)
+        legs: Any = (
+            GapLegs(visibility) if isinstance(visibility, GapVisibility) else FaceLegs(visibility, self.query.walls)
+        )
         hindered = legs.hindered(row)
         if not hindered.any():
             return merged(row, begin, end, evaluations)
@@ -92,8 +103,8 @@ class EdgeSearch:
 
     def _find(self, candidates: EdgeCandidates, side: int, row: Rows, spans: tuple[Floats, Floats]) -> Intervals:
         """Return when one side of some candidates is there within spans of time."""
-        if self.device is None:
-            evaluate = partial(EdgeVisibility(self.edges, candidates).evaluate, side)
+        if self.device is None or np.any(candidates.face == ACROSS_AIR):
+            evaluate = partial(self.visibility(candidates).evaluate, side)
             sequence = row.astype(np.int32)[:, None]
             return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans)
         mine, other = (candidates.before, candidates.after)[:: 1 - 2 * side]
@@ -130,12 +141,14 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell
     edge are in a plane of symmetry, no clearance is enough: an interval of `GRAZE_TIME` is one piece there if its sides
     are the same at both ends and in the middle, and it comes off the boundary by little of what the ends move.
     """
-    there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
+    there, visibility = finder.find(candidates), finder.visibility(candidates)
     near = GRAZE * finder.query.walls.size
-    met = candidates.before.shape[1] + candidates.after.shape[1]
+    met = candidates.before.shape[1] + candidates.after.shape[1] + candidates.between.shape[1]
     ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)  # terms whose partners have too many reflections
-    for edge, term in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
-        ignored[:, term : term + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
+    one, last = (partner_reflections(finder.edges.n[edge]) for edge in candidates.edge.T)
+    shared = ((candidates.face >= 0) & (candidates.face != ACROSS_AIR))[:, :1]  # with the fewest at the other edge
+    for term, mine, other in ((0, one, last), (TERMS + 1, last, one)):
+        ignored[:, term : term + TERMS] = met + mine + shared * other.min(axis=1, keepdims=True) > order
     stack = [(there.path, there.begin, there.end)]
     found: list[tuple[Any, ...]] = [(there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8))]
     evaluations = np.zeros(len(candidates.edge), dtype=np.int64)

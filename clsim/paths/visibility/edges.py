@@ -32,6 +32,7 @@ from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from clsim.acoustics.edge_gap import Crossing
     from clsim.arrays import Floats
     from clsim.paths.visibility.intervals import VisibilityQuery
     from clsim.scene.room.edges import Edges
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
     Rows = NDArray[np.int64]
+    End = tuple[Floats, Floats]
 
 
 FAR = 1e3  # sizes of the room
@@ -58,9 +60,19 @@ class EdgeCandidates:
     before: NDArray[np.int32]  # (n, N) walls before the edge from the source's side
     after: NDArray[np.int32]  # (n, M) walls after the edge from the receiver's side
     edge: Rows  # (n, 2) of the room, from the source's side; the same twice for paths over one edge
-    face: Rows  # (n, 2) which face of each both share, 0 for its 0-face, 1 for its n-face; -1 for paths over one edge
+    face: Rows  # (n, 2) of each both share, 0 or 1, its n-face; -1 for paths over one edge, `ACROSS_AIR` where none
     end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself
     receiver: Rows  # (n,) to which
+    between: NDArray[np.int32]  # (n, B) walls between two edges with air between, from the first one's side
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """The shortest ways over the lines of edges, n of them, as each edge sees them."""
+
+    ways: tuple[EdgeWay, EdgeWay]
+    across: tuple[Floats, Floats]  # how far the other end is beyond each edge, rolled out, m
+    crossing: Crossing | None  # of edges with air between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,16 +81,14 @@ class EdgeStance:
 
     Attributes
     ----------
-    ways : tuple of EdgeWay
-        The shortest over the lines of the edges, as each edge sees it; emission is by the way over the end of those
-        that run over one.
+    course : Course
+        The shortest over the lines of the edges; emission is by the way over the end of those that run over one.
     """
 
     ends: tuple[Floats, Floats]  # the source at emission, and the receiver, m
     angles: tuple[Floats, Floats]  # of their images, each about its edge
     distances: tuple[Floats, Floats]  # from its line, m
-    across: tuple[Floats, Floats]  # how far the other end is beyond each edge, rolled out, m
-    ways: tuple[EdgeWay, EdgeWay]
+    course: Course
     places: tuple[Floats, Floats]  # where each path meets each edge, m from its start
     apexes: tuple[Floats, Floats]  # the same in the room
     reach: Floats  # (n,) how far both ends may move within what was asked, m
@@ -95,25 +105,22 @@ class EdgeVisibility:
         """Course of candidates `which` (n,) at times (n,), with the motion of their endpoints within `half`, s."""
         asked, tables, edges = self.candidates, query.trajectory_tables, self.edges
         row, source = asked.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
-        (one, other), (face, other_face), end = asked.edge[which].T, asked.face[which].T, asked.end[which]
+        (one, other), end = asked.edge[which].T, asked.end[which]
         over_end, ends = end >= 0, end * edges.length[one]
         at = tables.lifted(row, tables.position(row, time) + PERTURBATIONS[1])
         r_r, t_r, z_r = edges.cylindrical(other, _imaged(query.walls, asked.after[which], at))
-        heard = edges.beyond(one, face, other, other_face, r_r, z_r)
         delay = np.zeros(len(which))
         for _ in range(CONTRACTIONS):  # each step by the Mach number of the source
             emitted_at = tables.lifted(source, tables.position(source, time - delay) + PERTURBATIONS[0])
             r_s, t_s, z_s = edges.cylindrical(one, _imaged(query.walls, asked.before[which], emitted_at))
-            way = edge_way(r_s, z_s, *heard)
+            course = self.course(which, (r_s, z_s), (r_r, z_r))
             by_end = np.hypot(r_s, ends - z_s) + np.hypot(r_r, ends - z_r)
-            length = np.where(over_end, by_end, way.length)
+            length = np.where(over_end, by_end, course.ways[0].length)
             later = query.medium.passage(length, at - emitted_at).time - delay
             delay += later
             if not np.any(np.abs(later) > CONTRACTED):
                 break
-        sent = edges.beyond(other, other_face, one, face, r_s, z_s)
-        ways = way, edge_way(r_r, z_r, *sent)
-        places = tuple(np.where(over_end, ends, w.apex) for w in ways)
+        places = tuple(np.where(over_end, ends, w.apex) for w in course.ways)
         late, emission_time = query.time_dilation[asked.receiver[which]], time - delay
         reach = np.maximum(
             half * late * tables.speed_over(source, emission_time - late * half, emission_time + late * half),
@@ -121,9 +128,30 @@ class EdgeVisibility:
         )
         apexes = tuple(edges.start[e] + p[:, None] * edges.along[e] for e, p in zip((one, other), places, strict=True))
         return EdgeStance(
-            (emitted_at, at), (t_s, t_r), (r_s, r_r), (heard[0], sent[0]), ways,
-            (places[0], places[1]), (apexes[0], apexes[1]), reach,
+            (emitted_at, at), (t_s, t_r), (r_s, r_r), course, (places[0], places[1]), (apexes[0], apexes[1]), reach,
         )  # fmt: skip
+
+    def course(self, which: Rows, source: End, receiver: End) -> Course:
+        """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
+        asked, edges = self.candidates, self.edges
+        (one, other), (face, other_face) = asked.edge[which].T, asked.face[which].T
+        if np.all(face < 0):
+            way = edge_way(*source, *receiver)
+            return Course((way, way), (receiver[0], source[0]), None)
+        heard = edges.beyond(one, face, other, other_face, *receiver)
+        sent = edges.beyond(other, other_face, one, face, *source)
+        return Course((edge_way(*source, *heard), edge_way(*receiver, *sent)), (heard[0], sent[0]), None)
+
+    def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
+        """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns.
+
+        Shapes: turns (n,) by how much the angles of both ends change at most, rad.
+        """
+        (one, other), (face, other_face) = self.candidates.edge[which].T, self.candidates.face[which].T
+        still, double = np.zeros(len(which)), face >= 0
+        ahead = np.where(double, face * np.pi * self.edges.n[one], stance.angles[1])
+        back = np.where(double, other_face * np.pi * self.edges.n[other], stance.angles[0])
+        return (ahead, back), (np.where(double, still, turns[1]), np.where(double, still, turns[0]))
 
     def evaluate(
         self, side: int, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
@@ -164,20 +192,19 @@ class EdgeVisibility:
         nearly as thin, whose plane they may pass beyond its other edges, 0 elsewhere.
         """
         asked, stance = self.candidates, self.stance(query, which, time, half)
-        (one, other), (face, other_face), end = asked.edge[which].T, asked.face[which].T, asked.end[which]
-        (t_s, t_r), double = stance.angles, face >= 0
-        heard = np.where(double, face * np.pi * self.edges.n[one], t_r)
-        angles = lit_angles(self.edges.n[one], t_s, heard)
-        others = lit_angles(self.edges.n[other], other_face * np.pi * self.edges.n[other], t_r)
+        (one, other), end, double = asked.edge[which].T, asked.end[which], asked.face[which, 0] >= 0
         near = stance.reach < np.minimum(*stance.distances)
         turn, other_turn = (
             np.arcsin(np.where(near, stance.reach / np.where(near, r, 1.0), 1.0)) for r in stance.distances
         )
-        sure = near & np.all(np.abs(angles) > np.where(double, turn, turn + other_turn)[:, None], axis=1)
-        sure &= ~double | np.all(np.abs(others) > other_turn[:, None], axis=1)
+        (ahead, back), more = self.between(stance, which, (turn, other_turn))
+        angles = lit_angles(self.edges.n[one], stance.angles[0], ahead)
+        others = lit_angles(self.edges.n[other], back, stance.angles[1])
+        sure = near & np.all(np.abs(angles) > (turn + more[0])[:, None], axis=1)
+        sure &= ~double | np.all(np.abs(others) > (other_turn + more[1])[:, None], axis=1)
         beside, passed = _beside(self.edges.n[asked.edge[which].T], np.stack(stance.angles))
         sure &= np.all(passed > np.stack([turn, other_turn]), axis=0)
-        apex = stance.ways[0].apex
+        apex = stance.course.ways[0].apex
         inside = np.where(end == 0, apex, self.edges.length[one] - apex)
         over_end = self.slides(stance, 0, np.full(len(end), -1), query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
@@ -195,14 +222,14 @@ class EdgeVisibility:
 
     def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
         """Largest motion of the point on the first or second edge along it, (n,) m."""
-        across, reach = stance.distances[edge] + stance.across[edge], stance.reach
+        across, reach = stance.distances[edge] + stance.course.across[edge], stance.reach
         room = across - 2.0 * reach
-        sliding = reach * (stance.ways[edge].length + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
+        sliding = reach * (stance.course.ways[edge].length + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
         return np.where(end >= 0, 0.0, np.where(room > 0.0, sliding, FAR * size))
 
     def _margins(self, stance: EdgeStance, which: Rows) -> Floats:
         """Clearances (2, n), m: of images in the air of their wedges and beyond edges, and of apexes on these."""
-        end, off, on = self.candidates.end[which], [*stance.across], []
+        end, off, on = self.candidates.end[which], [*stance.course.across], []
         for edge, angle, r, place in zip(
             self.candidates.edge[which].T, stance.angles, stance.distances, stance.places, strict=True
         ):

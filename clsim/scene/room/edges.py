@@ -77,6 +77,11 @@ class Edges:
         angle = np.pi * self.n[edge] * (np.asarray(face) == 1)
         return np.asarray(np.cos(angle)[..., None] * self.across[edge] + np.sin(angle)[..., None] * self.out[edge])
 
+    def off(self, edge: NDArray[np.int64], face: NDArray[np.integer[Any]]) -> Floats:
+        """Return unit vectors (..., 3) off faces of edges (...) into the air: 0-faces where `face` (...) is 0."""
+        angle = np.pi * np.where(np.asarray(face) == 1, self.n[edge] - 0.5, 0.5)
+        return np.asarray(np.cos(angle)[..., None] * self.across[edge] + np.sin(angle)[..., None] * self.out[edge])
+
     def beyond(
         self, edge: NDArray[np.int64], face: NDArray[Any], other: NDArray[np.int64], other_face: NDArray[Any],
         r: Floats, z: Floats,
@@ -95,13 +100,14 @@ class Edges:
     def pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return edges (n, 2) that share a face, in either order, and which face of each that is (n, 2), 0 or 1.
 
-        Edges of sheets and changes of material are left out: they bound no face between two turns to the same side.
+        Of sheets that is the same side of them. Changes of material are left out.
         """
-        solid = np.flatnonzero((self.n > 1.0) & (self.n < 2.0))
+        solid = np.flatnonzero(self.n != 1.0)
         same = self.faces[solid][:, None, :, None] == self.faces[solid][None, :, None, :]
         first, second, one, other = np.nonzero(same & ~np.eye(len(solid), dtype=bool)[:, :, None, None])
         edge, face = np.stack([solid[first], solid[second]], axis=1), np.stack([one, other], axis=1)
-        faced = np.ones(len(edge), dtype=bool)
+        off = [self.off(edge[:, i], face[:, i]) for i in (0, 1)]
+        faced = np.sum(off[0] * off[1], axis=1) > 0.0
         for a, b in ((0, 1), (1, 0)):  # each before the other one, in the face
             away = np.stack([x[edge[:, b]] - self.start[edge[:, a]] for x in (self.start, self.stop)], axis=1)
             ahead = np.einsum("nei,ni->ne", away, self.inward(edge[:, a], face[:, a]))

@@ -1,0 +1,107 @@
+"""Sound over two edges with open air between, of bodies that move or of the room: where and when, exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.edge_gap import EdgeGap
+from clsim.paths.legs.mirrors import dot
+from clsim.paths.vertices.edge_pair_events import EdgePairEvents, EdgePairs, EdgePairSolver
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.legs.events import Events
+
+    Axes = tuple[Floats, Floats, Floats]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapPairs(EdgePairs):
+    """What P paths meet: mirrors, an edge, mirrors, another edge, and mirrors, all from the source's side."""
+
+    between: NDArray[np.int32]  # (P, B) mirrors between both edges, filled up with -1
+
+    def part(self, rows: NDArray[np.int64]) -> GapPairs:
+        """Return some of them."""
+        return GapPairs(*(getattr(self, f.name)[rows] for f in fields(GapPairs)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapEvents(EdgePairEvents):
+    """How sound goes over two edges with air between.
+
+    Attributes
+    ----------
+    between : Events
+        Of the way from the first edge to the second, received when it leaves that, at `leaving`.
+    middle : ndarray (P, T, 4)
+        Angles of that way about both edges, rad, its length, m, and the cosine between the directions of the angles.
+    gap : ndarray (P, T, 2, 4, 3)
+        Frames of both edges as the first one sees them, see `EdgeGap`.
+    """
+
+    between: Events
+    leaving: Floats
+    middle: Floats
+    gap: Floats
+
+    def part(self, rows: NDArray[np.int64]) -> GapEvents:
+        """Places, ends, slopes and frames of some of the paths."""
+        names = [f.name for f in fields(GapEvents) if f.name not in ("between", "first", "last")]
+        some: dict[str, Any] = {name: _rows(getattr(self, name), rows) for name in names}
+        return GapEvents(**some, first=self.first, last=self.last, between=self.between)
+
+
+def _rows(value: Any, rows: NDArray[np.int64]) -> Any:
+    return tuple(x[rows] for x in value) if isinstance(value, tuple) else value[rows]
+
+
+class GapPairSolver(EdgePairSolver):
+    """What ways over two edges with air between are looked for among, between one source and one receiver."""
+
+    __slots__ = ()
+
+    def walls_between(self, pairs: Any) -> NDArray[np.int32]:
+        """Mirrors (P, B) between both edges."""
+        walls: NDArray[np.int32] = pairs.between
+        return walls
+
+    def _solved(self, pairs: Any, found: Any) -> Floats:
+        (r_s, _, z_s), (r_r, _, z_r) = found.source, found.receiver
+        n = self.lines.n[pairs.edge][:, None], self.lines.n[pairs.last][:, None]
+        gap = EdgeGap(found.gap[:, :, 0], found.gap[:, :, 1], n)
+        return np.stack(gap.cross((r_s, z_s), (r_r, z_r)).places, axis=1)
+
+    def _between_axes(self, pairs: Any, time: Floats, leaving: Floats, between: Events) -> Floats:
+        one, other = self._seen_axes(pairs, time, leaving, between)
+        return dot(one[2], other[2])
+
+    def _seen_axes(self, pairs: Any, time: Floats, leaving: Floats, between: Events) -> tuple[Axes, Axes]:
+        """`across`, `out` and `along` (P, T, 3) of both edges as the first one sees them by the mirrors between."""
+        other = list(self.lines.axes(pairs.last, leaving))
+        for k in range(pairs.between.shape[1] - 1, -1, -1):
+            normal = self.mirrors.planes(pairs.between[:, k], leaving, between.time[..., k + 1], None).normal
+            other = [axis - 2.0 * dot(axis, normal)[..., None] * normal for axis in other]
+        return self.lines.axes(pairs.edge, time), (other[0], other[1], other[2])
+
+    def _with_between(self, pairs: Any, found: EdgePairEvents, between: tuple[Any, ...]) -> GapEvents:
+        leaving, way, onto, came = between
+        axes = self._seen_axes(pairs, found.time, leaving, way)
+        turned = [
+            np.cos(angle)[..., None] * out - np.sin(angle)[..., None] * across
+            for angle, (across, out, _) in zip((onto[1], came[1]), axes, strict=True)
+        ]
+        distance = np.hypot(onto[0], onto[2])
+        middle = np.stack([onto[1], came[1], distance, dot(*turned)], axis=-1)
+        first, last = found.along[:, 0, :, None] * axes[0][2], found.along[:, 1, :, None] * axes[1][2]
+        start = first - last + way.departure * way.distance[..., None]  # of the last edge from that of the first
+        frames = [
+            np.stack([place, *turn], axis=2) for place, turn in zip((np.zeros_like(start), start), axes, strict=True)
+        ]
+        own = {f.name: getattr(found, f.name) for f in fields(EdgePairEvents)}
+        return GapEvents(**own, between=way, leaving=leaving, middle=middle, gap=np.stack(frames, axis=2))

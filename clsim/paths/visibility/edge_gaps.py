@@ -1,0 +1,147 @@
+"""Validity of paths over two edges with air between, at an instant, and how far ends may move before it can change.
+
+Notes
+-----
+The places on both edges are where the length of the way is least; by how much they go where both ends go a distance is
+known to first order from its second derivatives. 2.5 times as much is taken, while that distance is small against all
+legs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.acoustics.diffraction import EdgeWay
+from clsim.acoustics.edge_gap import EdgeGap
+from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status, turned
+from clsim.paths.visibility.edges import FAR, Course, EdgeVisibility
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.visibility.edges import EdgeCandidates, EdgeStance, End
+    from clsim.paths.visibility.intervals import VisibilityQuery
+    from clsim.scene.room.edges import Edges
+    from clsim.scene.room.walls import Walls
+
+    Bools = NDArray[np.bool_]
+    Rows = NDArray[np.int64]
+
+_SMALL = 0.3  # of the least leg, up to which the first order is taken for where places go
+_SPARE = 2.5  # times that, for what it leaves out: second derivatives change by 1.3³ until there
+_OVERLAP = 0.35, 0.71  # of the way from the last edge to the last reflection, from where is looked at either edge
+_IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in its air
+
+
+def seen_frames(walls: Walls, edges: Edges, last: Rows, between: NDArray[np.int32]) -> Floats:
+    """Frames (n, 4, 3) of edges (n,) as they are seen by walls (n, B), the last of which is next to them."""
+    start, *axes = np.moveaxis(edges.frames[last], 1, 0)
+    for wall in between.T[::-1]:
+        some = np.flatnonzero(wall >= 0)
+        start, axes = np.array(start), [np.array(axis) for axis in axes]
+        start[some] = mirrored(walls, wall[some], start[some])
+        for axis in axes:
+            axis[some] = turned(walls, wall[some], axis[some])
+    return np.stack([start, *axes], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapVisibility(EdgeVisibility):
+    """Tells of candidates over two edges with air between whether they are there, and which partners are seen."""
+
+    every: EdgeGap  # the air between the edges of all candidates
+
+    @staticmethod
+    def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> GapVisibility:
+        """Make it for edges of a room with walls."""
+        one, other = candidates.edge.T
+        seen = seen_frames(walls, edges, other, candidates.between)
+        return GapVisibility(edges, candidates, EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other])))
+
+    def gap(self, which: Rows) -> EdgeGap:
+        """Return the air between the edges of candidates `which` (n,)."""
+        every = self.every
+        return EdgeGap(every.first[which], every.last[which], (every.n[0][which], every.n[1][which]))
+
+    def course(self, which: Rows, source: End, receiver: End) -> Course:
+        """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
+        found = self.gap(which).cross(source, receiver)
+        before, between, behind = found.legs
+        slopes = source[0] / before, receiver[0] / behind
+        across = slopes[0] * (between + behind), slopes[1] * (before + between)
+        ways = tuple(EdgeWay(found.length, place, found.length) for place in found.places)
+        return Course((ways[0], ways[1]), across, found)
+
+    def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
+        """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns."""
+        gap, crossing = self.gap(which), stance.course.crossing
+        assert crossing is not None
+        ahead, back, _ = gap.angles(crossing.away)
+        skew = np.linalg.norm(np.cross(gap.first[:, 3], gap.last[:, 3]), axis=1)
+        no_end, more = np.full(len(which), -1), []
+        for edge, frame in ((1, gap.first), (0, gap.last)):  # sliding on the one turns what the other one sees
+            off = np.linalg.norm(np.cross(crossing.away, frame[:, 3]), axis=1)
+            moved = self.slides(stance, edge, no_end, 1.0) * skew
+            more.append(np.arcsin(np.minimum(moved / np.maximum(off, 1e-300), 1.0)))
+        return (ahead, back), (more[0], more[1])
+
+    def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
+        """Largest motion of the point on the first or second edge along it, (n,) m."""
+        crossing, reach = stance.course.crossing, stance.reach
+        assert crossing is not None
+        small = reach < _SMALL * np.min([*crossing.legs, *stance.distances], axis=0)
+        return np.where(small, _SPARE * reach * crossing.slides[edge], FAR * size)
+
+
+class GapLegs:
+    """Ways between two edges, through the air."""
+
+    def __init__(self, visibility: GapVisibility) -> None:
+        self._visibility = visibility
+
+    def hindered(self, rows: Rows) -> Bools:
+        """Mask of candidates (n,): of all it must be asked."""
+        return np.ones(len(rows), dtype=bool)
+
+    def evaluate(
+        self, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
+    ) -> tuple[Bools, Floats, Floats]:
+        """Return validity, clearance and how far the ends of candidates can move, each (n,), see `EdgeVisibility`.
+
+        Walls that hold a place on an edge hide nothing of it: each way is looked at in two parts that overlap, from
+        places between the last reflection and the last edge to either edge.
+        """
+        which, seen, walls = sequence[:, 0].astype(np.int64), self._visibility, query.walls
+        stance, no_end = seen.stance(query, which, time, half), np.full(len(sequence), -1)
+        slides = [seen.slides(stance, edge, no_end, walls.size) for edge in (0, 1)]
+        moves, none = np.maximum(*slides), np.zeros((len(which), 3))
+        still = np.zeros(len(which))
+        (ahead, back), more = seen.between(stance, which, (still, still))
+        edges = seen.candidates.edge[which].T
+        off = [np.minimum(a, np.pi * seen.edges.n[e] - a) for a, e in zip((ahead, back), edges, strict=True)]
+        free = np.minimum(*off) > _IN_AIR
+        ratio = np.minimum(*(moves_within(np.abs(o - _IN_AIR), m) for o, m in zip(off, more, strict=True)))
+        met = seen.candidates.between[which]
+        places = [_before_last(walls, met, stance.apexes, share) for share in _OVERLAP]
+        reach = Reach(moves, moves, none, none)
+        for place, part, end in zip(places, (met[:, ::-1], met[:, :0]), stance.apexes, strict=True):
+            clear_way, clear = path_status(walls, part, place, end, reach, True)
+            sure = moves_within(clear, moves)
+            ratio = np.where(free & clear_way, np.minimum(ratio, sure), np.where(free, sure, ratio))
+            free &= clear_way
+        return free, np.minimum(ratio, EVER) * stance.reach, stance.reach
+
+
+def _before_last(walls: Walls, between: NDArray[np.int32], ends: tuple[Floats, Floats], part: float) -> Floats:
+    """Places (n, 3) at a part of the way from the second ends to the last reflections by walls (n, B) between, m."""
+    image, share = ends[0], np.ones(len(between))
+    for wall in between.T:
+        image = mirrored(walls, wall, image)
+        heights = [np.einsum("ni,ni->n", x, walls.normal[wall]) - walls.offset[wall] for x in (ends[1], image)]
+        apart = heights[0] - heights[1]
+        share = np.clip(heights[0] / np.where(apart == 0.0, 1.0, apart), 0.0, 1.0)
+    return np.asarray(ends[1] + part * share[:, None] * (image - ends[1]))
