@@ -79,12 +79,12 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     >>> len(clsim.find_paths(clsim.Scene(room, clsim.Air(), [robot], [ceiling]), max_order=3))
     63
     """
-    levels, edges = direct_levels(scene, options.direct), options.diffraction
+    levels, edges = direct_levels(scene, options.direct), options.diffraction + options.edge_gaps
     finders = with_plugins(FAMILY_FINDERS, PATH_FAMILIES)
-    steps = len(finders) + len(OVER_EDGES[edges])
+    steps = len(finders) + edges
     parts = _parts(options, steps + (steps + 1 if scene.bodies else 0))
     found = tuple(find(scene, next(parts)) for find in finders.values())
-    for kind in OVER_EDGES[edges]:
+    for kind in OVER_EDGES[:edges]:
         found = (*found, kind(scene, next(parts), found))
     if edges:
         found = at_one_time(scene, found, resolution_of(scene, options.resolution))
@@ -92,7 +92,7 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
         bodies = BodySearch(scene, options)
         found = tuple(behind_bodies(bodies, family, next(parts).tell) for family in found)
         found = (*found, bodies.paths(next(parts).tell))
-        for of_bodies in OVER_BODIES[edges]:
+        for of_bodies in OVER_BODIES[:edges]:
             found = (*found, of_bodies(bodies, found))
     if scene.scatterers:
         found = (*found, *_scattered(scene, options))
@@ -165,8 +165,8 @@ def _specular_paths(scene: Scene, search: PathOptions) -> PathFamily:
     return find(scene, scene.room, search)
 
 
-OVER_EDGES = (), (edge_paths,), (edge_paths, double_edge_paths, gap_edge_paths)  # by `diffraction`
-OVER_BODIES = (), (moving_edge_paths,), (moving_edge_paths, moving_edge_pair_paths, moving_gap_paths)
+OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths  # as many as `diffraction` is, and the last for `edge_gaps`
+OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet
 
