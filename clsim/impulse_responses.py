@@ -14,7 +14,7 @@ from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.impulse_response import ResponseBand, frozen_responses, summed
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import check_band_coverage
-from clsim.tail.design import ULTRASOUND, NoTailError, searched_order
+from clsim.tail.design import SCATTERINGS, ULTRASOUND, NoTailError, TailOptions, searched_order
 from clsim.tail.diffuse_field import DiffuseField
 from clsim.tail.frozen import frozen_tails
 
@@ -119,6 +119,7 @@ def impulse_responses(
     lead: str = "cut",
     tail: str = "auto",
     tail_seed: int = 0,
+    tail_scattering: str = SCATTERINGS[0],
     progress: Callable[[float], None] | None = None,
 ) -> ImpulseResponses:
     """Return the impulse response of every source and receiver at an instant.
@@ -142,6 +143,8 @@ def impulse_responses(
         rooms, for bands that begin below 40 kHz. `notes` says what was added, or why not.
     tail_seed : int
         Of the rays and of the tails' noise.
+    tail_scattering : {"size", "material"}
+        Whether walls scatter by their limited size as well, beyond images, or by their materials alone.
     progress : callable, optional
         Called now and then with the share of the work that is done, 0 to 1.
 
@@ -190,7 +193,10 @@ def impulse_responses(
     )
     as_choice("lead", lead, LEADS)
     with_tail = as_choice("tail", tail, TAILS) == "auto" and kept.low < ULTRASOUND
-    seed = as_count("tail_seed", tail_seed)
+    options = TailOptions(
+        searched_order(paths), seed=as_count("tail_seed", tail_seed),
+        scattering=as_choice("tail_scattering", tail_scattering, SCATTERINGS),
+    )  # fmt: skip
     heard = _active_pairs(paths, time)
     if not heard:
         raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
@@ -209,7 +215,7 @@ def impulse_responses(
                 found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
             progress((i + 1) / len(heard))
-    notes = _add_tails(paths, time, rate, kept, seed, found) if with_tail else _left(paths, kept)
+    notes = _add_tails(paths, time, rate, kept, options, found) if with_tail else _left(paths, kept)
     samples, before = _on_one_axis(shape, found)
     made = ImpulseResponses(
         read_only(samples), rate, before, time, (kept.low, kept.high), scene, read_only(first_arrivals),
@@ -221,14 +227,14 @@ def impulse_responses(
 
 
 def _add_tails(
-    paths: PathSet, time: float, rate: float, band: ResponseBand, seed: int,
+    paths: PathSet, time: float, rate: float, band: ResponseBand, options: TailOptions,
     found: dict[tuple[int, int], ImpulseResponse],
 ) -> tuple[str, ...]:  # fmt: skip
     """Add every source's tail to the pairs' responses at a time, s; return a line of description each."""
     notes = []
     for source in sorted({source for source, _ in found}):
         try:
-            tails, what = frozen_tails(paths, source, time, rate, band, seed)
+            tails, what = frozen_tails(paths, source, time, rate, band, options)
         except NoTailError as refused:
             return (f"no {refused}",)
         for receiver, one in enumerate(tails):

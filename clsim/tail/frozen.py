@@ -9,25 +9,25 @@ import numpy as np
 from clsim.numerics.nufft import band_taper
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.design import TailOptions, find_tail, searched_order
+from clsim.tail.design import find_tail
 from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves, static_gains
 from clsim.tail.zones import Zones
 
 if TYPE_CHECKING:
     from clsim.paths.impulse_response import ResponseBand
     from clsim.paths.path_set import PathSet
-    from clsim.tail.design import SourceTail
+    from clsim.tail.design import SourceTail, TailOptions
     from clsim.tail.noise import Responses
 
 
 def frozen_tails(
-    paths: PathSet, source: int, at: float, sampling_rate: float, band: ResponseBand, seed: int
+    paths: PathSet, source: int, at: float, sampling_rate: float, band: ResponseBand, options: TailOptions
 ) -> tuple[list[ImpulseResponse], SourceTail]:
     """Return the tail of a source at every row of the receivers at a time, s, within a band, and what it is made of."""
     scene = paths.scene
     receivers = Zones.frozen(scene.receivers, scene.room, at, beams=False)
     zones = Zones.frozen([scene.sources[source]], scene.room, at, beams=True), receivers
-    tail = find_tail(scene, source, (band.low, band.high), zones, TailOptions(searched_order(paths), seed=seed))
+    tail = find_tail(scene, source, (band.low, band.high), zones, options)
     several = [isinstance(r.directivity, ChannelDirectivity) for r in scene.receivers]
     counts = [len(r.directivity.channels) for r in scene.receivers]
     first_row = np.cumsum([0, *counts])
