@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
 _RECEIVERS = 16  # of them at a time
+_MOST_HELD = 2**29  # bytes of streams that are kept from chunk to chunk; those of more zones are made again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,8 +90,13 @@ class _Tail(Stateless):
                 for signals in [SourceSignals(self._plan, source, tail)]
                 for zone in range(len(tail.receiver_zones))
             ]
+        held = 0
         for heard in self._heard:
             heard.add(pressure, start)
+            held += heard.held_bytes
+            if held > _MOST_HELD:
+                held -= heard.held_bytes
+                heard.forget()
 
 
 class _ZoneHeard:
@@ -126,6 +132,16 @@ class _ZoneHeard:
                 self._add_moving(
                     pressure[:, first : first + _TOGETHER], self._moving[group : group + _RECEIVERS], start + first
                 )
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory of streams that are kept between calls."""
+        return sum(streams.held_bytes for streams in self._streams.values())
+
+    def forget(self) -> None:
+        """Drop streams that are kept between calls."""
+        for streams in self._streams.values():
+            streams.forget()
 
     def _add_moving(self, pressure: NDArray[Any], receivers: list[int], start: int) -> None:
         """Add all streams at moving receivers from sample `start` on to the pressure (receivers, n)."""

@@ -312,7 +312,7 @@ class _Search:
 
 
 def smoothed_windows(energy: Floats, first: int) -> Floats:
-    """Return energies (S, Z, W, B) in windows of which `first` came before, in the mean over `OF_TIME` to either side."""
+    """Average energies (S, Z, W, B) in windows over `OF_TIME` to either side; `first` windows came before them."""
     ends = np.arange(energy.shape[2] + 1)
     middle = ends[:-1] + 0.5
     half = np.maximum(OF_TIME * (middle + first), 0.5)[:, None]

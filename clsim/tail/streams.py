@@ -69,6 +69,16 @@ class Streams:
                 out[:, begin - first : end - first] = part[:, begin - k * self.block : end - k * self.block]
         return out
 
+    @property
+    def held_bytes(self) -> int:
+        """Memory of what is kept between calls."""
+        blocks = sum(block.nbytes for block in self._blocks.values() if block is not None)
+        return blocks + sum(sending.spectra.nbytes for sending in self._sending.values())
+
+    def forget(self) -> None:
+        """Drop what is kept between calls: it is made again, to the last bit."""
+        self._blocks, self._sending = {}, {}
+
     def _made(self, k: int) -> NDArray[np.float32] | None:
         if k not in self._blocks:
             made = self._block(k)
