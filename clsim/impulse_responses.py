@@ -193,10 +193,7 @@ def impulse_responses(
     )
     as_choice("lead", lead, LEADS)
     with_tail = as_choice("tail", tail, TAILS) == "auto" and kept.low < ULTRASOUND
-    options = TailOptions(
-        searched_order(paths), seed=as_count("tail_seed", tail_seed),
-        scattering=as_choice("tail_scattering", tail_scattering, SCATTERINGS),
-    )  # fmt: skip
+    options = _tail_options(paths, tail_seed, tail_scattering)
     heard = _active_pairs(paths, time)
     if not heard:
         raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
@@ -224,6 +221,12 @@ def impulse_responses(
     if cut_db.max() > _LOUD_LEAD_DB:
         warn(f'lead="cut": {made.describe()[1]}; lead="keep" keeps it')
     return made
+
+
+def _tail_options(paths: PathSet, seed: int, scattering: str) -> TailOptions:
+    """Check the options of tails."""
+    checked = as_choice("tail_scattering", scattering, SCATTERINGS)
+    return TailOptions(searched_order(paths), seed=as_count("tail_seed", seed), scattering=checked)
 
 
 def _add_tails(

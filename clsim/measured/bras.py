@@ -39,8 +39,8 @@ _NOTES = (
     "The absorption coefficients were fitted so that Eyring's formula gives the measured reverberation times, as the "
     "column of Eyring's times shows. If walls scatter only the stated 5 %, rays decay more slowly than that in this "
     "geometry: T20 is 7 to 22 % too long from 125 Hz to 1 kHz. Scattering by the limited size of walls is the cause.",
-    "Filters of thirds pass part of their neighbours. Sound lasts 1.4 times as long at 315 Hz as at 250 Hz, and its end "
-    "is in both.",
+    "Filters of thirds pass part of their neighbours. Sound lasts 1.4 times as long at 315 Hz as at 250 Hz, and both "
+    "bands hold its end.",
     "Measured values are means over the ten pairs, and so are clsim's.",
 )
 
