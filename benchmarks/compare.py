@@ -23,8 +23,8 @@ import numpy as np
 import pyopencl as cl
 
 import clsim
-from clsim.opencl.compiler import Compiler
 from clsim.opencl.device import find_device
+from clsim.opencl.launch import Compiler
 
 HERE = Path(__file__).parent
 RATE = 192e3

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.opencl.compiler import Compiler
+from clsim.opencl.launch import Compiler
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.plan import Plan
@@ -95,7 +95,7 @@ warnings.simplefilter("ignore")
 sys.path.insert(0, {here!r})
 import clsim, dataclasses
 from device import RATE, scene
-from clsim.opencl.compiler import Compiler
+from clsim.opencl.launch import Compiler
 from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
 from clsim.render.planning import BUILDERS, plan_render
 kind, samples = {kind!r}, {samples}

@@ -35,9 +35,9 @@ def watched(kind, of, method, name):
     setattr(of, method, call)
 
 
-from clsim.opencl import compiler, kernel_cache
+from clsim.opencl import kernel_cache, launch
 
-watched("build", compiler.Compiler, "_build", lambda self, given: given[0])
+watched("build", launch.Compiler, "_build", lambda self, given: given[0])
 watched("first launch", kernel_cache.TriedKernel, "__call__", lambda self, given: self._kernel.function_name)
 for _ in range(3):
     room = clsim.Shoebox(size=(8.0, 6.0, 3.0), walls=clsim.Material.from_reflection(0.9))

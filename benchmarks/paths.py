@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.opencl import compiler as compiler_module
+from clsim.opencl import launch as compiler_module
 from clsim.paths.search import beam_tree
 from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.paths.visibility import device as device_intervals

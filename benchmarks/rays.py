@@ -18,9 +18,8 @@ import clsim
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.tail.design import TailOptions, find_tail
 from clsim.tail.device_rays import ray_engine
-from clsim.tail.ray_room import ray_room
+from clsim.tail.ray_room import WallEnergies, ray_room
 from clsim.tail.rays import Spheres, Tracer
-from clsim.tail.room_rays import WallEnergies
 from clsim.tail.zones import Zones, zone_radius
 
 

@@ -60,7 +60,7 @@ class _Package(ModuleType):
         return import_module, (self.__name__,)  # functions that name it are sent to workers with it
 
     def __dir__(self) -> list[str]:
-        return sorted({*self.__dict__, *_HOMES, *_PACKAGES})
+        return sorted({"__doc__", "__name__", "__version__", *_HOMES, *_PACKAGES})  # not what the file imports
 
 
 sys.modules[__name__].__class__ = _Package

@@ -1,27 +1,23 @@
 from clsim import score as score
 from clsim.decoding import decode_binaural
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
-from clsim.exchange.flac_files import write_flac
-from clsim.exchange.mat_files import write_mat
 from clsim.exchange.mcap_files import write_mcap
+from clsim.exchange.sound_files import write_flac, write_mat
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
-from clsim.lateral_measures import LateralMeasures, lateral_measures
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
-from clsim.paths.ground_truth import direct_path
+from clsim.paths.ground_truth import BodyTruth, EchoTruth, ScattererTruth, body_truth, direct_path, scatterer_truth
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import PathTable
-from clsim.paths.target_truth import BodyTruth, EchoTruth, ScattererTruth, body_truth, scatterer_truth
 from clsim.recording import Recording
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.options import RenderOptions
 from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
-from clsim.render.render import render, render_chunks, render_tracks
-from clsim.render.rendering import Rendering
-from clsim.room_measures import RoomMeasures, room_measures, speech_transmission
+from clsim.render.render import Rendering, render, render_chunks, render_tracks
+from clsim.room_measures import LateralMeasures, RoomMeasures, lateral_measures, room_measures, speech_transmission
 from clsim.scene.air import Air
 from clsim.scene.body import Body
 from clsim.scene.captured import captured_person

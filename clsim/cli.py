@@ -9,15 +9,21 @@ import sys
 import traceback
 from importlib import import_module
 from itertools import takewhile
+from textwrap import wrap
 from typing import Any, NoReturn
 
-from clsim.commands import COMMANDS
+from clsim.commands import COMMANDS, GROUPS
 from clsim.errors import ClsimError, InputError, meant, not_one_of
 from clsim.files.names import shown
-from clsim.scene_file.words import as_toml
+from clsim.scene_file import as_toml
 from clsim.version import __version__
 from clsim.workflow.console import built_programs, one_line_warnings
 
+_WIDTH = 79
+_STATUS = (
+    "exit status: 0 done; 1 members of a study, or scenes of a device's test, failed, or results have changed; "
+    "2 an error, in one line; 130 interrupted"
+)
 _VERBOSE = {"-v", "--verbose"}
 _CHOICE = re.compile(r"(?:argument )?(.+?): invalid choice: '(.*)' \(choose from (.*)\)", re.DOTALL)
 
@@ -75,23 +81,32 @@ class _Parser(argparse.ArgumentParser):
         print(message, end="", file=file, flush=True)
 
 
+def _listed() -> str:
+    """All commands in their groups, each group with an example, and what the exit status says."""
+    lines = []
+    for name, text in COMMANDS.items():
+        if name in GROUPS:
+            title, example = GROUPS[name]
+            lines += ["", f"{title}, such as `{example}`:"]
+        lines += wrap(text, _WIDTH, initial_indent=f"  {name:<12}", subsequent_indent=14 * " ")
+    return "\n".join([*lines[1:], "", *wrap(_STATUS, _WIDTH)])
+
+
 def _options(arguments: list[str]) -> argparse.Namespace:
     """Return the options; only the command that is called is imported, and adds its arguments."""
     parser = _Parser(
         prog="clsim", description="Simulate what receivers hear in a room while sources and receivers move.",
-        epilog="exit status: 0 done; 1 members of a study, or scenes of a device's test, failed, or results "
-        "have changed; 2 an error, told in a "
-        "line; 130 interrupted",
+        epilog=_listed(), formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"clsim {__version__}")
     parser.add_argument("-v", "--verbose", action="store_true", help="tell where in the program an error arose, too")
-    commands = parser.add_subparsers(metavar="COMMAND")
+    commands = parser.add_subparsers(metavar="COMMAND", help="one of those below; `clsim COMMAND --help` explains it")
     called = next((argument for argument in arguments if not argument.startswith("-")), None)
     if called is not None and called not in COMMANDS:
         raise InputError("COMMAND", f"{called!r:.80} is none; `clsim --help` lists them{meant(called, COMMANDS)}")
     told = parser
     for name, text in COMMANDS.items():
-        command = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        command = commands.add_parser(name, description=f"{text[0].upper()}{text[1:]}.")
         if name == called:
             module = import_module(f"clsim.commands.{name.replace('-', '_')}")
             module.add_arguments(command)

@@ -10,22 +10,25 @@ import numpy as np
 from clsim.arrays import as_floats, as_index, as_number, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
-from clsim.pictures.notebook import html_table, inline_sound
+from clsim.pictures.view_page import html_table, inline_sound
 from clsim.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from os import PathLike
 
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
     from clsim.scene.ends import Receiver
+    from clsim.scene.signal.signal import Signal
 
 _MOST_DRAWN = 8  # receivers in one picture
 _MOST_LISTED = 64  # in a table
+_SHORT, _SWEEPS = 0.05, 8.0  # s, and duration times bandwidth, of pulses that are short sweeps
+_LEAST_WINDOW = 32  # samples
 _PLAYED = (3000.0, 384_000.0)  # Hz: rates at which browsers play
 
 
@@ -200,7 +203,7 @@ class Recording:
             found.attrs["carrier"] = self.carrier
         return with_times(found, self.sampling_rate)
 
-    def plot(self, receivers: int | str | Sequence[int | str] | None = None) -> list[Axes]:
+    def plot(self, receivers: int | str | Sequence[int | str] | None = None) -> Figure:
         """Draw the samples of receivers over time, one below the other; in baseband their magnitude.
 
         Parameters
@@ -210,8 +213,8 @@ class Recording:
 
         Returns
         -------
-        list of matplotlib.axes.Axes
-            One for each, of a new figure of pyplot.
+        matplotlib.figure.Figure
+            A new figure of pyplot, with one of its `axes` for each receiver.
 
         Raises
         ------
@@ -232,10 +235,12 @@ class Recording:
             name, unit = self.receiver_names[row], self.units[row]
             draw_waveform(place, shown, self.sampling_rate, title=name, unit=unit)
             place.label_outer()
-        return list(figure.axes)
+        return figure
 
-    def spectrogram(self, receiver: int | str = 0, band: tuple[float, float] | None = None) -> Axes:
+    def spectrogram(self, receiver: int | str = 0, band: tuple[float, float] | None = None) -> Figure:
         """Draw the level over time and frequency; in baseband over the offset from the carrier.
+
+        Where all sources send short sweeps, the window is the one that resolves a sweep best.
 
         Parameters
         ----------
@@ -246,8 +251,8 @@ class Recording:
 
         Returns
         -------
-        matplotlib.axes.Axes
-            Of a new figure of pyplot.
+        matplotlib.figure.Figure
+            A new figure of pyplot.
 
         Raises
         ------
@@ -267,10 +272,11 @@ class Recording:
         figure, axes = pyplot.subplots(figsize=(10.0, 5.0), layout="constrained")
         samples, rate, name = self.samples[row], self.sampling_rate, self.receiver_names[row]
         if self.carrier is None:
-            draw_spectrogram(figure, axes, samples, rate, title=name, band=band, unit=self.units[row])
+            segment = None if self.paths is None else sweep_window((s.signal for s in self.paths.scene.sources), rate)
+            draw_spectrogram(figure, axes, samples, rate, title=name, band=band, segment=segment, unit=self.units[row])
         else:
             draw_envelope_spectrogram(figure, axes, samples, rate, self.carrier, title=name)
-        return axes
+        return figure
 
     def play(self, receiver: int | str = 0, slower: float = 10.0) -> Any:
         """Return a notebook player of a receiver's sound, slowed down so that ultrasound becomes audible.
@@ -335,6 +341,18 @@ class Recording:
             if found != unit:
                 raise InputError(name, f"must be in {unit}, but {receiver!r} recorded {found}; take recording.samples")
         return self.samples
+
+
+def sweep_window(signals: Iterable[Signal], sampling_rate: float) -> int | None:
+    """Window of a spectrogram that resolves the shortest sweeps of signals best, samples; None for other signals."""
+    windows = []
+    for signal in signals:
+        pulse = signal.pulse
+        low, high = pulse.band()
+        if pulse.duration > _SHORT or (high - low) * pulse.duration < _SWEEPS:
+            return None
+        windows.append(2.0 * np.sqrt(pulse.duration / (high - low)) * sampling_rate)
+    return max(_LEAST_WINDOW, 2 ** round(np.log2(max(windows)))) if windows else None
 
 
 def sound_coordinates(

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.decay import (
+    SPEECH_BANDS,
+    SPEECH_DB,
     before_noise,
     centre_time,
     clarity,
@@ -17,19 +19,23 @@ from clsim.acoustics.decay import (
     definition,
     eyring_time,
     has_decay_range,
+    interaural_correlation,
     is_clipped,
+    lateral_fractions,
     level_fall,
+    modulation_transfer,
     reverberation_time,
     sabine_time,
+    transmission_index,
 )
-from clsim.acoustics.speech import SPEECH_BANDS, SPEECH_DB, modulation_transfer, transmission_index
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.files.sound import read_sound_file
 from clsim.impulse_responses import ImpulseResponses, as_response_band
-from clsim.numerics.nufft import band_taper
-from clsim.paths.labelled import labelled_dataset
-from clsim.tail.diffuse_field import DiffuseField
+from clsim.numerics.convolution import band_taper
+from clsim.paths.path_table import labelled_dataset
+from clsim.scene.directivity.head_related import EARS
+from clsim.tail.bands import DiffuseField
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -387,3 +393,107 @@ def _diffuse(scene: Scene | None, frequencies: Floats) -> tuple[Floats, Floats]:
         sabine_time(field.volume, field.absorption_area, field.air, c),
         eyring_time(field.volume, field.surface, field.absorption_area, field.air, c),
     )
+
+
+_EARLY = 0.08  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LateralMeasures:
+    """How much sound arrives from the side.
+
+    Attributes
+    ----------
+    frequencies : ndarray (bands,)
+        Centres of the bands, Hz.
+    lf, lfc : ndarray (sources, bands)
+        Early lateral energy fractions; NaN without microphones.
+    iacc, iacc_early : ndarray (sources, bands)
+        Interaural cross-correlation coefficients of all sound, and of the first 80 ms, 0 to 1; NaN without ears.
+    source_names : tuple of str
+        Along the first axis.
+    """
+
+    frequencies: Floats
+    lf: Floats
+    lfc: Floats
+    iacc: Floats
+    iacc_early: Floats
+    source_names: tuple[str, ...]
+
+    __repr__ = short_repr
+
+
+def lateral_measures(
+    responses: ImpulseResponses,
+    microphones: tuple[str, str] | str | None = None,
+    ears: tuple[str, str] | str | None = None,
+    bands: str = "octave",
+) -> LateralMeasures:
+    """Compute lateral energy fractions of two microphones at a place, and the correlation of two ears.
+
+    Parameters
+    ----------
+    responses : ImpulseResponses
+        From `impulse_responses`.
+    microphones : (str, str) or str, optional
+        Names of an omnidirectional receiver and of a figure of eight, ``FirstOrder(0.0)``, whose null points at the
+        source; or of an ambisonic receiver that faces the source: its channels ACN0 and ACN1 are both.
+    ears : (str, str) or str, optional
+        Names of the receivers of the left and the right ear, or of a head with two channels.
+    bands : {"octave", "third-octave"}
+        Into which responses are cut.
+
+    Returns
+    -------
+    LateralMeasures
+        By source and band.
+
+    Raises
+    ------
+    InputError
+        If the responses are none, a receiver is not known, or no such band lies within that of the responses.
+
+    Notes
+    -----
+    ISO 3382-1:2009, annexes A and B. Sound begins with the earliest path to either receiver of a pair.
+    """
+    if not isinstance(responses, ImpulseResponses):
+        raise InputError("responses", f"must be ImpulseResponses, but are {responses!r:.80}")
+    centres = band_centres(responses.band, bands)
+    share, rate = 2.0 ** (0.5 / BANDS[bands]), responses.sampling_rate
+    found = {
+        name: np.full((len(responses.source_names), len(centres)), math.nan)
+        for name in ("lf", "lfc", "iacc", "iacc_early")
+    }
+    for field, pair in (("microphones", microphones), ("ears", ears)):
+        if pair is None:
+            continue
+        rows = _rows(field, pair, responses.receiver_names)
+        first = np.nanmin(
+            np.append(responses.first_arrivals[:, rows], np.full((len(found["lf"]), 1), np.inf), axis=1), axis=1
+        )
+        for s in np.flatnonzero(np.isfinite(first)).tolist():
+            begin = responses.lead + math.floor(first[s] * rate)
+            for b, centre in enumerate(centres.tolist()):
+                one, other = (cut_to_band(responses.samples[s, r], rate, centre, share) for r in rows)
+                if field == "microphones":
+                    found["lf"][s, b], found["lfc"][s, b] = lateral_fractions(one, other, rate, begin)
+                else:
+                    early = begin + round(_EARLY * rate)
+                    found["iacc"][s, b] = interaural_correlation(one, other, rate)
+                    found["iacc_early"][s, b] = interaural_correlation(one[:early], other[:early], rate)
+    values = {name: read_only(one) for name, one in found.items()}
+    return LateralMeasures(read_only(centres), **values, source_names=responses.source_names)
+
+
+def _rows(field: str, pair: Any, names: tuple[str, ...]) -> list[int]:
+    """Find two rows by their names, or the two of a receiver of several channels."""
+    if isinstance(pair, str):
+        pair = tuple(f"{pair} {channel}" for channel in (EARS if field == "ears" else ("ACN0", "ACN1")))
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise InputError(field, f"must be the names of two receivers, but is {pair!r:.80}")
+    for i, name in enumerate(pair):
+        if name not in names:
+            raise InputError(f"{field}[{i}]", f"must be a receiver's name, one of {', '.join(names)}, but is {name!r}")
+    return [names.index(name) for name in pair]

@@ -52,12 +52,9 @@ def ellipsoid_glint(
 ) -> Glint:
     """Return the specular point of a rigid ellipsoid, by geometrical optics.
 
-    Shapes: semi_axes (3,) m; source, receiver (3, n) m; weight (n,).
-
-    near: that of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
-
-    weight: w, of the way to the receiver: ``(1 - M1) / (1 - M2)`` for a surface that moves at Mach numbers M1 off the
-    source and M2 towards the receiver.
+    Shapes: semi_axes (3,) m; source, receiver (3, n) m; weight (n,). near: that of nearly the same ends: one step is
+    then made from it; from what is guessed, a search begins. weight: w, of the way to the receiver: ``(1 - M1) / (1 -
+    M2)`` for a surface that moves at Mach numbers M1 off the source and M2 towards the receiver.
 
     The specular point makes the way ``L = d1 + w d2`` by the surface shortest (Fermat): at rest its normal is the
     bisector of the directions to both ends. On ``x = A u`` with a unit vector u, Newton's method finds it in the plane
@@ -90,11 +87,7 @@ def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glin
     Towards grazing incidence it is let go to 0 by ``1 - exp(-(cos(theta) / 0.25)^3)``, our own choice: 3 % off at an
     angle of 68°, where for k R = 150 the penumbra begins (V. A. Fock: ``(k R / 2)^(1/3) cos(theta)`` about 1).
     """
-    scale, u = semi_axes[:, None], glint.normal
-    normal, away = u / scale, scale * u - source
-    steep = np.sqrt(np.maximum(_dot(normal, normal), _SMALL))
-    cosine = np.maximum(-_dot(normal, away) / (steep * np.sqrt(_dot(away, away))), 0.0)
-    bend = np.maximum(_bend(scale, source, receiver, u, 1.0)[0], _SMALL)
+    _, _, steep, cosine, bend = _incidence(semi_axes[:, None], source, receiver, glint.normal)
     strength = lit_share(cosine) * cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend)
     return np.asarray(np.where(glint.hidden, 0.0, strength))
 
@@ -104,20 +97,25 @@ def ellipsoid_mirror(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the specular reflection of a rigid ellipsoid: strength, m, cosine of incidence, curvature, 1/m, each (n,).
 
-    With H the second derivatives of L along the surface, the principle of stationary phase gives the strength
-    ``cos(theta) / sqrt(det H)``: ``1 / (1 / d1 + 1 / d2)`` of a plane, and far from the body ``abc / (2 h^2)``, half
-    the root of the product of both radii of curvature, with the support ``h = sqrt(b A^2 b)`` (G. T. Ruck et al., Radar
+    The strength is that of `ellipsoid_strength` without its fall towards grazing incidence (G. T. Ruck et al., Radar
     Cross Section Handbook, 1970, section 2.2.3). The curvature is that in the plane of incidence.
     """
-    scale, u = semi_axes[:, None], glint.normal
-    normal, away = u / scale, scale * u - source
-    steep = np.sqrt(np.maximum(_dot(normal, normal), _SMALL))
-    cosine = np.maximum(-_dot(normal, away) / (steep * np.sqrt(_dot(away, away))), 0.0)
-    bend = np.maximum(_bend(scale, source, receiver, u, 1.0)[0], _SMALL)
+    scale = semi_axes[:, None]
+    normal, away, steep, cosine, bend = _incidence(scale, source, receiver, glint.normal)
     along = away - _dot(normal, away) / steep**2 * normal
     curvature = _dot(along / scale, along / scale) / (steep * np.maximum(_dot(along, along), _SMALL))
     flattest = semi_axes.min() / semi_axes.max() ** 2
     return cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend), cosine, np.maximum(curvature, flattest)
+
+
+def _incidence(
+    scale: Floats, source: Floats, receiver: Floats, u: Floats
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return normals and ways from the source (3, n), the normals' lengths, cosines of incidence and bends (n,)."""
+    normal, away = u / scale, scale * u - source
+    steep = np.sqrt(np.maximum(_dot(normal, normal), _SMALL))
+    cosine = np.maximum(-_dot(normal, away) / (steep * np.sqrt(_dot(away, away))), 0.0)
+    return normal, away, steep, cosine, np.maximum(_bend(scale, source, receiver, u, 1.0)[0], _SMALL)
 
 
 def lit_share(cosine: Floats) -> Floats:

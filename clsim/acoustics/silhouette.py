@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from clsim.acoustics.fock import fock_hard
-from clsim.numerics.chebyshev import chebyshev_points, interpolation
+from clsim.numerics.band_filters import chebyshev_points, interpolation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -233,10 +233,8 @@ def silhouette_aspects(
 ) -> tuple[Floats, Floats]:
     """Return the strength (n,) that `silhouette_field` is relative to, m, and what that takes (n, 11).
 
-    Shapes: both endpoints (3, n) m.
-
-    mirrored: strength of the specular reflection (n,), m, cosine of the angle of incidence there (n,), and curvature
-    (n,) of the surface in the plane of incidence, 1/m.
+    Shapes: both endpoints (3, n) m. mirrored: strength of the specular reflection (n,), m, cosine of the angle of
+    incidence there (n,), and curvature (n,) of the surface in the plane of incidence, 1/m.
 
     The strength is ``l1 l2 / L``: both legs by the specular point, and the line of sight, along which the free field
     falls. Where the body hides the endpoints from each other, its point is on that line. Our own derivation.

@@ -1,4 +1,4 @@
-"""The field that a rigid sphere scatters between two ends at any distance: the series over its modes.
+"""The field that a rigid sphere scatters between two ends at any distance, and on itself: the series over its modes.
 
 Time goes by ``exp(+j 2 pi f t)``.
 """
@@ -22,6 +22,8 @@ ASPECTS = 4  # numbers that a field takes
 _NEARBY = 240
 _AT_A_TIME = 4096  # numbers that are worked on together: they stay in the cache
 _LEAST = 1e-300
+_STATIC = 1e-3  # ka, below which the sphere does nothing but turn the phase
+_SURFACE_LEFT_OUT = 1e-9  # of the largest mode, behind mode number ka, from which on modes are left out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +91,8 @@ def sphere_aspects(radius: float, source: Floats, receiver: Floats, glint: Glint
 def sphere_field(ka: Floats, aspects: Floats) -> Complexes:
     """Return the field that a rigid sphere scatters from one end to the other.
 
-    Shapes: ka (F,); aspects (..., 4); result (... F).
-
-    result: F: of a source that gives ``exp(-j k d) / d``, the pressure that is scattered is ``a / (2 d1 d2) F exp(-j k
-    l)``, with the length l of the path by the place.
+    Shapes: ka (F,); aspects (..., 4); result (... F). result: F: of a source that gives ``exp(-j k d) / d``, the
+    pressure that is scattered is ``a / (2 d1 d2) F exp(-j k l)``, with the length l of the path by the place.
 
     ``p = j k sum (2 n + 1) j_n'(ka) / h_n'(ka) h_n(k d1) h_n(k d2) P_n(cos gamma)`` with the spherical Hankel functions
     of the second kind (P. M. Morse and K. U. Ingard, Theoretical Acoustics, 1968, section 8.2). It is exact wherever
@@ -136,9 +136,8 @@ def _summed(modes: SphereModes, aspects: Floats) -> Complexes:
 def sphere_bound(radius: float, wave: Floats, nearest: Floats) -> Floats:
     """Return a bound (n, F) of what a rigid sphere scatters, times the length of its path.
 
-    Shapes: wave (F,) 1/m; nearest (n,) m.
-
-    nearest: bounds from below of half the harmonic mean of the distances of both ends from the surface, m.
+    Shapes: wave (F,) 1/m; nearest (n,) m. nearest: bounds from below of half the harmonic mean of the distances of both
+    ends from the surface, m.
 
     That of a wave from far away, in the direction where it is largest, with what h_1 is more nearby; and at most 3. The
     largest of all is behind a sphere on the axis, 2.4 times the direct sound (found between ka = 0.1 and 400; our own
@@ -149,3 +148,44 @@ def sphere_bound(radius: float, wave: Floats, nearest: Floats) -> Floats:
     far = 0.5 * radius * np.abs(sphere_field(radius * wave, aspects)).max(axis=0)
     near = nearest[:, None]
     return np.asarray(np.minimum(far / near * (1.0 + 1.0 / (wave * near)) ** 2, 3.0))
+
+
+def sphere_surface_field(ka: Floats, cosine: Floats) -> Complexes:
+    """Return the pressure on a rigid sphere in a plane wave, relative to that of the wave at its centre without it.
+
+    Shapes: ka (F,); cosine (n,) of the angle between the place and the wave's origin, seen from the centre; result (n,
+    F).
+
+    ``p = 1 / (ka)² sum (2 n + 1) j^(n - 1) P_n(cosine) / h_n'(ka)`` with spherical Hankel functions of the second kind,
+    for ``exp(+j 2 pi f t)`` (J. W. Strutt, Phil. Trans. R. Soc. 203, 1904; R. O. Duda and W. L. Martens, J. Acoust.
+    Soc. Am. 104 (5), pp. 3048-3058, 1998, section I, for sources far away).
+    """
+    modes = _surface_modes(tuple(np.maximum(ka, _STATIC).tolist()))
+    legendre, before = np.ones_like(cosine), np.zeros_like(cosine)
+    columns = np.empty((len(cosine), len(modes)))
+    for n in range(len(modes)):
+        columns[:, n] = legendre
+        legendre, before = ((2 * n + 1) * cosine * legendre - n * before) / (n + 1), legendre
+    field = columns @ modes
+    low = np.asarray(ka) < _STATIC
+    if low.any():
+        field[:, low] = 1.0 + 1.5j * np.outer(cosine, np.asarray(ka)[low])
+    return np.asarray(field)
+
+
+@lru_cache(maxsize=32)
+def _surface_modes(ka: tuple[float, ...]) -> Complexes:
+    """Return the factors (N, F) of Legendre's polynomials."""
+    from scipy.special import spherical_jn, spherical_yn
+
+    x = np.array(ka)
+    most = float(x.max())
+    count = math.ceil(most + 4.05 * most ** (1.0 / 3.0)) + 12
+    n = np.arange(count)[:, None]
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        slope = spherical_jn(n, x, derivative=True) - 1j * spherical_yn(n, x, derivative=True)
+        made = (2 * n + 1) * 1j ** (n - 1.0) / (slope * x**2)
+    made = np.where(np.isfinite(made), made, 0.0)  # of high modes at low frequencies, which are nothing
+    loud = np.abs(made).max(axis=1)
+    last = np.flatnonzero(loud > _SURFACE_LEFT_OUT * loud.max())[-1]
+    return made[: last + 1]

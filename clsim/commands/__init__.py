@@ -4,20 +4,27 @@
 # imported once it is called.
 COMMANDS = {
     "new": "write a scene file to begin with",
-    "run": "render a scene file into a folder of sound files, tables and pictures",
     "check": "check a scene file and say what would be computed",
-    "paths": "list the paths of a scene file",
-    "rir": "write the impulse responses of a scene file at one instant",
     "view": "write an interactive page: room, motion, and the paths over time",
-    "plot": "draw directivities, or what air absorbs",
     "materials": "list or draw the built-in materials, with sources and uncertainty",
+    "schema": "print the JSON schema of scene files, for editors",
+    "run": "render a scene file into a folder of sound files, tables and pictures",
+    "rir": "write the impulse responses of a scene file at one instant",
+    "paths": "list the paths of a scene file",
+    "study": "render a scene many times with other values of some of its fields",
     "score": "tell how well ranges are found in the results of a run",
-    "validate": "simulate rooms that were measured, and write a page of how far that is from the measurement",
+    "plot": "draw directivities, or what air absorbs",
     "compare": "compare a measured impulse response with that of a scene file",
     "verify": "compare the results of a run or a study with the digests and checksums of what was written",
-    "study": "render a scene many times with other values of some of its fields",
+    "validate": "simulate rooms that were measured, and write a page of how far that is from the measurement",
     "devices": "list the OpenCL devices of this machine",
     "warm-up": "build the kernels that common scenes need, so that first renders need not",
-    "schema": "print the JSON schema of scene files, for editors",
     "completion": "print what makes a shell complete commands and options",
+}
+# Groups of `clsim --help`, by the command that each begins with: a title and an example.
+GROUPS = {
+    "new": ("scene files", "clsim new scene.toml --mesh hall.obj --trajectory walk.csv"),
+    "run": ("sound and paths", "clsim run scene.toml -o out"),
+    "score": ("results", "clsim score out"),
+    "devices": ("this machine", "clsim devices"),
 }

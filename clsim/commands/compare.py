@@ -20,7 +20,7 @@ from clsim.impulse_responses import impulse_responses
 from clsim.measured.comparison import align, checked, reflections
 from clsim.measured.simulated import noticeable
 from clsim.packages import check_pictures
-from clsim.pictures.comparison_plot import comparison_picture
+from clsim.pictures.measured import comparison_picture
 from clsim.room_measures import BANDS, band_centres, cut_to_band, room_measures
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress

@@ -18,7 +18,7 @@ from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
 from clsim.scene_file import load_scene
-from clsim.scene_file.transducers import DirectivityTableModel, SofaModel
+from clsim.scene_file.ends import DirectivityTableModel, SofaModel
 from clsim.workflow.pipeline import input_files
 
 if TYPE_CHECKING:
@@ -119,9 +119,10 @@ def _read(options: argparse.Namespace) -> Directivity:
     path, outside = str(options.table), "hold" if options.hold else None
     try:
         if options.table.suffix == ".sofa":
-            return SofaModel.model_validate({"kind": "sofa", "path": path, "outside": outside}).build(Path())
+            found: Directivity = SofaModel.model_validate({"kind": "sofa", "path": path, "outside": outside}).build()
+            return found
         content = {"kind": "table", "path": path, "rear": options.rear, "scale": options.scale, "outside": outside}
-        return DirectivityTableModel.model_validate(content).build(Path())
+        return DirectivityTableModel.model_validate(content).build()
     except InputError as error:
         raise error.within("--table") from error
 

@@ -45,30 +45,18 @@ _PARTS = {
     ),
     "audio_common_msgs/AudioData": "uint8[] data\n",
 }
-_KINDS = {  # what each is made of, and the parts that it needs
-    "audio_common_msgs/msg/AudioDataStamped": (
-        "std_msgs/Header header\naudio_common_msgs/AudioData audio\n",
-        ("std_msgs/Header", "builtin_interfaces/Time", "audio_common_msgs/AudioData"),
-    ),
+_KINDS = {
+    "audio_common_msgs/msg/AudioDataStamped": "std_msgs/Header header\naudio_common_msgs/AudioData audio\n",
     "audio_common_msgs/msg/AudioInfo": (
-        "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\nstring coding_format\n", (),
+        "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\nstring coding_format\n"
     ),
-    "geometry_msgs/msg/PoseStamped": (
-        "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
-        ("std_msgs/Header", "builtin_interfaces/Time", "geometry_msgs/Pose", "geometry_msgs/Point",
-         "geometry_msgs/Quaternion"),
-    ),
-    "tf2_msgs/msg/TFMessage": (
-        "geometry_msgs/TransformStamped[] transforms\n",
-        ("geometry_msgs/TransformStamped", "std_msgs/Header", "builtin_interfaces/Time", "geometry_msgs/Transform",
-         "geometry_msgs/Vector3", "geometry_msgs/Quaternion"),
-    ),
+    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
     "sensor_msgs/msg/Range": (
         "std_msgs/Header header\nuint8 radiation_type\nfloat32 field_of_view\nfloat32 min_range\nfloat32 max_range\n"
-        "float32 range\n",
-        ("std_msgs/Header", "builtin_interfaces/Time"),
+        "float32 range\n"
     ),
-}  # fmt: skip
+}
 _SOUND, _INFO, _POSE, _TF, _RANGE = _KINDS
 
 
@@ -129,8 +117,17 @@ def write_mcap(
 
 def _definition(kind: str) -> str:
     """Return the text of a message's definition with all that it is made of."""
-    own, parts = _KINDS[kind]
-    return own + "".join(f"{_RULE}\nMSG: {part}\n{_PARTS[part]}" for part in parts)
+    parts = dict.fromkeys(_parts_of(_KINDS[kind]))
+    return _KINDS[kind] + "".join(f"{_RULE}\nMSG: {part}\n{_PARTS[part]}" for part in parts)
+
+
+def _parts_of(definition: str) -> Iterator[str]:
+    """Yield the types of the fields of a message that are messages themselves, each before its own."""
+    for line in definition.splitlines():
+        part = line.split()[0].removesuffix("[]")
+        if part in _PARTS:
+            yield part
+            yield from _parts_of(_PARTS[part])
 
 
 def _stamp(begin: int, time: float) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
-from clsim.numerics.nufft import band_taper
+from clsim.numerics.convolution import band_taper
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.measured.simulated import mean_difference, noticeable
-from clsim.pictures.measured_plots import ParameterPanel, parameters_picture, ranks_picture
+from clsim.pictures.measured import ParameterPanel, parameters_picture, ranks_picture
 from clsim.version import __version__
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from pydantic import ValidationError
 from clsim.errors import ClsimError, InputError, not_one_of
 from clsim.files.input_files import read_toml
 from clsim.scene_file import load_scene
-from clsim.scene_file.explain import explain
-from clsim.scene_file.model import Model
+from clsim.scene_file.model import Model, explain
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -1,13 +1,22 @@
-"""Launches of kernels by the names of their arguments, and the memory that these take."""
+"""Programs of one context, each text built once and adapted to PoCL, and launches by the names of their arguments."""
 
 from __future__ import annotations
 
+import logging
+import re
+import threading
+import time
+import uuid
+import warnings
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimError
+from clsim.errors import ClsimError, DeviceError
+from clsim.opencl.device import refuse_after_fork
+from clsim.opencl.kernel_cache import Trial, TriedKernel
+from clsim.opencl.kernels import PROGRAMS, declarations, kernel_source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -17,6 +26,134 @@ if TYPE_CHECKING:
     from clsim.opencl.arguments import Argument
 
     WorkItems = tuple[tuple[int, ...], tuple[int, ...]]  # in all, and in a group
+    from collections.abc import Collection
+
+    Constant = int | float | str | np.float32
+
+HEADER_READ = "-D_OPENCL_H_"  # by which the header of OpenCL C, 980 KiB of Clang's, knows that it was read
+
+# Kernels whose work-items do so much that a call is nothing to them; small ones would no longer run side by side.
+LONG_KERNELS = frozenset({"coarse_delays", "tracks", "pair_tracks", "intervals", "edge_intervals", "baseband", "rays"})
+# The same where every work-item is a group of its own; those of a group wait for each other, which functions cannot.
+LONG_ALONE = frozenset({"render"})
+ALONE = "-DWORKERS=1"
+
+_COMMENT = re.compile(r"//.*")
+_PLACE = re.compile(r"\b(get_\w+)\((\d)\)")  # what tells a work-item which one it is
+
+
+def as_built(program: str, text: str, options: Collection[str] = ()) -> str:
+    """Return the text of a program for PoCL; numbers of lines stay those of its files.
+
+    PoCL compiles all of a kernel three times, for three ways of launching it. A long kernel only calls its body: a
+    function, compiled once, whose last arguments tell a work-item which one it is.
+    """
+    if program not in LONG_KERNELS and not (program in LONG_ALONE and ALONE in options):
+        return f"{declarations()}\n{text}"
+    before, head, kernel = re.split(rf"(__kernel .*\s*void {program}\()", text)
+    signature, body = kernel.split("\n{", 1)
+    parameters = _COMMENT.sub("", signature).rstrip().removesuffix(")")
+    places = sorted(set(_PLACE.findall(body)))
+    more = "".join(f", size_t {name}_{dimension}" for name, dimension in places)
+    arguments = ", ".join([*PROGRAMS[program].arguments, *(f"{name}({dimension})" for name, dimension in places)])
+    inner, lines = _PLACE.sub(r"\1_\2", body), "\n" * head.count("\n")
+    return (
+        f"{declarations()}\n{before}"
+        f"static __attribute__((noinline)){lines} void {program}_body({parameters}{more})\n{{{inner}\n"
+        f"{head}{parameters})\n{{\n    {program}_body({arguments});\n}}\n"
+    )
+
+
+_compilers: dict[Any, Compiler] = {}
+_log = logging.getLogger(__name__)
+_opening = threading.Lock()
+
+
+def compiler_of(device: Any) -> Compiler:
+    """Return the compiler of a device, with its context: the same one at every call in a process."""
+    import pyopencl as cl
+
+    with _opening:
+        if device not in _compilers:
+            _compilers[device] = Compiler(cl.Context([device]))
+        return _compilers[device]
+
+
+class Compiler:
+    """Builds the programs of one context, each text with each set of constants once.
+
+    Programs are those of all threads; every thread has kernels of its own, whose arguments are set before they run.
+    """
+
+    def __init__(self, context: Any) -> None:
+        self.context = context
+        self._built: dict[tuple[str, tuple[str, ...]], tuple[Any, Trial]] = {}
+        self._building = threading.Lock()
+        self._of_thread = threading.local()
+
+    def kernel(self, program: str, constants: Mapping[str, Constant]) -> Launch:
+        """Return the kernel of a program with compile-time constants."""
+        refuse_after_fork()
+        kernels: dict[Any, Launch] = self._of_thread.__dict__.setdefault("kernels", {})
+        key = program, kernel_source(program), frozenset(constants.items())
+        if key not in kernels:
+            if constants.keys() != PROGRAMS[program].constants:
+                wrong = ", ".join(sorted(constants.keys() ^ PROGRAMS[program].constants))
+                raise ClsimError(f"constants of program {program}: missing or unknown {wrong}")
+            kernels[key] = self._launch(program, tuple(f"-D{n}={_literal(v)}" for n, v in sorted(constants.items())))
+        return kernels[key]
+
+    def _launch(self, program: str, options: tuple[str, ...]) -> Launch:
+        import pyopencl as cl
+
+        text = kernel_source(program)
+        with self._building:
+            if (text, options) not in self._built:
+                device = self.context.devices[0]
+                trial = Trial(program, f"{device.name} {device.driver_version}\n{text}", list(options))
+                begun = time.monotonic()
+                with trial.marked():
+                    self._built[text, options] = self._build(program, text, trial.options), trial
+                _log.info("%s: program built, or found, in %.2f s", program, time.monotonic() - begun)
+            built, trial = self._built[text, options]
+        return Launch(program, TriedKernel(cl.Kernel(built, program), trial), PROGRAMS[program].arguments)
+
+    def _build(self, program: str, text: str, options: list[str]) -> Any:
+        """Return the built program; it has been seen to hold its kernel."""
+        import pyopencl as cl
+
+        logging.getLogger("pyopencl").setLevel(logging.ERROR)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # compilers have something to say about every program
+            # A process that died while building can leave a broken entry in the cache of PyOpenCL or of the driver:
+            # with a constant that nothing uses, the program is another one and is built anew.
+            anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
+            uncached: Any = False  # as PyOpenCL takes it, but does not say in its types
+            ways = [(text, options, None), (text, anew, uncached)]
+            if self.context.devices[0].platform.name == "Portable Computing Language":
+                ways.insert(0, (as_built(program, text, options), [*options, HEADER_READ], None))
+            for source, told, cache in ways:
+                try:
+                    built = cl.Program(self.context, source).build(options=told, cache_dir=cache)
+                    cl.Kernel(built, program)
+                except cl.Error as error:
+                    failed = error
+                    _log.info("%s: not built as it stands, tried otherwise: %s", program, str(error)[:500])
+                else:
+                    return built
+        device = self.context.devices[0].name.strip()
+        raise DeviceError(
+            f"{device} could not build {program}.cl: {str(failed)[:2000]}; update its driver, choose another "
+            'device (see `clsim devices`), or use engine="reference"'
+        ) from failed
+
+
+def _literal(value: Constant) -> str:
+    """Return the OpenCL C literal of a constant: Python numbers are int and double, float32 is float."""
+    if isinstance(value, np.float32):
+        return f"{value!s}f"
+    return repr(value) if isinstance(value, float) else str(value)
+
 
 NUMBERS: dict[str, type[np.generic]] = {
     "int": np.int32, "uint": np.uint32, "long": np.int64, "ulong": np.uint64, "float": np.float32, "double": np.float64,

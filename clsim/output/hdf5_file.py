@@ -1,19 +1,22 @@
-"""HDF5 files whose sound is written past the library: chunks at fixed places, each with its checksum behind it."""
+"""Samples at fixed places of files: rows of numbers, and HDF5 files written past the library, with checksums."""
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+_UNKNOWN_TO_SYSTEM = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS)
 CHECKSUM_BYTES = 4
 LARGEST_CHUNK = 2**32 - 1 - CHECKSUM_BYTES  # bytes: its length is a number of 32 bits
 _PAGE = 1 << 14  # bytes
@@ -21,6 +24,93 @@ _COLUMNS, _ROWS = 1 << 10, 1 << 5  # of integers of four words that are added at
 _HEAP = struct.Struct("<4s4xQ")  # signature and version of a global heap, its bytes
 _OBJECT = struct.Struct("<H6xQ")  # index of an object in it, 0 for free space, and its bytes
 _LANES = np.uint64(0x0000FFFF0000FFFF)  # every other word
+
+
+class RawRows:
+    """Writes pieces of rows where they belong: written again they change nothing, and nothing else moves.
+
+    Shapes: places (path, int). sample_type: numPy's code of the samples: ``"<f4"``, or ``"<c8"``, real before imaginary
+    parts.
+    """
+
+    def __init__(self, places: Sequence[tuple[Path, int]], sample_type: str = "<f4") -> None:
+        self._places, self._type = places, np.dtype(sample_type)
+        self._files: dict[Path, int] = {}
+        try:
+            for path, _ in places:
+                if path not in self._files:
+                    self._files[path] = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        except OSError:
+            self.close()
+            raise
+
+    def reserve(self, samples: Sequence[int]) -> None:
+        """Take the disk space of rows of given lengths beforehand, so that a full disk shows before hours of work."""
+        for path, number in self._files.items():
+            rows = zip(self._places, samples, strict=True)
+            size = max(begin + self._type.itemsize * count for (other, begin), count in rows if other == path)
+            try:
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(number, 0, size)
+            except OSError as error:
+                if error.errno not in _UNKNOWN_TO_SYSTEM:
+                    raise OSError(
+                        error.errno, f"{os.strerror(error.errno or 0)} ({size / 2**20:.3g} MiB are needed)", str(path)
+                    ) from error
+            os.truncate(number, max(size, os.fstat(number).st_size))
+
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write samples (n_rows, n) of rows from `first` and from sample `start` on."""
+        for (path, begin), row in zip(self._places[first : first + len(samples)], samples, strict=True):
+            left = memoryview(np.ascontiguousarray(row, dtype=self._type).tobytes())
+            at = begin + self._type.itemsize * start
+            try:
+                while left:
+                    os.lseek(self._files[path], at, os.SEEK_SET)
+                    count = os.write(self._files[path], left)
+                    left, at = left[count:], at + count
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from error
+
+    def to_disk(self) -> None:
+        """Wait until all is on the disk itself."""
+        for path, number in self._files.items():
+            try:
+                os.fsync(number)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from error
+
+    def close(self) -> None:
+        """Close the files."""
+        for number in self._files.values():
+            os.close(number)
+        self._files = {}
+
+
+class SampleFile:
+    """Samples of several receivers in a file that is read as an array, in bounded memory."""
+
+    def __init__(self, path: Path, shape: tuple[int, int], sample_type: str) -> None:
+        self._path, self._shape, self._type = path, shape, np.dtype(sample_type)
+        self._rows = RawRows([])
+
+    def open(self) -> None:
+        """Make ready to write."""
+        row = self._type.itemsize * self._shape[1]
+        self._path.touch()
+        self._rows = RawRows([(self._path, row * r) for r in range(self._shape[0])], self._type.str)
+
+    def write(self, start: int, samples: NDArray[Any]) -> None:
+        """Write samples (receivers, n) from sample `start` on."""
+        self._rows.write(start, samples)
+
+    def close(self) -> None:
+        """Write no more."""
+        self._rows.close()
+
+    def samples(self) -> NDArray[Any]:
+        """Return all samples (receivers, n); they are read where they are used."""
+        return np.asarray(np.memmap(self._path, self._type, "r", shape=self._shape))
 
 
 class _Image(io.RawIOBase):
@@ -135,13 +225,7 @@ def missing_chunks(path: Path) -> int:
 
 
 def check_attributes(path: Path) -> None:
-    """Read the attributes of a file: where they are damaged, h5netcdf fails to open it, and once more to close it.
-
-    Raises
-    ------
-    OSError, ValueError, KeyError, RuntimeError, TypeError
-        If they cannot be read.
-    """
+    """Read the attributes of a file: where they are damaged, h5netcdf fails to open it, and once more to close it."""
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -166,8 +250,6 @@ def _sound_span(sound: Any) -> tuple[int, int]:
 def _check_heaps(data: bytes) -> None:
     """Raise a ValueError where the list of a heap's strings does not end, in which the HDF5 library would not return.
 
-    References
-    ----------
     HDF5 File Format Specification Version 3.0, section III.E: signature, version, size; index, count, size of objects.
     """
     at = data.find(b"GCOL")
@@ -184,14 +266,9 @@ def _check_heaps(data: bytes) -> None:
 def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,).
 
-    Notes
-    -----
-    Four words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
+    H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535. Four
+    words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
     follows. Modulo 65535 a factor of 256 exchanges the bytes of a word.
-
-    References
-    ----------
-    H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535.
     """
     missing = -len(data) % (8 * _COLUMNS)
     if missing:  # zeros before the first word change neither sum

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from clsim.errors import InputError
 from clsim.output.hdf5_file import check_attributes, missing_chunks
 from clsim.output.stores import STORE_FORMAT, STORES
-from clsim.output.zarr_chunks import arrays_with_missing_chunks
+from clsim.output.zarr_files import arrays_with_missing_chunks
 from clsim.packages import check_packages
 from clsim.recording import with_times
 

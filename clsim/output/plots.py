@@ -10,7 +10,6 @@ import numpy as np
 
 from clsim.acoustics.air import absorption_iso9613
 from clsim.errors import ClsimWarning, InputError
-from clsim.files.atomic import atomic_path
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 
 if TYPE_CHECKING:
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from clsim.arrays import Floats
     from clsim.scene.air import Air
@@ -67,6 +65,8 @@ def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathL
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
+    from clsim.pictures.plots import save_figure
+
     columns = min(len(diagrams), _COLUMNS)
     rows = -(-len(diagrams) // columns)
     figure = Figure(figsize=(4.6 * columns, 5.0 * rows))
@@ -92,7 +92,7 @@ def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathL
         notes += ["solid: to the left, dashed: upwards"] if above is not None else []
         axes.set_title("\n".join([diagram.title, *notes]), fontsize=11, parse_math=False)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=4, fontsize=8, frameon=False)
-    _save(figure, path)
+    save_figure(figure, path, _DPI)
 
 
 def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
@@ -110,6 +110,8 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     """Draw absorption and speed of sound in air by frequency for some humidities, and absorption by humidity."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
+
+    from clsim.pictures.plots import save_figure
 
     for i, air in enumerate(airs):
         if not air.absorption:
@@ -142,7 +144,7 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     right.legend(fontsize=9)
     for axes in (left, right, speeds):
         axes.grid(which="both", alpha=0.25, linewidth=0.6)
-    _save(figure, path)
+    save_figure(figure, path, _DPI)
 
 
 def _is_spherical(diagram: DirectivityDiagram) -> bool:
@@ -170,14 +172,6 @@ def _in_words(frequency: float) -> str:
     return f"{frequency / 1e3:.4g} kHz" if frequency >= 1e3 else f"{frequency:.4g} Hz"
 
 
-def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format="png", pil_kwargs={"optimize": True})
-
-
 def reflection_loss(material: Material, frequency: Floats, cosine: Floats) -> Floats:
     """Return ``-20 log10 |R|``, dB; NaN where the material is unknown. Extrapolation gives no warning.
 
@@ -201,11 +195,11 @@ def reflection_losses(materials: Sequence[Material], path: str | os.PathLike[str
     known.
     """
     from matplotlib import colormaps
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    from clsim.pictures.plots import save_figure
+
     figure = Figure(figsize=(10.0, 4.8 + 0.22 * (len(materials) // 4)), layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, sharey=True)
     colours = colormaps["tab10" if len(materials) <= 10 else "tab20"]
     frequencies = np.geomspace(_LOW, _HIGH, 2001)
@@ -231,8 +225,7 @@ def reflection_losses(materials: Sequence[Material], path: str | os.PathLike[str
     for axes in (left, right):
         _dress(axes)
     figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=_FINE, format="png")
+    save_figure(figure, path, _FINE)
 
 
 def _dress(axes: Axes) -> None:

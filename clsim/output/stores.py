@@ -18,9 +18,8 @@ from clsim.arrays import row_name
 from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
-from clsim.output.hdf5_file import CHECKSUM_BYTES, LARGEST_CHUNK, chunk_places, create_file, fletcher32
-from clsim.output.raw_rows import RawRows
-from clsim.output.zarr_chunks import ALL_CHUNKS
+from clsim.output.hdf5_file import CHECKSUM_BYTES, LARGEST_CHUNK, RawRows, chunk_places, create_file, fletcher32
+from clsim.output.zarr_files import ALL_CHUNKS
 from clsim.packages import check_packages
 from clsim.plugins import STORES as STORE_PLUGINS
 from clsim.plugins import with_plugins
@@ -85,18 +84,10 @@ class StoredSound:
 
 
 class SoundStore(ABC):
-    """One kind of store; `store_kinds` lists them.
-
-    Attributes
-    ----------
-    by_regions : bool
-        Whether several processes, on several machines, may write chunks of it at a time.
-    paths : list of Path
-        Files or folders that make it up.
-    """
+    """One kind of store, at `paths`, the files or folders that make it up; `store_kinds` lists them."""
 
     packages: ClassVar[tuple[str, ...]] = ()  # that it needs
-    by_regions: ClassVar[bool] = False
+    by_regions: ClassVar[bool] = False  # whether several processes, on several machines, may write chunks at a time
 
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
         self.paths = [folder / name for name in self.names(receivers)]
@@ -168,7 +159,6 @@ class _RowStore(SoundStore):
         return self._sound.samples
 
     def open(self) -> None:
-        """Open the files of all rows, which are there."""
         self._rows = RawRows(self.places(), self._row_type)
 
     def reserve(self) -> None:
@@ -182,15 +172,12 @@ class _RowStore(SoundStore):
         to_disk(self.paths[0].parent)
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
-        """Write samples `(receivers, n)` from sample `start` on, those of receiver `first` and the ones behind it."""
         self._rows.write(start, samples, first)
 
     def to_disk(self) -> None:
-        """Return when all that was written is on the disk."""
         self._rows.to_disk()
 
     def close(self) -> None:
-        """Close the files; what was written stays."""
         self._rows.close()
 
 
@@ -214,7 +201,6 @@ class _WavStore(_RowStore):
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
-        """Return a file per receiver."""
         return [f"{name}.wav" for name in receivers]
 
     def create(self) -> None:
@@ -228,11 +214,9 @@ class _WavStore(_RowStore):
         return [self._sound.samples * count for count in np.diff(self._first).tolist()]
 
     def places(self) -> list[tuple[Path, int]]:
-        """Return the file of each receiver and the byte at which its samples begin."""
         return [(path, len(header)) for path, header in zip(self.paths, self._headers, strict=True)]
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
-        """Write samples (rows, n) of receivers from sample `start` on, channels of one interleaved."""
         receivers = range(self._first.index(first), self._first.index(first + len(samples)))
         for receiver in receivers:
             begin, end = self._first[receiver : receiver + 2]
@@ -256,13 +240,12 @@ class _Hdf5Store(_RowStore):
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
-        """Return the one file of all receivers."""
         del receivers  # one file holds all of them
         return ["recording.h5"]
 
     @staticmethod
     def problem_of(receiver: str) -> str:
-        """Return why a receiver's name cannot be written: texts of HDF5 end at a NUL."""
+        # Texts of HDF5 end at a NUL.
         return f"must have no NUL in its name for --store hdf5, but is {receiver!r:.80}" if "\0" in receiver else ""
 
     @property
@@ -302,7 +285,6 @@ class _Hdf5Store(_RowStore):
             self._rows.write(0, np.concatenate([content, fletcher32(content)])[None], r * of_row + number)
 
     def row(self, folder: Path, row: int) -> Readable:
-        """Return the samples of one row, read as they are asked for."""
         import h5py
 
         return _ArrayRow(h5py.File(folder / self.paths[0].name, "r")["sound"], row)
@@ -321,7 +303,6 @@ class _ZarrStore(SoundStore):
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
-        """Return the one folder of all receivers."""
         del receivers  # one folder holds all of them
         return ["recording.zarr"]
 
@@ -345,12 +326,10 @@ class _ZarrStore(SoundStore):
         )  # fmt: skip
 
     def recover(self) -> None:
-        """Delete chunks that a process left half written."""
         for half in self.paths[0].rglob("*.partial"):  # chunks
             half.unlink()
 
     def open(self) -> None:
-        """Open the array, which is there."""
         import zarr
 
         with zarr.config.set({"array.write_empty_chunks": True}):
@@ -366,7 +345,6 @@ class _ZarrStore(SoundStore):
             self._written.append(self.paths[0] / "sound" / key)
 
     def to_disk(self) -> None:
-        """Return when all chunks that were written, and their folders, are on the disk."""
         for path in self._written:
             to_disk(path)
         for folder in {path.parent for path in self._written}:
@@ -374,11 +352,9 @@ class _ZarrStore(SoundStore):
         self._written = []
 
     def close(self) -> None:
-        """Let go of the array, whose chunks are written."""
         self._array = None
 
     def row(self, folder: Path, row: int) -> Readable:
-        """Return the samples of one row, read as they are asked for."""
         import zarr
 
         return _ArrayRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], row)

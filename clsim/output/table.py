@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Sequence
 
-    from clsim.paths.ground_truth import DirectPath
-    from clsim.paths.target_truth import EchoTruth
+    from clsim.paths.ground_truth import DirectPath, EchoTruth
 
 _NAMES = ("source_names", "receiver_names", "object_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more

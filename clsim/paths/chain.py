@@ -229,7 +229,9 @@ class Chain(PathFamily):
         """Take the legs and vertices of some paths."""
         vertex = None if self.vertex is None else self.vertex.part(rows)
         legs = tuple(leg.part(rows) for leg in self.legs)
-        made: Links = legs[0].links(self, rows, legs, vertex)
+        pairs = zip(self.source[rows][:1], self.receiver[rows][:1], strict=True)
+        ends = tuple(end for s, r in pairs for end in (self.scene.sources[s], self.scene.receivers[r]))
+        made: Links = legs[0].links(self, rows, legs, vertex, ends, tuple(end.trajectory for end in ends))
         return made
 
     def part(self, rows: Rows) -> Self:

@@ -10,9 +10,9 @@ import numpy as np
 
 from clsim.arrays import Floats, as_number, short_repr, texts
 from clsim.errors import InputError, warn
-from clsim.numerics.band_kernels import BandKernels
+from clsim.numerics.band_filters import BandKernels
 from clsim.paths.arrivals import slices_of
-from clsim.paths.labelled import labelled_dataset
+from clsim.paths.path_table import labelled_dataset
 from clsim.paths.response import SceneResponse, check_band_coverage
 
 if TYPE_CHECKING:

@@ -166,11 +166,6 @@ class PathFamily(ABC):
         """Walls of specular reflections (paths, N) from the source's side, -1 elsewhere."""
         return np.where(self.interactions == SPECULAR, self.objects, -1)
 
-    def ends(self, rows: Rows) -> tuple[Source, Receiver]:
-        """Return the source and the receiver of paths of one pair."""
-        source, receiver = self.source[rows], self.receiver[rows]
-        return self.scene.sources[source[0]], self.scene.receivers[receiver[0]]
-
     def digest(self) -> str:
         """Return a hash of all fields but the scene."""
         found = hashlib.sha256(self.identity.encode())
@@ -266,7 +261,7 @@ class PairPaths:
     def shapes(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return responses (C, P, T, F) of channels that differ over frequency: one of those that do not."""
         directivity = self.family.scene.receivers[self.receiver].directivity
-        if isinstance(directivity, ChannelDirectivity) and directivity.is_flat:
+        if not isinstance(directivity, ChannelDirectivity) or directivity.is_flat:
             return self.response(found, times, at)[None]
         return self.responses(found, times, at)
 

@@ -3,24 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.arrays import as_choice, as_floats, texts
+from clsim.acoustics.scattering import Glint
+from clsim.arrays import as_choice, as_floats, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.packages import check_packages
 from clsim.paths.arrivals import Kinematics, slices_of
-from clsim.paths.labelled import categories, labelled_dataset, labelled_frame
+from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.static import direct_paths
 from clsim.paths.path_set import PathSet
+from clsim.paths.path_table import categories, labelled_dataset, labelled_frame
+from clsim.paths.propagation import mean_medium_of
+from clsim.paths.search.scatterers import direct_ways
+from clsim.paths.support import check_support
+from clsim.paths.vertices.scatterer_paths import find_scattered
+from clsim.paths.visibility.obstacles import Legs, Obstacles
+from clsim.scene.scatterer import PointShape, Scatterer
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.paths.family import PairPaths
+    from clsim.paths.legs.events import Events
+    from clsim.scene.scene import Scene
 
 SCALARS = ("delay", "doppler_factor", "line_of_sight", "radial_speed", "reception_time")
 VECTORS = ("arrival", "local_arrival", "source_position", "receiver_position")
@@ -225,3 +237,314 @@ def in_sight(paths: PathSet, source: int, received: Floats) -> NDArray[np.bool_]
         times = received[paths.receiver[row]]
         seen[paths.receiver[row]] |= (times >= paths.start[row]) & (times < paths.end[row])
     return seen
+
+
+_AT_A_TIME = 100_000  # times and triangles
+_TINY = 1e-300
+_STEPS = 6  # of Newton's method on a face or an edge, from where they would be met at rest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EchoTruth:
+    """A way by each of some things between every source and receiver, (things, sources, receivers, T).
+
+    Attributes
+    ----------
+    times : ndarray (T,)
+        Times of reception, s.
+    delay : ndarray (things, sources, receivers, T)
+        From emission to reception, s, also where something is in the way; group delays in air that disperses.
+    doppler_factor : ndarray (things, sources, receivers, T)
+        Received over emitted frequency.
+    range : ndarray (things, sources, receivers, T)
+        From where it comes back to the receiver, m.
+    radial_speed : ndarray (things, sources, receivers, T)
+        Speed of sound times the change of the delay by time of reception, over 2, m/s: for a source and a receiver at
+        one place at rest how fast the thing goes away.
+    bearing : ndarray (things, sources, receivers, T, 3)
+        Unit vectors from the receiver to where it comes back, in the room; in wind normals of the wavefront.
+    source_names, receiver_names : tuple of str
+        Along two of the axes.
+    KIND, MEASURES : str, tuple of str
+        What the things are, and names of the fields that have them along the first axis.
+    """
+
+    times: Floats
+    delay: Floats
+    doppler_factor: Floats
+    range: Floats
+    radial_speed: Floats
+    bearing: Floats
+    source_names: tuple[str, ...]
+    receiver_names: tuple[str, ...]
+
+    KIND: ClassVar[str]
+    MEASURES: ClassVar[tuple[str, ...]] = ("delay", "doppler_factor", "range", "radial_speed", "bearing")
+
+    __repr__ = short_repr
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the things, along the first axis."""
+        named: tuple[str, ...] = getattr(self, f"{self.KIND}_names")
+        return named
+
+
+def echo_fields(scene: Scene, times: Floats, delay: Floats, rate: Floats, away: Floats, bearing: Floats) -> Any:
+    """Return the fields of `EchoTruth` by their names.
+
+    Shapes: times (T,) s; delay, rate, away (things, sources, receivers, T) s; bearing (things, sources, receivers, T,
+    3).
+
+    delay, rate, away: delay, s, its change by time of reception, s/s, and the way from the thing to the receiver, m.
+    """
+    speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
+    return {
+        "times": times,
+        "delay": read_only(delay),
+        "doppler_factor": read_only(1.0 - rate),
+        "range": read_only(away),
+        "radial_speed": read_only(0.5 * speed[:, None, None] * rate),
+        "bearing": read_only(bearing),
+        "source_names": tuple(source.name for source in scene.sources),
+        "receiver_names": tuple(receiver.name for receiver in scene.receivers),
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ScattererTruth(EchoTruth):
+    """The way by every scatterer between every source and receiver, by no wall, (scatterers, sources, receivers, T).
+
+    Delay, range and the other fields are those of `EchoTruth`.
+
+    Attributes
+    ----------
+    scatterer_names : tuple of str
+        Along the first axis.
+    """
+
+    scatterer_names: tuple[str, ...]
+
+    KIND: ClassVar[str] = "scatterer"
+
+
+def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> ScattererTruth:
+    """Return the truth about the scatterers of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        With scatterers.
+    times : array_like (T,)
+        Times of reception, s, by the scene's clock.
+    motion : {"retarded", "quasi-static"}
+        As in `render`.
+
+    Returns
+    -------
+    ScattererTruth
+        Of every scatterer, source and receiver.
+
+    Raises
+    ------
+    InputError
+        If the scene has no scatterers, its air depends on the height or fluctuates, times are no finite numbers (T,),
+        or the motion is no known word.
+
+    Examples
+    --------
+    >>> import clsim
+    >>> room = clsim.Shoebox((8.0, 6.0, 3.0), clsim.Material.from_reflection(0.9))
+    >>> tone = clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3)
+    >>> at = clsim.Trajectory.fixed((1.0, 3.0, 1.5))
+    >>> ends = [clsim.Source("s", tone, at)], [clsim.Receiver("r", clsim.Trajectory.fixed((1.0, 3.1, 1.5)))]
+    >>> ball = clsim.Scatterer.sphere("ball", 0.05, clsim.Trajectory.fixed((3.0, 3.05, 1.5)))
+    >>> scene = clsim.Scene(room, clsim.Air(speed_of_sound=340.0), *ends, scatterers=[ball])
+    >>> clsim.scatterer_truth(scene, [0.1]).range.round(4).ravel().tolist()
+    [1.9506]
+    """
+    times = as_floats("times", times, (None,))
+    kinematics = Kinematics(motion)
+    if not scene.scatterers:
+        raise InputError("scene", "must hold scatterers, but has none")
+    shape = len(scene.scatterers), len(scene.sources), len(scene.receivers), len(times)
+    delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
+    for pair in direct_ways(scene).pairs():
+        found = pair.arrivals(times, kinematics)
+        here = (slice(None), pair.source, pair.receiver)
+        delay[here], rate[here] = found.delay + pair.group_lag(found), found.delay_rate
+        bearing[here] = found.arrival
+        away[here] = found.more["second_length"]
+    names = tuple(scatterer.name for scatterer in scene.scatterers)
+    return ScattererTruth(**echo_fields(scene, times, delay, rate, away, bearing), scatterer_names=names)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class BodyTruth(EchoTruth):
+    """The soonest way by every body between every source and receiver, (bodies, sources, receivers, T).
+
+    It goes by the nearest point of the body's surface: that by which sound takes the least time from the source to the
+    receiver, on a face, an edge or a corner. No echo of the body by no other thing is earlier. Delay, range and the
+    other fields are those of `EchoTruth`.
+
+    Attributes
+    ----------
+    visible : ndarray (bodies, sources, receivers, T) of bool
+        Whether neither the room nor any body is in the way from the source to the point, or from there to the receiver.
+    body_names : tuple of str
+        Along the first axis.
+    """
+
+    visible: NDArray[np.bool_]
+    body_names: tuple[str, ...]
+
+    KIND: ClassVar[str] = "body"
+    MEASURES: ClassVar[tuple[str, ...]] = (*EchoTruth.MEASURES, "visible")
+
+
+def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTruth:
+    """Return the truth about the bodies of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        With bodies.
+    times : array_like (T,)
+        Times of reception, s, by the scene's clock.
+    motion : {"retarded", "quasi-static"}
+        As in `render`.
+
+    Returns
+    -------
+    BodyTruth
+        Of every body, source and receiver.
+
+    Raises
+    ------
+    InputError
+        If the scene has no bodies, its air depends on the height or fluctuates, times are no finite numbers (T,), or
+        the motion is no known word.
+
+    Examples
+    --------
+    >>> import clsim
+    >>> wood = clsim.Material.from_reflection(0.9)
+    >>> room, tone = clsim.Shoebox((8.0, 6.0, 3.0), wood), clsim.Signal.tone(40e3, duration=0.01, sampling_rate=192e3)
+    >>> at = clsim.Trajectory.fixed
+    >>> ends = [clsim.Source("s", tone, at((1.0, 3.0, 1.5)))], [clsim.Receiver("r", at((1.0, 3.1, 1.5)))]
+    >>> crate = clsim.Body.box("crate", (0.4, 0.6, 0.4), wood, at((4.2, 3.0, 1.5)))
+    >>> truth = clsim.body_truth(clsim.Scene(room, clsim.Air(), *ends, bodies=[crate]), [0.1])
+    >>> truth.range.round(4).ravel().tolist(), truth.visible.ravel().tolist()
+    ([3.0004], [True])
+    """
+    times = as_floats("times", times, (None,))
+    kinematics = Kinematics(motion)
+    if not scene.bodies:
+        raise InputError("scene", "must hold bodies, but has none")
+    check_support("moving", scene.air)
+    shape = len(scene.bodies), len(scene.sources), len(scene.receivers), len(times)
+    delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
+    visible, obstacles, direct = (
+        np.zeros(shape, dtype=bool),
+        Obstacles(Mirrors.of(scene), scene.room.as_mesh().walls, scene.room.is_convex),
+        np.empty((1, 0), dtype=np.int64),
+    )
+    for which, body in enumerate(scene.bodies):
+        thing = Scatterer(body.name, _Surface(1.0, body.mesh.vertices[body.mesh.triangles]), body.trajectory)
+        for source, receiver in np.ndindex(shape[1:3]):
+            ends = scene.sources[source], scene.receivers[receiver]
+            medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
+            motions = ends[0].trajectory, ends[1].trajectory
+            found = find_scattered(
+                obstacles.mirrors, (direct, direct), thing, motions, medium, times, kinematics.retarded
+            )
+            first, second, here = found.first, found.last, (which, source, receiver)
+            delay[here], rate[here] = first.delay + second.delay, first.rate + second.rate
+            if kinematics.retarded:
+                rate[here] -= (first.rate * second.rate)[0]
+            away[here], bearing[here] = second.distance * second.carried, second.arrival
+            legs = [_leg(events, at) for events, at in ((first, found.time), (second, times))]
+            visible[here] = ~np.any([obstacles.blocked(leg, *2 * [np.full(len(times), -1)]) for leg in legs], axis=0)
+    return BodyTruth(
+        **echo_fields(scene, times, delay, rate, away, bearing),
+        visible=read_only(visible), body_names=tuple(body.name for body in scene.bodies),
+    )  # fmt: skip
+
+
+def _leg(events: Events, heard: Floats) -> Legs:
+    """Return the one leg of ways by no mirror (1, T) as legs (T,)."""
+    at = np.broadcast_to(heard, events.delay.shape)[0]
+    return Legs(events.place[0, :, 0], events.place[0, :, 1], at + events.time[0, :, 0], at)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface(PointShape):
+    """The surface of triangles (F, 3, 3), m, as what sound may go by: its glint is the nearest point."""
+
+    corners: Floats
+    radius: ClassVar[float] = 1.0  # it is no point: its sides matter
+
+    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
+        """Return the nearest point, which needs no search."""
+        count, least = source.shape[1], np.broadcast_to(weight, source.shape[1])
+        parts = np.array_split(np.arange(count), -(-count * len(self.corners) // _AT_A_TIME))
+        place = [_nearest(self.corners, source.T[p], receiver.T[p], least[p, None]) for p in parts]
+        found = np.concatenate(place).T
+        return Glint(found, found, np.zeros(count, dtype=bool), 0.0)
+
+
+def _nearest(corners: Floats, source: Floats, receiver: Floats, weight: Floats) -> Floats:
+    """Return the points (n, 3) on triangles (F, 3, 3) by which ways ``d1 + w d2`` between ends (n, 3) are shortest."""
+    along = np.roll(corners, -1, axis=1) - corners
+    start, step = corners.reshape(-1, 3), along.reshape(-1, 3)
+    places = np.concatenate(
+        [_on_faces(corners, along, source, receiver, weight), _on_edges(start, step, source, receiver, weight)], axis=1
+    )
+    ways = [np.linalg.norm(places - end[:, None], axis=2) for end in (source, receiver)]
+    best = np.nanargmin(ways[0] + weight * ways[1], axis=1)
+    return np.asarray(places[np.arange(len(places)), best])
+
+
+def _on_edges(start: Floats, step: Floats, source: Floats, receiver: Floats, weight: Floats) -> Floats:
+    """Return the points (n, E, 3) of edges by which ways are shortest."""
+    length = np.linalg.norm(step, axis=1)
+    unit = step / length[:, None]
+    (s, high_s), (r, high_r) = (_beside(end[:, None] - start, unit) for end in (source, receiver))
+    t = (s * high_r + r * high_s) / np.maximum(high_s + high_r, _TINY)
+    for _ in range(_STEPS):
+        to, back = (np.maximum(np.hypot(t - x, high), _TINY) for x, high in ((s, high_s), (r, high_r)))
+        slope, bend = (t - s) / to + weight * (t - r) / back, high_s**2 / to**3 + weight * high_r**2 / back**3
+        t = t - slope / np.maximum(bend, _TINY)
+    return np.asarray(start + np.clip(t, 0.0, length)[..., None] * unit)
+
+
+def _beside(away: Floats, unit: Floats) -> tuple[Floats, Floats]:
+    """Components of vectors (n, E, 3) along lines, and distances from them, m."""
+    along = np.einsum("nei,ei->ne", away, unit)
+    return along, np.linalg.norm(away - along[..., None] * unit, axis=2)
+
+
+def _on_faces(corners: Floats, along: Floats, source: Floats, receiver: Floats, weight: Floats) -> Floats:
+    """Return the points (n, F, 3) inside of triangles by which ways are shortest; NaN where these are outside."""
+    normal = np.cross(along[:, 0], along[:, 1])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    first = along[:, 0] / np.linalg.norm(along[:, 0], axis=1)[:, None]
+    axes = np.stack([first, np.cross(normal, first), normal], axis=1)
+    s, r = (np.einsum("fij,nfj->nfi", axes, end[:, None] - corners[:, 0]) for end in (source, receiver))
+    (flat_s, high_s), (flat_r, high_r) = ((x[..., :2], np.abs(x[..., 2:])) for x in (s, r))
+    p = (flat_s * high_r + flat_r * high_s) / np.maximum(high_s + high_r, _TINY)
+    for _ in range(_STEPS):
+        slope, bend = np.zeros_like(p), np.zeros((*p.shape, 2))
+        for flat, high, w in ((flat_s, high_s, 1.0), (flat_r, high_r, weight[..., None])):
+            q = p - flat
+            d = np.maximum(np.sqrt(np.sum(q * q, axis=-1, keepdims=True) + high**2), _TINY)
+            slope = slope + w * q / d
+            bend = bend + (w / d)[..., None] * (np.eye(2) - q[..., :, None] * q[..., None, :] / d[..., None] ** 2)
+        det = np.maximum(bend[..., 0, 0] * bend[..., 1, 1] - bend[..., 0, 1] ** 2, _TINY)
+        x = bend[..., 1, 1] * slope[..., 0] - bend[..., 0, 1] * slope[..., 1]
+        y = bend[..., 0, 0] * slope[..., 1] - bend[..., 0, 1] * slope[..., 0]
+        p = p - np.stack([x, y], axis=-1) / det[..., None]
+    places = corners[:, 0] + np.einsum("nfi,fij->nfj", p, axes[:, :2])
+    inward = np.cross(normal[:, None], along)
+    inside = np.all(np.einsum("fki,nfki->nfk", inward, places[:, :, None] - corners) >= 0.0, axis=2)
+    return np.where(inside[..., None], places, np.nan)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.nufft import band_taper, delayed_sums, ringing
+from clsim.numerics.convolution import band_taper, delayed_sums, ringing
 from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.response import SceneResponse
 

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, Rows
     from clsim.paths.propagation import Medium, UniformAir
     from clsim.paths.response import SceneResponse
-    from clsim.scene.ends import Receiver, Source
     from clsim.scene.scene import Scene
 
     Integers = NDArray[np.signedinteger[Any]]
@@ -153,6 +152,8 @@ class Links(ABC):
     rows: Rows  # (P,) which
     legs: tuple[Any, ...]  # of these paths alone
     vertex: Any  # likewise
+    ends: tuple[Any, ...]  # source and receiver of the first path; none without paths
+    motions: tuple[Any, ...]  # their trajectories
 
     @abstractmethod
     def solve(self, times: Floats, kinematics: Kinematics) -> Arrivals:
@@ -180,18 +181,6 @@ class Links(ABC):
         """Return the links of some of the paths, by their places among these."""
         some: Links = self.chain.links(np.arange(len(self.chain))[self.rows][rows])
         return some
-
-    @property
-    def ends(self) -> tuple[Source, Receiver]:
-        """Source and receiver of the paths of one pair."""
-        source, receiver = self.chain.ends(self.rows)
-        return source, receiver
-
-    @property
-    def motions(self) -> tuple[Any, Any]:
-        """Trajectories of both ends."""
-        source, receiver = self.ends
-        return source.trajectory, receiver.trajectory
 
     @property
     def medium(self) -> Medium:

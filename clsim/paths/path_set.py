@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.arrays import Floats, as_count, as_floats, as_number, read_only, short_repr
+from clsim.arrays import Floats, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError, counted
 from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.channel import (
@@ -23,7 +23,7 @@ from clsim.paths.channel import (
 from clsim.paths.family import SPECULAR, TRANSMISSION, PathFamily
 from clsim.paths.path_table import PathTable
 from clsim.paths.view import paths_page
-from clsim.pictures.notebook import html_table, inline_page
+from clsim.pictures.view_page import html_table, inline_page
 from clsim.scene.scene import known_until
 
 if TYPE_CHECKING:
@@ -73,7 +73,9 @@ class PathSet:
     scene: Scene
     families: tuple[PathFamily, ...]
 
-    __repr__ = short_repr
+    def __repr__(self) -> str:
+        ends = f"{counted(len(self.scene.sources), 'source')}, {counted(len(self.scene.receivers), 'receiver')}"
+        return f"PathSet({counted(len(self), 'interval')} of paths, {ends}, up to order {self.order.max(initial=0)})"
 
     def __post_init__(self) -> None:
         if not self.families or not all(isinstance(family, PathFamily) for family in self.families):

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from clsim.pictures.spectrogram import Readable
 
 RANGE_DB = 75.0  # shown below the loudest
-_DPI = 130
 _PIECES = 4000  # of a waveform that are drawn
 _REFERENCES = {"Pa": ("20 µPa", 0.0), "V": ("1 V", -93.9794)}  # levels come re 20e-6
 DIRECT = "#c1272d"
@@ -34,25 +33,10 @@ _COLUMNS = 1600  # of the picture at most
 _REFERENCE = 20e-6  # Pa, of the envelope's rms
 
 
-def spectrogram_picture(
-    pressure: Readable,
-    sampling_rate: float,
-    path: str | os.PathLike[str],
-    *,
-    title: str,
-    band: tuple[float, float] | None = None,
-    overlay: list[tuple[Floats, Floats, str]] | None = None,
-    segment: int | None = None,
-    unit: str = "Pa",
-) -> None:
-    """Draw level over time and frequency.
-
-    Shapes: pressure (n,) Pa; band (low, high) Hz; overlay (times, frequencies, label).
-    """
+def spectrogram_picture(pressure: Readable, sampling_rate: float, path: str | os.PathLike[str], **options: Any) -> None:
+    """Draw level over time and frequency into a file; the options are those of `draw_spectrogram`."""
     figure, axes = new_figure(5.0)
-    draw_spectrogram(
-        figure, axes, pressure, sampling_rate, title=title, band=band, overlay=overlay, segment=segment, unit=unit
-    )
+    draw_spectrogram(figure, axes, pressure, sampling_rate, **options)
     save_figure(figure, path)
 
 
@@ -68,7 +52,10 @@ def draw_spectrogram(
     segment: int | None = None,
     unit: str = "Pa",
 ) -> None:
-    """Draw level over time and frequency into axes; parameters as in `spectrogram_picture`."""
+    """Draw level over time and frequency into axes.
+
+    Shapes: pressure (n,) Pa; band (low, high) Hz; overlay (times, frequencies, label).
+    """
     low, high = band or (0.0, 0.5 * sampling_rate)
     raster = spectrogram(pressure, sampling_rate, (low, high), segment)
     against, offset = _REFERENCES[unit]
@@ -169,28 +156,21 @@ def new_figure(height: float) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: int = 130) -> None:
     """Write a figure as PNG, whole or not at all."""
-    figure.set_dpi(_DPI)
+    figure.set_dpi(dpi)
     canvas: Any = FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
         canvas.print_png(temporary)  # `savefig` would draw all of it twice, first without colours to lay it out
 
 
 def envelope_spectrogram(
-    envelope: NDArray[np.complex64],
-    sampling_rate: float,
-    carrier: float,
-    path: str | os.PathLike[str],
-    *,
-    title: str,
-    segment: int | None = None,
-    shown: float | None = None,
+    envelope: NDArray[np.complex64], sampling_rate: float, carrier: float, path: str | os.PathLike[str], **options: Any
 ) -> None:
-    """Draw the level of a complex envelope (n,), Pa, over time and offset from the carrier."""
+    """Draw the level of a complex envelope into a file; the options are those of `draw_envelope_spectrogram`."""
     figure, axes = new_figure(5.0)
     axes.grid(visible=False)
-    draw_envelope_spectrogram(figure, axes, envelope, sampling_rate, carrier, title=title, segment=segment, shown=shown)
+    draw_envelope_spectrogram(figure, axes, envelope, sampling_rate, carrier, **options)
     save_figure(figure, path)
 
 
@@ -205,7 +185,7 @@ def draw_envelope_spectrogram(
     segment: int | None = None,
     shown: float | None = None,
 ) -> None:
-    """Draw the level of a complex envelope into axes; parameters as in `envelope_spectrogram`."""
+    """Draw the level of a complex envelope (n,), Pa, over time and offset from the carrier into axes."""
     from scipy.signal import ShortTimeFFT
     from scipy.signal.windows import hann
 

@@ -1,4 +1,4 @@
-"""An interactive 3D page that needs nothing but a browser."""
+"""An interactive 3D page that needs nothing but a browser, and what notebooks show: tables, pages, sound."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
+from clsim.packages import check_packages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -212,8 +213,7 @@ def _wall_traces(walls: Sequence[ViewedWall]) -> list[dict[str, Any]]:
         mine = [wall for wall in walls if wall.material == material]
         group = f"material {m}"
         traces.append(_surface(mine, _MATERIALS[m % len(_MATERIALS)]) | {"legendgroup": group})
-        edges = np.concatenate([wall.outline for wall in mine])
-        edges = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+        edges = _apart(np.concatenate([wall.outline for wall in mine]))
         traces.append(_lines(edges, color="#555555", width=1.5, name="edges") | {"legendgroup": group})
     return traces
 
@@ -222,8 +222,7 @@ def _edge_traces(edges: Floats | None) -> list[dict[str, Any]]:
     """Return the diffracting edges, toggled by one legend entry."""
     if edges is None or not len(edges):
         return []
-    points = np.concatenate([edges, np.full((len(edges), 1, 3), np.nan)], axis=1).reshape(-1, 3)
-    return [_lines(points, color=_EDGES, width=5.0, name="edges that diffract") | {"showlegend": True}]
+    return [_lines(_apart(edges), color=_EDGES, width=5.0, name="edges that diffract") | {"showlegend": True}]
 
 
 def _flaw_traces(flaws: ViewedFlaws | None) -> list[dict[str, Any]]:
@@ -237,10 +236,8 @@ def _flaw_traces(flaws: ViewedFlaws | None) -> list[dict[str, Any]]:
             "hovertemplate": "healed at %{x} %{y} %{z} m<extra></extra>",
         })  # fmt: skip
     if flaws is not None and len(flaws.open_edges):
-        gaps = np.full((len(flaws.open_edges), 1, 3), np.nan)
-        points = np.concatenate([flaws.open_edges, gaps], axis=1).reshape(-1, 3)
         named = "open edges: energy escapes here"
-        traces.append(_lines(points, color=_OPEN, width=6.0, name=named) | {"showlegend": True})
+        traces.append(_lines(_apart(flaws.open_edges), color=_OPEN, width=6.0, name=named) | {"showlegend": True})
     return traces
 
 
@@ -256,6 +253,11 @@ def _surface(walls: Sequence[ViewedWall], color: str) -> dict[str, Any]:
         "text": [_plain(wall.name) for wall in walls for _ in range(3 * len(wall.triangles))],
         "hovertemplate": "%{text}: %{fullData.name}<extra></extra>",
     }  # fmt: skip
+
+
+def _apart(segments: Floats) -> Floats:
+    """Return the ends of segments (E, 2, 3) in a row (3 E, 3), with NaN behind each."""
+    return np.concatenate([segments, np.full((len(segments), 1, 3), np.nan)], axis=1).reshape(-1, 3)
 
 
 def _lines(points: Floats, *, color: str, width: float, name: str) -> dict[str, Any]:
@@ -336,3 +338,35 @@ def _frame(paths: ViewedPaths, last: int, sources: list[str], receivers: list[st
         }  # fmt: skip
         orders.append(part)
     return orders
+
+
+def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]], notes: Sequence[str] = ()) -> str:
+    """Return a table as HTML, with a title above it and lines below."""
+
+    def row(cells: Sequence[object], kind: str) -> str:
+        """Return a row of a table, of cells of a kind (``th`` or ``td``)."""
+        return "<tr>" + "".join(f"<{kind}>{html.escape(str(cell))}</{kind}>" for cell in cells) + "</tr>"
+
+    body = row(head, "th") + "".join(row(cells, "td") for cells in rows)
+    below = "".join(f"<div>{html.escape(note)}</div>" for note in notes)
+    return f"<div><b>{html.escape(title)}</b><table>{body}</table>{below}</div>"
+
+
+def inline_page(field: str, page: str, height: int) -> Any:
+    """Return an HTML page for display in a notebook, of a height in pixels; errors name `field`."""
+    check_packages(field, "a notebook", "notebook", "IPython")
+    from IPython import display
+
+    shown: Any = display.HTML  # its types are not told
+    return shown(
+        f'<div><iframe srcdoc="{html.escape(page)}" width="100%" height="{height}" style="border: 0"></iframe></div>'
+    )
+
+
+def inline_sound(field: str, samples: NDArray[Any], rate: int) -> Any:
+    """Return a player of samples (n,) for a notebook at a rate, Hz; errors name `field`."""
+    check_packages(field, "a notebook", "notebook", "IPython")
+    from IPython import display
+
+    played: Any = display.Audio  # its types are not told
+    return played(data=samples, rate=rate)

@@ -158,7 +158,7 @@ def check_ends(scene: Scene) -> None:
             )
 
 
-def segmented(tracks: Tracks, sampling_rate: float, carrier: float, max_rate: float) -> tuple[int, tuple[int, ...]]:
+def segmented(tracks: Tracks, sampling_rate: float, carrier: float) -> tuple[int, tuple[int, ...]]:
     """Return the lengths of segments and blocks, samples; warn where paths begin or end faster than envelopes can."""
     samples = tracks.transition * sampling_rate
     if samples < _RAMP and not all(pair.always_heard for pair in tracks.pairs):
@@ -166,7 +166,8 @@ def segmented(tracks: Tracks, sampling_rate: float, carrier: float, max_rate: fl
             f"transition: paths begin and end within {samples:.1f} samples of the envelopes at {sampling_rate:g} Hz, "
             f"which aliases; {_RAMP / sampling_rate:.2g} s or more does not"
         )
-    blocks = blocks_of(sampling_rate, carrier, max_rate)
+    fastest = max(tracks.max_rate(source) for source in range(tracks.source_count))
+    blocks = blocks_of(sampling_rate, carrier, fastest)
     return segment_of(blocks), blocks
 
 

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import InputError
+from clsim.errors import DeviceError, InputError
+from clsim.opencl.device import find_device
+from clsim.opencl.launch import Scratch, compiler_of, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
-from clsim.render.opencl.plane_waves import DeviceWaves
+from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.interpolation import NODE, Between, HostWaves, Motion
 from clsim.tail.noise import (
     at_one_place,
     channel_gains,
@@ -25,7 +26,7 @@ from clsim.tail.noise import (
     receiver_gains,
     static_gains,
 )
-from clsim.tail.streams import Streams
+from clsim.tail.streams import NEIGHBOURS, NODE, Between, HostWaves, Motion, Streams
 from clsim.tail.zones import is_static
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ if TYPE_CHECKING:
     from clsim.scene.motion.motion import Motion as Way
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
-    from clsim.tail.interpolation import Waves
     from clsim.tail.noise import Responses
+    from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
 _RECEIVERS = 16  # of them at a time
@@ -105,7 +106,7 @@ class _ZoneHeard:
     def __init__(self, plan: Plan, signals: SourceSignals, zone: int) -> None:
         of_scene = plan.tracks.of_scene
         assert of_scene is not None, "tails are of scenes"
-        self._scene: Scene = of_scene.scene
+        self._scene: Scene = of_scene.paths.scene
         self._rate, self._zone, self._signals, self._samples = plan.sampling_rate, zone, signals, plan.samples
         self._source, self._tail = signals.source, signals.tail
         centre = self._scene.sources[self._source].emitted.centre_frequency
@@ -255,12 +256,12 @@ class SourceSignals:
         assert of_scene is not None, "tails are of scenes"
         self.source, self.tail = source, tail
         self._filters = plan.source_filters[source]
-        self._end, self._air = of_scene.scene.sources[source], of_scene.scene.air
+        self._end, self._air = of_scene.paths.scene.sources[source], of_scene.paths.scene.air
         self._exponent = MACH_EXPONENT[plan.options.amplitude]
         self._rate = plan.sampling_rate
         self.moves = not is_static(self._end, turning=tail.zones.beams)
         highest = min(_SPARE * self._end.emitted.band()[1], _HIGHEST * self._rate)
-        ways = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.scene.receivers)]
+        ways = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.paths.scene.receivers)]
         fastest = max(map(_fastest, ways)) / self._air.speed_of_sound
         self.between = Between.up_to(highest, self._rate, min(fastest, _FASTEST))
         self._options = plan.options
@@ -331,3 +332,49 @@ class SourceSignals:
 def _fastest(way: Way) -> float:
     """Return a bound of the speed, m/s."""
     return 0.0 if way.is_static else float(way.speed_over(np.array([-1e9]), np.array([1e9]))[0])
+
+
+assert CPU_LAYOUT.lanes <= NEIGHBOURS
+
+
+class DeviceWaves:
+    """Sums streams on an OpenCL device; `HostWaves` is its twin."""
+
+    def __init__(self, between: Between, device: str | None, lanes: int | None = None) -> None:
+        import pyopencl as cl
+
+        self._info, found = find_device(device)
+        compiler = compiler_of(found)
+        self._queue, self._scratch = cl.CommandQueue(compiler.context), Scratch(compiler.context)
+        self._lanes = lanes or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT).lanes
+        powers, taps = between.bank.shape
+        constants = {"LANES": self._lanes, "NODE": NODE, "POWERS": powers, "TAPS": taps}
+        self._kernel = compiler.kernel("plane_waves", constants)
+        self._bank = upload(compiler.context, between.bank)
+
+    def heard(
+        self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
+    ) -> NDArray[np.float32]:
+        """Return the pressure at listeners (R, n), see `Waves`."""
+        import pyopencl as cl
+
+        listeners, nodes, count = motion.ahead[:, :-1].shape
+        begin = start // NODE * NODE
+        whole = np.floor(motion.ahead[:, :-1])
+        packed = np.empty((listeners, nodes, count, 4), np.float32)
+        packed[..., 0] = motion.ahead[:, :-1] - whole
+        packed[..., 1] = np.diff(motion.ahead, axis=1) / NODE
+        packed[..., 2] = motion.gains[:, :-1]
+        packed[..., 3] = np.diff(motion.gains, axis=1) / NODE
+        heard = np.empty((listeners, nodes * NODE), np.float32)
+        try:
+            out = self._scratch.take("heard", heard.nbytes)
+            self._kernel(
+                self._queue, work(nodes * NODE // self._lanes, listeners), streams=streams, count=count,
+                stride=streams.shape[1], lead=begin - first, whole=whole.astype(np.int32),
+                motion=packed, nodes=nodes, bank=self._bank, heard=out,
+            )  # fmt: skip
+            cl.enqueue_copy(self._queue, heard, out)
+        except cl.Error as error:
+            raise DeviceError(f"{self._info.name} ran out of memory or failed ({error}) at a diffuse tail") from error
+        return heard[:, start - begin : stop - begin]

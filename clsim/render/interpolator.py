@@ -36,6 +36,11 @@ class Bank:
         """Samples by which the filter looks to either side at most, for any ``mu``."""
         return int(max(self.centre, self.taps.shape[1] - 1 - self.centre)) + math.ceil(self.mu_max) + 1
 
+    @property
+    def before(self) -> int:
+        """Samples that the filter reads before the first one."""
+        return int(self.taps.shape[1]) - 1 - self.centre
+
 
 class Interpolator(ABC):
     """A fractional-delay filter: subclasses give `_bank`, polynomials of ``mu``, and `_taps`, their own formula."""

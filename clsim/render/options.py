@@ -9,7 +9,7 @@ from clsim.arrays import as_choice, as_count, as_flag, as_number
 from clsim.errors import InputError
 from clsim.render.baseband import Baseband, as_baseband
 from clsim.render.interpolator import Bandlimited, Interpolator
-from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
+from clsim.tracks.splines import DEFAULT_TRANSITION, as_transition
 
 Motion = Literal["retarded", "quasi-static"]
 Amplitude = Literal["wave-equation", "static", "convective"]

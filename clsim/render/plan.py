@@ -68,6 +68,8 @@ class Plan:
         What of the scene is not in the tracks, in words; "" for nothing.
     contributions : tuple of Contribution
         What adds to the pressure at the receivers, in this order.
+    receivers : tuple of Receiver
+        The scene's receivers; none for tracks computed elsewhere.
     """
 
     options: RenderOptions
@@ -82,10 +84,13 @@ class Plan:
     builders: InitVar[Sequence[Callable[[Plan], Contribution | None]]]
     left_out: str = ""
     contributions: tuple[Contribution, ...] = field(init=False)
+    receivers: tuple[Receiver, ...] = field(init=False)
 
     __repr__ = short_repr
 
     def __post_init__(self, builders: Sequence[Callable[[Plan], Contribution | None]]) -> None:
+        of_scene = self.tracks.of_scene
+        object.__setattr__(self, "receivers", () if of_scene is None else tuple(of_scene.paths.scene.receivers))
         made = tuple(made for build in builders if (made := build(self)) is not None)
         object.__setattr__(self, "contributions", made)
 
@@ -142,6 +147,54 @@ class Plan:
         subblock = self.source_filters[source].bank.subblock
         return min(subblock, SMALL_SUBBLOCK) if self.is_fine(block) else subblock
 
+    def where_claimed(self, claim: str, build: Callable[[Plan], Contribution]) -> Contribution | None:
+        """Build a contribution if its method claims something.
+
+        Parameters
+        ----------
+        claim : str
+            Field of the allocation.
+        build : callable
+            Makes the contribution from the plan.
+
+        Returns
+        -------
+        Contribution, optional
+            None where nothing is claimed.
+        """
+        return build(self) if any(part is not None for part in getattr(self.allocation, claim)) else None
+
+    def where_left(self, build: Callable[[Plan], Contribution]) -> Contribution | None:
+        """Build a contribution if other methods leave a pair of source and receiver.
+
+        Parameters
+        ----------
+        build : callable
+            Makes the contribution from the plan.
+
+        Returns
+        -------
+        Contribution, optional
+            None where all pairs are claimed.
+        """
+        return None if len(self.allocation.claimed) == len(self.tracks.pairs) else build(self)
+
+    def is_claimed(self, source: int) -> bool:
+        """Test whether a source has paths and none of them is rendered path by path.
+
+        Parameters
+        ----------
+        source : int
+            Index of the source.
+
+        Returns
+        -------
+        bool
+            Whether other methods claim all of them.
+        """
+        mine = {i for i, pair in enumerate(self.tracks.pairs) if pair.source == source}
+        return bool(mine) and mine <= self.allocation.claimed
+
     @property
     def sample_type(self) -> type[np.generic]:
         """Type of the samples: float32, or complex64 in baseband."""
@@ -167,7 +220,7 @@ class Plan:
     @property
     def max_rate(self) -> float:
         """Fastest change of any delay, s/s."""
-        return max_rate(self.tracks)
+        return max(self.tracks.max_rate(source) for source in range(self.tracks.source_count))
 
     @property
     def memory_bytes(self) -> int:
@@ -301,12 +354,6 @@ class Plan:
         return tuple(map(row_name, self.channels))
 
     @property
-    def receivers(self) -> tuple[Receiver, ...]:
-        """The scene's receivers; none for tracks computed elsewhere."""
-        of_scene = self.tracks.of_scene
-        return () if of_scene is None else tuple(of_scene.scene.receivers)
-
-    @property
     def units(self) -> tuple[str, ...]:
         """Unit of each row's samples: Pa, or V."""
         return tuple(r.unit for r in self.receivers for _ in r.directivity.channels) or ("Pa",) * self.row_count
@@ -384,19 +431,9 @@ class Allocation:
         """Indices of the pairs that are not rendered path by path."""
         return self.convolved.union(*(part.pairs for part in self.channels))
 
-    def claims(self, tracks: Tracks, source: int) -> bool:
-        """Test whether a source has paths and none of them is rendered path by path."""
-        mine = {i for i, pair in enumerate(tracks.pairs) if pair.source == source}
-        return bool(mine) and mine <= self.claimed
-
     def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
         """Return the same with diffuse tails."""
         return replace(self, tails=tails, notes=(*self.notes, *notes))
-
-
-def max_rate(tracks: Tracks) -> float:
-    """Return the fastest change of any delay, s/s."""
-    return max(tracks.max_rate(source) for source in range(tracks.source_count))
 
 
 def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:

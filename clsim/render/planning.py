@@ -4,25 +4,40 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
+from operator import methodcaller
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.errors import InputError
 from clsim.keywords import keywords_of
+from clsim.numerics.resampling import Upsampler
 from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
-from clsim.render.allocation import allocate, moved_to
-from clsim.render.baseband import check_ends, segmented
+from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.diffuse_tail import DiffuseTail
+from clsim.render.envelope import NarrowFilters, design_envelope, design_split
+from clsim.render.memory import with_blas_threads
 from clsim.render.methods import narrow_part, per_sample, sampled_channel, static
 from clsim.render.options import RenderOptions
-from clsim.render.plan import BLOCKS, SEGMENT, Plan, chunk_of, max_rate
+from clsim.render.plan import (
+    BLOCKS,
+    LONG_BLOCKS,
+    SEGMENT,
+    Allocation,
+    ChannelPart,
+    NarrowPart,
+    Plan,
+    chunk_of,
+)
+from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
+from clsim.scene.signal.occupied_bandwidth import spectra
+from clsim.tail.bands import DiffuseField
 from clsim.tail.design import ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
-from clsim.tail.diffuse_field import DiffuseField
 from clsim.tail.zones import Zones
 from clsim.tracks.pruning import pruned
+from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
 
 if TYPE_CHECKING:
@@ -34,21 +49,9 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import SceneTracks, Tracks
 
 
-def where_claimed(claim: str, build: Callable[[Plan], Contribution | None], plan: Plan) -> Contribution | None:
-    """Build a contribution if its method claims something in the plan's allocation."""
-    return build(plan) if any(part is not None for part in getattr(plan.allocation, claim)) else None
-
-
-# What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
-BUILDERS: list[Callable[[Plan], Contribution | None]] = [
-    per_sample.build,
-    partial(where_claimed, "narrow", narrow_part.build),
-    partial(where_claimed, "convolved", static.build),
-    partial(where_claimed, "channels", sampled_channel.build),
-    partial(where_claimed, "tails", DiffuseTail),
-]
-
 _MUCH_DB = -20.0  # of the reverberation, above which a note tells of it
+
+
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 
@@ -103,9 +106,14 @@ def plan_paths(paths: PathSet, options: RenderOptions, progress: Callable[[float
     if options.baseband is not None:
         check_ends(scene)
     ringing = _check_receivers(scene, options.sampling_rate)
-    tracks, left_out = _tracks(paths, options)
-    emissions = [(source.emitted, source.start) for source in scene.sources]
     tails = find_tails(paths, options, progress)
+    tracks, left_out = (
+        track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition),
+        "",
+    )
+    if options.prune_below_db is not None:
+        tracks, left_out = _pruned(tracks, options, options.prune_below_db)
+    emissions = [(source.emitted, source.start) for source in scene.sources]
     return plan_tracks(emissions, tracks, options, ringing=ringing, left_out=left_out, tails=tails)
 
 
@@ -128,25 +136,13 @@ def plan_tracks(
     heard_at = rate if options.baseband is None else options.baseband[2] or rate
     samples = _samples(emissions, tracks, heard_at, options.duration, ringing, tails.duration)
     filters, allocation = allocate(emissions, tracks, options, samples)
-    segment, blocks = _blocks(tracks, options, heard_at)
+    carrier = None if options.baseband is None else options.baseband[0]
+    segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, heard_at, carrier)
     chunk = chunk_of(tracks, options, samples, heard_at, segment)
     allocation = allocation.with_tails(tails.of_sources, tails.told)
     return Plan(
         options, tracks, allocation, filters, heard_at, samples, chunk, segment, blocks, _builders(), left_out=left_out
     )
-
-
-def on_device(plan: Plan, device: str | None) -> Plan:
-    """Return a plan for a device of this machine; one that it names stays, and None is any."""
-    if device is None or plan.options.device is not None:
-        return plan
-    allocation = moved_to(plan.allocation, device)
-    return replace(plan, options=replace(plan.options, device=device), allocation=allocation, builders=_builders())
-
-
-def _builders() -> list[Callable[[Plan], Contribution | None]]:
-    """Builders of all contributions, those of plugins last."""
-    return [*BUILDERS, *with_plugins({}, METHODS).values()]
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:
@@ -164,14 +160,11 @@ def _check_receivers(scene: Scene, rate: float) -> float:
     return longest / rate
 
 
-def _tracks(paths: PathSet, options: RenderOptions) -> tuple[SceneTracks, str]:
-    """Return the tracks of the paths that may matter, and what is said of the others."""
-    tracks = track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition)
-    if options.prune_below_db is None:
-        return tracks, ""
-    end = min(max(source.start + source.emitted.duration for source in paths.scene.sources), tracks.last_time())
+def _pruned(tracks: SceneTracks, options: RenderOptions, below_db: float) -> tuple[SceneTracks, str]:
+    """Return the tracks of the paths that may matter, and a note on the others."""
+    end = min(max(source.start + source.emitted.duration for source in tracks.scene.sources), tracks.last_time())
     until = min(options.duration or end + tracks.longest_delay(end, end), tracks.last_time())
-    return pruned(tracks, options.prune_below_db, until)
+    return pruned(tracks, below_db, until)
 
 
 def _samples(
@@ -194,13 +187,6 @@ def _samples(
             f"must end while all that moves is known, {last:g} s ({what}), but is {duration:g} s",
         )
     return max(1, math.ceil(duration * rate - 1e-6))
-
-
-def _blocks(tracks: Tracks, options: RenderOptions, rate: float) -> tuple[int, tuple[int, ...]]:
-    """Return the lengths of segments and blocks, samples."""
-    if options.baseband is None:
-        return SEGMENT, BLOCKS
-    return segmented(tracks, rate, options.baseband[0], max_rate(tracks))
 
 
 def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float], None] | None = None) -> FoundTails:
@@ -263,3 +249,116 @@ def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
             return None
         most = max(most, found.left_db)
     return float(most)
+
+
+def allocate(
+    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, options: RenderOptions, samples: int
+) -> tuple[tuple[SourceFilters, ...], Allocation]:
+    """Return the filters of what each source emits, and the allocation, for a recording of a length in samples."""
+    convolved = Allocation(static.pairs_at_rest(tracks, options))
+    rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
+    made: list[SourceFilters] = []
+    narrow: list[tuple[int, NarrowFilters]] = []
+    channels: list[tuple[int, sampled_channel.ChannelOffer]] = []
+    notes: list[str] = []
+    with with_blas_threads(1):
+        for i, (emitted, start) in enumerate(emissions):
+            mine = [k for k, pair in enumerate(tracks.pairs) if pair.source == i]
+            pairs = [k for k in mine if k not in convolved.convolved]
+            at_rest = bool(mine) and not pairs
+            signal, until = emitted.at_rate(options.sampling_rate), samples / rate
+            sound, spectrum = spectra(signal)
+            drawn = cache(partial(Draw.of, tracks, i, until))
+            emission = Emission(i, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
+            split, why = narrow_part.cheapest_split(emission, pairs)
+            notes += [why] if why else []
+            if split is None:
+                made.append((design_source_filters if options.baseband is None else design_envelope)(emission))
+                offer, why = sampled_channel.offer(emission, made[-1], pairs)
+                notes += [why] if why else []
+                channels += [(i, offer)] if offer else []
+            else:
+                rest, bands = design_split(emission, split)
+                made.append(rest)
+                narrow += [(i, filters) for filters in bands]
+    carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
+    parts = tuple(_narrow_part(carrier, narrow, tracks, convolved, options, samples) for carrier in carriers)
+    sampled = tuple(_channel_part(i, offer, tuple(made), options, samples) for i, offer in channels)
+    return tuple(made), replace(convolved, narrow=parts, channels=sampled, notes=tuple(notes))
+
+
+def _narrow_part(
+    carrier: tuple[float, float],
+    narrow: list[tuple[int, NarrowFilters]],
+    tracks: Tracks,
+    claimed: Allocation,
+    options: RenderOptions,
+    samples: int,
+) -> NarrowPart:
+    """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
+    mine = {i: filters for i, filters in narrow if (filters.carrier, filters.rate) == carrier}
+    # Others have no paths in it; what stands for their filters is not looked at.
+    first = next(iter(mine.values()))
+    filters = tuple(mine.get(i, first) for i in range(tracks.source_count))
+    band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
+    upsampler = Upsampler.about(carrier[0], options.sampling_rate, first.mixer.every, 0.5 * band.bandwidth)
+    within = replace(options, baseband=band, narrowband=None, chunk=None)
+    others = claimed.convolved | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
+    blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
+    count, segment = math.ceil(samples / upsampler.every) + upsampler.reach, segment_of(blocks)
+    chunk = chunk_of(tracks, within, count, carrier[1], segment)
+    alone, builders = Allocation(frozenset(others)), [PER_SAMPLE]
+    plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
+    return NarrowPart(plan, tuple(mine), upsampler)
+
+
+def _channel_part(
+    source: int,
+    offer: sampled_channel.ChannelOffer,
+    filters: tuple[SourceFilters, ...],
+    options: RenderOptions,
+    samples: int,
+) -> ChannelPart:
+    """Return the pairs of a source whose impulse responses are sampled, with a plan of their own for their tracks."""
+    pairs, tracks = frozenset(offer.pairs), offer.tracks
+    alone = Allocation(frozenset(range(len(tracks.pairs))) - pairs)
+    chunk = chunk_of(tracks, options, samples, options.sampling_rate, SEGMENT)
+    plan = Plan(
+        options, tracks, alone, filters, options.sampling_rate, samples, chunk, SEGMENT, LONG_BLOCKS, [PER_SAMPLE]
+    )
+    return ChannelPart(plan, source, pairs, offer.spacing, offer.error_db)
+
+
+def on_device(plan: Plan, device: str | None) -> Plan:
+    """Return a plan for a device of this machine; one that it names stays, and None is any."""
+    if device is None or plan.options.device is not None:
+        return plan
+    allocation = moved_to(plan.allocation, device)
+    return replace(plan, options=replace(plan.options, device=device), allocation=allocation, builders=_builders())
+
+
+def moved_to(allocation: Allocation, device: str) -> Allocation:
+    """Return the same allocation with envelopes rendered on a device."""
+
+    def moved(plan: Plan) -> Plan:
+        return replace(plan, options=replace(plan.options, device=device), builders=[PER_SAMPLE])
+
+    narrow = tuple(replace(part, plan=moved(part.plan)) for part in allocation.narrow)
+    channels = tuple(replace(part, plan=moved(part.plan)) for part in allocation.channels)
+    return replace(allocation, narrow=narrow, channels=channels)
+
+
+PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
+# What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
+BUILDERS: list[Callable[[Plan], Contribution | None]] = [
+    PER_SAMPLE,
+    methodcaller("where_claimed", "narrow", narrow_part.build),
+    methodcaller("where_claimed", "convolved", static.build),
+    methodcaller("where_claimed", "channels", sampled_channel.build),
+    methodcaller("where_claimed", "tails", DiffuseTail),
+]
+
+
+def _builders() -> list[Callable[[Plan], Contribution | None]]:
+    """Builders of all contributions, those of plugins last."""
+    return [*BUILDERS, *with_plugins({}, METHODS).values()]

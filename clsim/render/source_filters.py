@@ -12,9 +12,10 @@ import numpy as np
 
 from clsim.errors import InputError, warn
 from clsim.numerics.convolution import convolved
-from clsim.numerics.kaiser import low_pass_between
+from clsim.numerics.resampling import low_pass_between
 from clsim.paths.response import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
+from clsim.render.methods.costs import measured_costs
 from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares
 from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
@@ -43,6 +44,7 @@ _WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
 _LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
 _LIMIT_WIDTH, _LEAST_LIMIT_WIDTH = 0.08, 0.02  # of half the sampling rate, over which it falls to that
 _LEAST_BIN = 1e-3  # of the spacing of a spectrum's frequencies: where bands begin that go down to 0 Hz
+_OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
 _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may weaken
 
 
@@ -80,7 +82,7 @@ class Emission:
         if of_scene is None or not len(sound.energy):  # silence needs nothing
             return flat
         main = shares(self.spectrum(), _MAIN_SHARE)
-        check_band_coverage(of_scene.scene, [self.source], *main, f"the signal of source {self.source}")
+        check_band_coverage(of_scene.paths.scene, [self.source], *main, f"the signal of source {self.source}")
         if self.static:
             return flat
         at_centre, exact = options.responses == "centre", options.engine == "reference"
@@ -90,10 +92,85 @@ class Emission:
         band_at = partial(band_of, low, high, sound)
         if not at_centre:
             asked_db = min(floor_db, options.response_error_db)
-            return scene_basis(of_scene, self.source, band_at, self.drawn(), self.until, rate, asked_db)
+            return scene_basis(self.drawn(), band_at, rate, asked_db)
         if of_scene.paths.is_complex:
             return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)
         return flat
+
+    def cost_of_whole(self) -> float:
+        """Processor time of a path in a sample of all that is emitted, ns."""
+        assert isinstance(self.options.interpolator, Bandlimited)
+        low, high = self.sound.bounds(10 ** ((self.options.interpolator.error_db - 6.0) / 10))
+        known = measured_costs()
+        return known.plain + known.wide * (high - low) / (0.5 * self.signal.sampling_rate)
+
+    def cost_of_rest(self, loud: float) -> float:
+        """Processor time, ns, of what narrow bands leave, by the share of time in which that is not silent.
+
+        Functions of frequency are then for that time alone, and on average it lasts for half of a window of the
+        spectra.
+        """
+        known = measured_costs()
+        return (self.cost_of_whole() - known.plain + _OF_A_WINDOW * known.rest) * loud
+
+    def band_limited(self, times: int) -> tuple[float, float, Floats]:
+        """End of the band that matters, Hz, the share of the energy above it, dB, and the band limit."""
+        sound, interpolator = self.sound, self.options.interpolator
+        rate = self.signal.sampling_rate
+        widest = (_WIDEST if times == 1 else _WIDEST_OVERSAMPLED) * 0.5 * rate / (1.0 + self.max_rate)
+        band = max(sound.bounds(10 ** ((interpolator.error_db - 6.0) / 10))[1], 0.05 * widest)
+        if band <= widest:
+            return band, -math.inf, np.ones(1)
+        spectrum = self.spectrum()
+        limit = _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate) if times == 1 else np.ones(1)
+        low_pass = limit if times == 1 else _doubling(rate)
+        removed_db = share_removed(spectrum, low_pass, times * rate)
+        unmoved = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
+        self._check_received(spectrum, widest, unmoved)
+        if removed_db > _LOUD_SHARE_DB:
+            warn(
+                f"{self.field}: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
+                "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
+            )
+        return widest, removed_db, limit
+
+    def _check_received(self, spectrum: tuple[Floats, Floats], widest: float, unmoved: float) -> None:
+        """Refuse a signal that has more than half of its energy above the band, by itself (`unmoved`) or by Doppler."""
+        middle = shares(spectrum, 0.5)[1]
+        if middle <= widest:
+            return
+        rate = self.signal.sampling_rate
+        if self.max_rate == 0.0 or middle >= unmoved:
+            raise InputError(
+                self.field,
+                f"must lie below {widest:.0f} Hz at a sampling rate of {rate:g} Hz, but half of its energy lies at "
+                f"{middle:.0f} Hz and above: sample faster",
+            )
+        speed, most = self.tracks.fastest(self.source, unmoved / middle - 1.0)
+        raise InputError(
+            self.field,
+            f"must be received below {unmoved:.0f} Hz at a sampling rate of {rate:g} Hz, but at speeds of up to "
+            f"{speed:.4g} m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or "
+            f"stay below {most:.4g} m/s",
+        )
+
+    def banks(self, taps: Floats, loudness: Floats, high: float, rate: float, times: int) -> tuple[Bank, ...]:
+        """Delay filters for each function of frequency, with its taps (K, L), by what it carries of the sound."""
+        interpolator, max_rate = self.options.interpolator, self.max_rate
+        edge = min(
+            math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi
+        )  # rounded up: designs are found again
+        importance = self.sound.importance(edge * rate / (2.0 * math.pi), loudness)
+        fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
+        places = np.arange(taps.shape[1]) - taps.shape[1] // 2
+        carried = np.abs(taps @ np.exp(-1j * np.outer(places, fine))).reshape(len(taps), CELLS, 8).max(axis=2)
+        banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist()), times) for row in carried)
+        if banks[0].error_db > _WEAK_ERROR_DB:
+            warn(
+                f"{self.field}: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
+                f'{high:.0f} Hz; sample faster or use the "bandlimited" interpolator'
+            )
+        return banks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,16 +309,21 @@ class SourceFilters:
             "one function)"
         )
 
+    def cost(self) -> float:
+        """Processor time of a path in a sample, ns."""
+        known = measured_costs()
+        return known.branch * float(self.rows[-1]) + known.function * len(self.basis)
+
 
 def design_source_filters(emission: Emission) -> SourceFilters:
     """Return a source's signal, with filters for its band and for how its paths move."""
     signal, sound, interpolator = emission.signal, emission.sound, emission.options.interpolator
     sampling_rate, max_rate = signal.sampling_rate, emission.max_rate
     times = _oversampling(sound, interpolator, max_rate, sampling_rate)
-    high, removed_db, limit = _band(emission, times)
+    high, removed_db, limit = emission.band_limited(times)
     rate = times * sampling_rate
     basis = emission.basis((0.0, high), rate)
-    banks = _banks(emission, basis, high, rate, times)
+    banks = emission.banks(basis.filters, basis.loudness, high, rate, times)
     filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])
     swiftness = min(sound.swiftness(), high) or high
     return SourceFilters(signal, emission.start, banks, basis, filters, limit, high, swiftness, times, removed_db)
@@ -259,66 +341,6 @@ def _doubling(rate: float) -> Floats:
     """Return the low-pass behind a signal's samples with zeros between them, at twice its rate in Hz."""
     passed = 0.5 * _WIDEST_OVERSAMPLED * rate
     return 2.0 * low_pass_between(passed, rate - passed, 2.0 * rate, _LIMIT_DB)
-
-
-def _band(emission: Emission, times: int) -> tuple[float, float, Floats]:
-    """Return the end of the band that matters, Hz, the share above it in dB, and the band limit."""
-    sound, interpolator = emission.sound, emission.options.interpolator
-    rate = emission.signal.sampling_rate
-    widest = (_WIDEST if times == 1 else _WIDEST_OVERSAMPLED) * 0.5 * rate / (1.0 + emission.max_rate)
-    band = max(sound.bounds(10 ** ((interpolator.error_db - 6.0) / 10))[1], 0.05 * widest)
-    if band <= widest:
-        return band, -math.inf, np.ones(1)
-    spectrum = emission.spectrum()
-    limit = _band_limit(sound.bounds(_MAIN_WINDOW_SHARE)[1], widest, rate) if times == 1 else np.ones(1)
-    low_pass = limit if times == 1 else _doubling(rate)
-    removed_db = share_removed(spectrum, low_pass, times * rate)
-    unmoved = 0.5 * rate * (_WIDEST_OVERSAMPLED if isinstance(interpolator, Bandlimited) else _WIDEST)
-    _check_received(emission, spectrum, widest, unmoved)
-    if removed_db > _LOUD_SHARE_DB:
-        warn(
-            f"{emission.field}: {removed_db:.0f} dB of its energy lies above {widest:.0f} Hz, the band of the delay "
-            "filters at this sampling rate and speed, and is removed; fade or window the signal, or sample faster"
-        )
-    return widest, removed_db, limit
-
-
-def _check_received(emission: Emission, spectrum: tuple[Floats, Floats], widest: float, unmoved: float) -> None:
-    """Refuse a signal that has more than half of its energy above the band, by itself (`unmoved`) or by Doppler."""
-    middle = shares(spectrum, 0.5)[1]
-    if middle <= widest:
-        return
-    rate = emission.signal.sampling_rate
-    if emission.max_rate == 0.0 or middle >= unmoved:
-        raise InputError(
-            emission.field,
-            f"must lie below {widest:.0f} Hz at a sampling rate of {rate:g} Hz, but half of its energy lies at "
-            f"{middle:.0f} Hz and above: sample faster",
-        )
-    speed, most = emission.tracks.fastest(emission.source, unmoved / middle - 1.0)
-    raise InputError(
-        emission.field,
-        f"must be received below {unmoved:.0f} Hz at a sampling rate of {rate:g} Hz, but at speeds of up to "
-        f"{speed:.4g} m/s Doppler takes half of it, {middle:.0f} Hz and above, beyond: sample faster, or "
-        f"stay below {most:.4g} m/s",
-    )
-
-
-def _banks(emission: Emission, basis: Basis, high: float, rate: float, times: int) -> tuple[Bank, ...]:
-    """Return the delay filters for each function of the basis, by what it carries of the sound."""
-    interpolator, max_rate = emission.options.interpolator, emission.max_rate
-    edge = min(math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi)  # rounded up: designs are found again
-    importance = emission.sound.importance(edge * rate / (2.0 * math.pi), basis.loudness)
-    fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
-    taps = np.arange(basis.filters.shape[1]) - basis.half
-    carried = np.abs(basis.filters @ np.exp(-1j * np.outer(taps, fine))).reshape(len(basis), CELLS, 8).max(axis=2)
-    banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist()), times) for row in carried)
-    if banks[0].error_db > _WEAK_ERROR_DB:
-        warn(
-            f"{emission.field}: the delay filters are wrong by up to {banks[0].error_db:.0f} dB for content at "
-            f'{high:.0f} Hz; sample faster or use the "bandlimited" interpolator'
-        )
-    return banks
 
 
 def _band_limit(main: float, stop: float, rate: float) -> Floats:

@@ -20,6 +20,7 @@ from clsim.acoustics.air import (
 )
 from clsim.arrays import Floats, as_choice, as_flag, as_floats, as_number
 from clsim.errors import InputError, warn
+from clsim.numerics.band_filters import chebyshev_points
 from clsim.scene.fluctuation import Fluctuation
 
 if TYPE_CHECKING:
@@ -60,21 +61,12 @@ def at_heights(field: str, told: ByHeight, where: tuple[float, float], heights: 
     return np.broadcast_to(found, heights.shape)
 
 
-def places(extent: tuple[float, float], count: int) -> Floats:
-    """Return Chebyshev's points (count,) of a range of heights, m."""
-    return 0.5 * (extent[0] + extent[1]) + 0.5 * (extent[1] - extent[0]) * np.cos(_angles(count))
-
-
 def coefficients(values: Floats) -> Floats:
-    """Return Chebyshev's coefficients (n, ...) of the polynomial with values (n, ...) at `places`."""
+    """Return Chebyshev's coefficients (n, ...) of the polynomial with values (n, ...) at `chebyshev_points`."""
     count = len(values)
-    turns = np.cos(np.arange(count)[:, None] * _angles(count))
+    turns = np.cos(np.arange(count)[:, None] * (np.pi * (np.arange(count) + 0.5) / count))
     turns[0] *= 0.5
     return np.asarray(np.tensordot(2.0 / count * turns, values, axes=1))
-
-
-def _angles(count: int) -> Floats:
-    return np.asarray(np.pi * (np.arange(count) + 0.5) / count)
 
 
 _COLDEST, _HOTTEST = -73.0, 100.0  # °C: 200 K, where ISO 9613-1 stops claiming anything, and boiling water
@@ -426,7 +418,7 @@ def _layers(air: Air) -> tuple[Air, ...]:
         if all(layer == layers[0] for layer in (*layers, *more)):
             return ()
         exact, held = _of_layers(more), coefficients(_of_layers(layers))
-        made = np.polynomial.chebyshev.chebval(np.cos(np.pi * (np.arange(2 * terms) + 0.5) / (2 * terms)), held).T
+        made = np.polynomial.chebyshev.chebval(chebyshev_points(-1.0, 1.0, 2 * terms), held).T
         wrong = np.abs(made - exact).max(axis=0) / np.maximum(exact.max(axis=0), 1e-300)
         if (wrong[0] <= _TIME_HELD and wrong.max() <= _LOSS_HELD) or terms >= MOST_TERMS:
             break
@@ -442,7 +434,7 @@ def _layers(air: Air) -> tuple[Air, ...]:
 def _at_places(air: Air, count: int) -> tuple[Air, ...]:
     """Return uniform air at each Chebyshev point of the height range."""
     assert air.extent is not None
-    told = air.at_height(places(air.extent, count))
+    told = air.at_height(chebyshev_points(*air.extent, count))
     return tuple(
         Air(celsius, humidity, air.pressure, air._asked_speed, air.absorption, air.dispersion)
         for celsius, humidity in told.T.tolist()

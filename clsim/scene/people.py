@@ -44,10 +44,7 @@ def pose_times(start: float, end: float) -> Floats:
 
 
 def through_poses(times: Floats, places: Floats, quaternions: Floats) -> Trajectory:
-    """Return the motion through poses.
-
-    Shapes: times (n,) s; places (n, 3) m; quaternions (n, 4).
-    """
+    """Return the motion through poses; times (n,) s; places (n, 3) m; quaternions (n, 4)."""
     curve = spline_through(times[::_EVERY], places[::_EVERY], "not-a-knot")
     turning = turning_between(read_only(times), quaternions)
     return Trajectory(curve, float(times[0]), float(times[-1]), turning)
@@ -117,10 +114,7 @@ def cycle_duration(relative_speed: Floats) -> Floats:
 
 
 def gait_at(phase: Floats, relative_speed: Floats) -> Gait:
-    """Return the walk at phases and speeds.
-
-    Shapes: phase (n,); relative_speed (n,).
-    """
+    """Return the walk at phases and speeds; phase (n,); relative_speed (n,)."""
     v, both = relative_speed, np.stack([phase, phase + 0.5]) % 1.0
     slow, wave = np.minimum(v, 0.5), 2.0 * np.pi * phase
     duration = cycle_duration(v)

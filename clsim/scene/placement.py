@@ -12,8 +12,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Source
 from clsim.scene.flush import find_mount
-from clsim.scene.motion.instants import Instants
-from clsim.scene.motion.motion import Motion
+from clsim.scene.motion.motion import Instants, Motion
 from clsim.scene.room.enclosed import held_by_rooms
 from clsim.scene.transducer.transducer import TRANSDUCER_NAMES, Transducer
 
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.ends import End, Receiver
-    from clsim.scene.motion.instants import Indices
+    from clsim.scene.motion.motion import Indices
     from clsim.scene.room.faces import Mount
     from clsim.scene.room.protocol import Room
     from clsim.scene.scatterer import Scatterer

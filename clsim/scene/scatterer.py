@@ -119,15 +119,12 @@ class PointShape:
         return self.strongest * one, one[:, None]
 
     def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
-        """Return None: it has no field of its own."""
         return None
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
-        """Return the bounds (n, F) of its one strength."""
         return _over(nearest, np.full(len(wave), self.strongest))
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return mask of positions (n, 3) nearer than a margin, m."""
         return np.asarray(np.linalg.norm(places, axis=-1) < margin)
 
 
@@ -181,7 +178,6 @@ class EllipsoidShape:
         return bound + silhouette.silhouette_bound(self.radius, wave, nearest) if self.outlined else bound
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return mask of positions (n, 3) in the ellipsoid whose semi-axes are longer by a margin, m."""
         return np.asarray(np.linalg.norm(places / (self.semi_axes + margin), axis=-1) < 1.0)
 
 
@@ -207,7 +203,6 @@ class SphereShape:
         return sphere.sphere_aspects(self.radius, source, receiver, glint or self.glint(source, receiver, None, 1.0))
 
     def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
-        """Return the sum of its modes."""
         self._check(wave)
         return sphere.sphere_field(self.radius * wave, aspects)
 
@@ -221,12 +216,10 @@ class SphereShape:
             )
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
-        """Return bounds (n, F), see `sphere_bound`."""
         self._check(wave)
         return sphere.sphere_bound(self.radius, wave, nearest)
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return mask of positions (n, 3) in the sphere, or nearer to it than a margin, m."""
         return np.asarray(np.linalg.norm(places, axis=-1) < self.radius + margin)
 
 
@@ -278,7 +271,6 @@ class CapsuleShape:
         return bound + silhouette.silhouette_bound(self.radius, wave, nearest) if self.outlined else bound
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
-        """Return mask of positions (n, 3) inside it, or nearer to it than a margin, m."""
         beyond = np.maximum(np.abs(places[..., 2]) - 0.5 * self.length, 0.0)
         off = np.stack([places[..., 0], places[..., 1], beyond], axis=-1)
         return np.asarray(np.linalg.norm(off, axis=-1) < self.cylinder_radius + margin)
@@ -334,14 +326,10 @@ class Scatterer:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's scatterers.
         target_strength_db : float
             20 lg of the pressure at 1 m from it over that of the wave that meets it, dB; at most 60.
         trajectory : Trajectory
             Where it is.
-        fluctuation : TargetFluctuation, optional
-            How its strength changes with time.
 
         Returns
         -------
@@ -374,8 +362,6 @@ class Scatterer:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's scatterers.
         radius : float
             m, above 0.
         trajectory : Trajectory
@@ -383,8 +369,6 @@ class Scatterer:
         model : {"series", "geometrical", "outline"}
             The series over its modes, exact at every frequency, distance and angle, shadow included; geometrical
             optics, which cast no shadow; or these with the shadow of its outline, as ellipsoids have.
-        fluctuation : TargetFluctuation, optional
-            How its strength changes with time.
 
         Returns
         -------
@@ -420,14 +404,10 @@ class Scatterer:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's scatterers.
         semi_axes : array_like (3,)
             Along its own x, y and z, m, above 0; the longest at most 10 000 times the shortest.
         trajectory : Trajectory
             Where its centre is, and how it is turned.
-        fluctuation : TargetFluctuation, optional
-            How its strength changes with time.
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
@@ -473,16 +453,12 @@ class Scatterer:
 
         Parameters
         ----------
-        name : str
-            Unique among the scene's scatterers.
         radius : float
             Of the cylinder and of both half spheres, m, above 0.
         length : float
             Of the cylinder, between the centres of the half spheres, along its own z, m, above 0.
         trajectory : Trajectory
             Where its middle is, and how it is turned.
-        fluctuation : TargetFluctuation, optional
-            How its strength changes with time.
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.

@@ -12,11 +12,18 @@ import numpy as np
 from clsim.arrays import FARTHEST, as_count, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
-from clsim.pictures.notebook import html_table, inline_page
-from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedFlaws, ViewedPaths, ViewedWall, page_text
+from clsim.pictures.view_page import (
+    ViewedBody,
+    ViewedEnd,
+    ViewedFlaws,
+    ViewedPaths,
+    ViewedWall,
+    html_table,
+    inline_page,
+    page_text,
+)
 from clsim.scene.air import Air
-from clsim.scene.body import Body, with_carriers
-from clsim.scene.body_checks import check_bodies
+from clsim.scene.body import Body, check_bodies, with_carriers
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.placement import (
     check_distances,
@@ -284,13 +291,7 @@ class Scene:
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
-        """Return a description of room, air and bodies, a line each; in a closed room also the sides of ends at 0 s.
-
-        Returns
-        -------
-        list of str
-            The lines.
-        """
+        """Return a description of room, air and bodies, a line each; in a closed room also the sides of ends at 0 s."""
         sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
         air = [_travelling(self.air, source) for source in self.sources] if self.air.dispersion else []
         of_sides = [_side(self.room, field_name, item) for field_name, item in sides]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.scene.motion.carried import seen_by
+from clsim.scene.motion.motion import seen_by
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationError
@@ -12,18 +13,144 @@ from pydantic import Discriminator, Field, Tag, ValidationError
 from clsim.errors import InputError, not_one_of
 from clsim.files.input_files import read_toml
 from clsim.scene.material.material import Material
+from clsim.scene.material.reflecting_surface import as_scattering
 from clsim.scene.room.mesh import MeshRoom, by_group
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.room.walls import FLATNESS
-from clsim.scene_file.explain import explain
-from clsim.scene_file.materials import MaterialModel, is_material
-from clsim.scene_file.model import Model, Vector, within
+from clsim.scene_file.model import Hold, Model, Numbers, Table, Vector, built, explain, table, within
 
 R = TypeVar("R", Shoebox, MeshRoom)
 Corners = list[Annotated[list[float], Field(min_length=2, max_length=2)]]
+# How many there are is checked in our own words; editors read it here.
+Pair = Annotated[list[float], Field(json_schema_extra={"minItems": 2, "maxItems": 2})]
+Complex = float | Pair  # a complex number is written [real, imaginary]
 
 
-class WallsModel(Model):
+def _number(field: str, value: float | list[float]) -> float | complex:
+    if not isinstance(value, list):
+        return value
+    if len(value) != 2:
+        raise InputError(field, f"must be a number or [real, imaginary], but is {value!r:.80}")
+    return complex(*value)
+
+
+def _numbers(values: list[float | list[float]]) -> list[float | complex]:
+    return [_number(f"[{i}]", value) for i, value in enumerate(values)]
+
+
+class _Tabulated(Table):
+    readers = {"factors": _numbers, "impedances": _numbers}
+
+
+class _Echo(Table):
+    reference: float = 0.0
+    band: Pair | None = None
+    outside: Hold = None
+    tolerance: float = 0.05
+
+
+class _Scattering(Model):
+    frequencies: list[float]
+    values: list[float]
+
+
+class _Transmission(Model):
+    surface_mass: float | None = None
+    frequencies: list[float] | None = None
+    losses_db: list[float] | None = None
+
+
+if TYPE_CHECKING:
+    _Absorption = Table
+    _Factors = Table
+    _Impedance = Table
+    _ImpulseResponse = Table
+    _ImpulseResponseFile = Table
+    _Solid = Table
+    _Porous = Table
+else:
+    _material = partial(table, "", without="name scattering")
+    _Absorption = _material(Material.from_absorption, name="_Absorption", frequencies=Numbers, coefficients=Numbers)
+    _Factors = _material(
+        Material.from_table, name="_Table", base=_Tabulated, frequencies=Numbers, factors=list[Complex], outside=Hold
+    )
+    _Impedance = _material(
+        Material.from_impedance, name="_Impedance", base=_Tabulated, frequencies=Numbers, impedances=list[Complex],
+        outside=Hold,
+    )  # fmt: skip
+    _ImpulseResponse = _material(Material.from_impulse_response, name="_ImpulseResponse", base=_Echo, samples=Numbers)
+    _ImpulseResponseFile = _material(Material.from_wav, name="_ImpulseResponseFile", base=_Echo)
+    _Solid = _material(Material.from_solid, name="_Solid")
+    _Porous = _material(Material.from_porous, name="_Porous", outside=Literal["extend"] | None)
+
+
+class MaterialModel(Table):
+    """One description of a wall's material, its roughness (m), its scattering coefficient, and what passes it."""
+
+    reflection: Complex | None = None
+    named: str | None = None
+    absorption: _Absorption | None = None
+    table: _Factors | None = None
+    impedance: _Impedance | None = None
+    impulse_response: _ImpulseResponse | None = None
+    wav: _ImpulseResponseFile | None = None
+    solid: _Solid | None = None
+    porous: _Porous | None = None
+    roughness: float = 0.0
+    scattering: float | _Scattering | None = None
+    transmission: _Transmission | None = None
+
+    def build(self, base: Path = Path()) -> Material:
+        ways = [name for name in type(self).model_fields if name not in ("roughness", "scattering", "transmission")]
+        given = [name for name in ways if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError("", f"must have one of {', '.join(ways)}, but has {' and '.join(given) or 'none of them'}")
+        material = self._built(given[0], base)
+        if self.scattering is not None:
+            told = self.scattering
+            coefficients = told if isinstance(told, float) else (told.frequencies, told.values)
+            material = replace(material, scattering=as_scattering(coefficients))
+        if self.transmission is not None:
+            material = within("transmission", partial(_transmitting, material, self.transmission))
+        try:
+            return material.rough(self.roughness) if self.roughness else material
+        except InputError as error:
+            raise InputError("roughness", error.problem) from error
+
+    def _built(self, way: str, base: Path) -> Material:
+        value = getattr(self, way)
+        if isinstance(value, Table):
+            made: Material = built(way, value, base)
+            return made
+        try:
+            return Material.named(value) if isinstance(value, str) else Material.from_reflection(_number("", value))
+        except InputError as error:  # the constructor's word for it is another
+            raise InputError(way, error.problem) from error
+
+
+_WORDS = frozenset(MaterialModel.model_fields)
+
+
+def is_material(value: Any) -> bool:
+    """Whether a table is one material, not materials by name, which are tables themselves.
+
+    A material's own tables (``absorption``, ``solid`` ...) could be names of groups in a mesh as well: what stands in
+    them tells.
+    """
+    return not isinstance(value, dict) or all(
+        not isinstance(entry, dict) or (key in MaterialModel.model_fields and not entry.keys() & _WORDS)
+        for key, entry in value.items()
+    )
+
+
+def _transmitting(material: Material, given: _Transmission) -> Material:
+    try:
+        return material.transmitting(**given.arguments())
+    except InputError as error:  # the field is named by the caller
+        raise InputError("" if error.field == "transmission" else error.field, error.problem) from error
+
+
+class WallsModel(Table):
     """Materials of a shoebox's walls by name."""
 
     default: MaterialModel | None = None
@@ -34,10 +161,8 @@ class WallsModel(Model):
     z_min: MaterialModel | None = None
     z_max: MaterialModel | None = None
 
-    def build(self, base: Path) -> dict[str, Material]:
-        """Return the materials; paths are relative to `base`."""
-        given = {name: material for name, material in self.arguments().items() if material is not None}
-        return {name: within(name, partial(material.build, base)) for name, material in given.items()}
+    def build(self, base: Path = Path()) -> dict[str, Material]:
+        return {name: material for name, material in self.parts(base).items() if material is not None}
 
 
 def _walls_kind(value: Any) -> str:
@@ -51,13 +176,7 @@ Materials = Annotated[
 ]
 
 
-def _build_materials(materials: MaterialModel | dict[str, MaterialModel], base: Path) -> Material | dict[str, Material]:
-    if isinstance(materials, MaterialModel):
-        return materials.build(base)
-    return {name: within(name, partial(material.build, base)) for name, material in materials.items()}
-
-
-class MeshModel(Model):
+class MeshModel(Table):
     """A mesh file."""
 
     kind: Literal["mesh"] = "mesh"
@@ -69,8 +188,8 @@ class MeshModel(Model):
     sheets_below: float = 0.0
     materials: Materials
 
-    def build(self, base: Path) -> MeshRoom:
-        materials = within("materials", lambda: _build_materials(self.materials, base))
+    def build(self, base: Path = Path()) -> MeshRoom:
+        materials = built("materials", self.materials, base)
         file = base / self.path
         try:
             mesh = MeshRoom.from_file(file, self.scale, self.up, materials, flatness=self.flatness, heal=self.heal)
@@ -81,7 +200,7 @@ class MeshModel(Model):
         return within("sheets_below", lambda: mesh.with_sheets(self.sheets_below)) if self.sheets_below else mesh
 
 
-class PlanModel(Model):
+class PlanModel(Table):
     """A floor plan with pillars."""
 
     kind: Literal["plan"]
@@ -90,8 +209,8 @@ class PlanModel(Model):
     materials: Materials
     pillars: list[Corners] = []
 
-    def build(self, base: Path) -> MeshRoom:
-        materials = within("materials", lambda: _build_materials(self.materials, base))
+    def build(self, base: Path = Path()) -> MeshRoom:
+        materials = built("materials", self.materials, base)
         return MeshRoom.from_plan(self.outline, self.height, materials, [np.array(p) for p in self.pillars])
 
 
@@ -121,7 +240,7 @@ class PolygonsFile(Model):
         return rows, groups, labels
 
 
-class PolygonsModel(Model):
+class PolygonsModel(Table):
     """A room of polygons from a file."""
 
     kind: Literal["polygons"]
@@ -131,8 +250,8 @@ class PolygonsModel(Model):
     heal: float | Literal["auto", "off"] = "auto"
     materials: Materials
 
-    def build(self, base: Path) -> MeshRoom:
-        materials = within("materials", lambda: _build_materials(self.materials, base))
+    def build(self, base: Path = Path()) -> MeshRoom:
+        materials = built("materials", self.materials, base)
         file = base / self.path
         content = read_toml(file)
         try:
@@ -160,17 +279,14 @@ ObstacleModel = Annotated[
 ]
 
 
-class _WithObstacles(Model):
+class _WithObstacles(Table):
     obstacles: list[ObstacleModel] = []
 
     def with_obstacles(self, room: R, base: Path) -> R | MeshRoom:
         """Return the room joined with its obstacles."""
         if not self.obstacles:
             return room
-        parts: list[MeshRoom] = [
-            within(f"obstacles[{i}]", partial(model.build, base)) for i, model in enumerate(self.obstacles)
-        ]
-        return MeshRoom.joined([room, *parts])
+        return MeshRoom.joined([room, *(built(f"obstacles[{i}]", one, base) for i, one in enumerate(self.obstacles))])
 
 
 class ShoeboxRoomModel(_WithObstacles):
@@ -182,9 +298,8 @@ class ShoeboxRoomModel(_WithObstacles):
         Annotated[MaterialModel, Tag("material")] | Annotated[WallsModel, Tag("walls")], Discriminator(_walls_kind)
     ]
 
-    def build(self, base: Path) -> Shoebox | MeshRoom:
-        walls: Any = self.walls
-        return self.with_obstacles(Shoebox(np.array(self.size), within("walls", partial(walls.build, base))), base)
+    def build(self, base: Path = Path()) -> Shoebox | MeshRoom:
+        return self.with_obstacles(Shoebox(np.array(self.size), built("walls", self.walls, base)), base)
 
 
 class MeshRoomModel(_WithObstacles, MeshModel):
@@ -192,7 +307,7 @@ class MeshRoomModel(_WithObstacles, MeshModel):
 
     kind: Literal["mesh"]
 
-    def build(self, base: Path) -> MeshRoom:
+    def build(self, base: Path = Path()) -> MeshRoom:
         return self.with_obstacles(super().build(base), base)
 
 
@@ -201,14 +316,14 @@ class PlanRoomModel(_WithObstacles, PlanModel):
 
     kind: Literal["plan"]
 
-    def build(self, base: Path) -> MeshRoom:
+    def build(self, base: Path = Path()) -> MeshRoom:
         return self.with_obstacles(super().build(base), base)
 
 
 class PolygonsRoomModel(_WithObstacles, PolygonsModel):
     """A room of polygons from a file."""
 
-    def build(self, base: Path) -> MeshRoom:
+    def build(self, base: Path = Path()) -> MeshRoom:
         return self.with_obstacles(super().build(base), base)
 
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 from dataclasses import MISSING, dataclass, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from pydantic import Discriminator, Field, Tag, ValidationError, create_model
 
-from clsim.arrays import Floats, short_repr
+from clsim.arrays import short_repr
 from clsim.paths.options import DEFAULT_PATH_LIMIT
 from clsim.render.baseband import Baseband
-from clsim.render.interpolator import Bandlimited, Interpolator, Lagrange, TruncatedLagrange
+from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.options import RenderOptions
 from clsim.scene.air import Air
 from clsim.scene.ends import Receiver, Source
@@ -21,69 +20,42 @@ from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Scene
 from clsim.scene_file.bodies import BodyModel, ScattererModel
-from clsim.scene_file.explain import explain
-from clsim.scene_file.model import Model, Pair, Vector, within
-from clsim.scene_file.motion_and_signals import SignalModel, TrajectoryModel
+from clsim.scene_file.ends import (
+    DirectivityModel,
+    ElectronicsModel,
+    OmniModel,
+    SignalModel,
+    TrajectoryModel,
+    TransducerModel,
+)  # fmt: skip
+from clsim.scene_file.model import PATHS, Model, Numbers, Pair, Table, Vector, built, explain, one_of, table
 from clsim.scene_file.rooms import RoomModel
-from clsim.scene_file.transducers import DirectivityModel, ElectronicsModel, OmniModel, TransducerModel
 
 
-class _Part(Model):
-    def build(self) -> Any:
-        raise NotImplementedError
-
-
-class _Lagrange(_Part):
-    kind: Literal["lagrange"]
-    order: int = 12
-
-    def build(self) -> Interpolator:
-        return Lagrange(self.order)
-
-
-class _TruncatedLagrange(_Part):
-    kind: Literal["truncated-lagrange"]
-    order: int
-    length: int
-
-    def build(self) -> Interpolator:
-        return TruncatedLagrange(self.order, self.length)
-
-
-class _Bandlimited(_Part):
+class _Bandlimited(Table):
     kind: Literal["bandlimited"] = "bandlimited"
     error_db: float = -90.0
 
-    def build(self) -> Interpolator:
-        return Bandlimited(self.error_db)
+    constructor = Bandlimited
 
 
-class _Baseband(_Part):
-    carrier: float
-    bandwidth: float
-    sampling_rate: float | None = None
-
-    def build(self) -> Baseband:
-        return Baseband(self.carrier, self.bandwidth, self.sampling_rate)
-
-
-InterpolatorModel = Annotated[_Lagrange | _TruncatedLagrange | _Bandlimited, Field(discriminator="kind")]
 # Options whose values are no plain ones of TOML: type and default in the file.
 _TABLES: dict[str, tuple[Any, Any]] = {
-    "interpolator": (InterpolatorModel, _Bandlimited()),
-    "baseband": (_Baseband | None, None),
+    "interpolator": (
+        one_of(table("lagrange", Lagrange), table("truncated-lagrange", TruncatedLagrange), _Bandlimited),
+        _Bandlimited(),
+    ),
+    "baseband": (
+        table("", Baseband, name="_Baseband", carrier=float, bandwidth=float, sampling_rate=float | None) | None,
+        None,
+    ),
 }
 
 
-class RenderTable(Model):
-    """Base of the ``[render]`` table, to which `render_model` adds the keys."""
+class RenderTable(Table):
+    """Base of the ``[render]`` table, whose keys `render_model` adds, and which gives keyword arguments of `render`."""
 
-    def build(self) -> dict[str, Any]:
-        """Return the keyword arguments of `render`."""
-        return {
-            name: within(name, value.build) if isinstance(value, _Part) else value
-            for name, value in self.arguments().items()
-        }
+    constructor = dict
 
 
 def render_model(options: type[Any]) -> type[RenderTable]:
@@ -96,39 +68,22 @@ def render_model(options: type[Any]) -> type[RenderTable]:
 
 if TYPE_CHECKING:
     RenderModel = RenderTable
+    AirModel = Table
+    PositionsModel = Table
 else:
     RenderModel = render_model(RenderOptions)
+    AirModel = table(
+        "", Air, name="_Air", without="extent _asked_speed", temperature_celsius=float | Pair,
+        relative_humidity=float | Pair, speed_of_sound=float | Literal["iso9613"] | None, heights=Pair | None,
+        fluctuation=table("", Fluctuation, name="_Fluctuation") | None,
+    )  # fmt: skip
+    PositionsModel = one_of(
+        table("grid", grid_positions, x=float | Numbers, y=float | Numbers, z=float | Numbers),
+        table("file", positions_from_file, name="_PositionsFile"),
+    )
 
 
-_PATHS = ("path", "phases_path")  # keys that name files
-
-
-class _Fluctuation(Model):
-    rms: float
-    correlation_time: float
-    correlation_length: float
-    seed: int = 0
-
-
-class _Air(Model):
-    temperature_celsius: float | Pair = 20.0
-    relative_humidity: float | Pair = 0.5
-    pressure: float = 101_325.0
-    speed_of_sound: float | Literal["iso9613"] | None = None
-    absorption: bool = True
-    dispersion: bool = False
-    wind: Vector | None = None
-    heights: Pair | None = None
-    fluctuation: _Fluctuation | None = None
-
-    def build(self) -> Air:
-        arguments, noise = self.arguments(), self.fluctuation
-        if noise is not None:
-            arguments["fluctuation"] = within("fluctuation", lambda: Fluctuation(**noise.arguments()))
-        return Air(**arguments)
-
-
-class _Common(Model):
+class _Common(Table):
     name: str
     directivity: DirectivityModel = OmniModel()
     aim: Vector | Literal["forward"] | None = None
@@ -137,77 +92,31 @@ class _Common(Model):
     flush: bool | Vector = False
     mounted_on: str | None = None
 
-    def parts(self, base: Path) -> dict[str, Any]:
-        """Return the arguments that sources, receivers and arrays of them share."""
-        model = self.transducer
-        return {
-            "name": self.name,
-            "directivity": within("directivity", lambda: self.directivity.build(base)),
-            "aim": self.aim,
-            "aim_at": self.aim_at,
-            "flush": self.flush,
-            "mounted_on": self.mounted_on,
-            "transducer": None if model is None else within("transducer", lambda: model.build(base)),
-        }
 
-
-class _End(_Common):
+class _Receiver(_Common):
     trajectory: TrajectoryModel
-
-    def parts(self, base: Path) -> dict[str, Any]:
-        """Return the arguments that sources and receivers share."""
-        return super().parts(base) | {"trajectory": within("trajectory", lambda: self.trajectory.build(base))}
-
-
-class _Receiver(_End):
     electronics: ElectronicsModel | None = None
 
-    def build(self, base: Path) -> list[Receiver]:
-        model = self.electronics
-        electronics = None if model is None else within("electronics", model.build)
-        return [Receiver(**self.parts(base), electronics=electronics)]
-
-
-class _Grid(Model):
-    kind: Literal["grid"]
-    x: float | list[float]
-    y: float | list[float]
-    z: float | list[float]
-
-    def build(self, base: Path) -> Floats:
-        return grid_positions(self.x, self.y, self.z)
-
-
-class _PositionsFile(Model):
-    kind: Literal["file"]
-    path: str
-
-    def build(self, base: Path) -> Floats:
-        return positions_from_file(base / self.path)
+    constructor = Receiver
 
 
 class _ReceiverArray(_Common):
-    positions: Annotated[_Grid | _PositionsFile, Field(discriminator="kind")]
+    positions: PositionsModel
     electronics: ElectronicsModel | None = None
 
-    def build(self, base: Path) -> list[Receiver]:
-        model = self.electronics
-        electronics = None if model is None else within("electronics", model.build)
-        positions = within("positions", lambda: self.positions.build(base))
-        return receiver_array(positions=positions, electronics=electronics, **self.parts(base))
+    constructor = staticmethod(receiver_array)
 
 
 def _receiver_kind(value: Any) -> str:
     return "array" if isinstance(value, dict) and "positions" in value else "one"
 
 
-class _Source(_End):
+class _Source(_Common):
+    trajectory: TrajectoryModel
     signal: SignalModel
     start: float = 0.0
 
-    def build(self, base: Path) -> Source:
-        signal = within("signal", lambda: self.signal.build(base))
-        return Source(**self.parts(base), signal=signal, start=self.start)
+    constructor = Source
 
 
 class _Direct(Model):
@@ -248,7 +157,7 @@ class SceneModel(Model):
     format: Annotated[int, Field(ge=1, le=1)]
     min_distance: float = 0.01
     room: RoomModel
-    air: _Air = _Air()
+    air: AirModel = AirModel()
     sources: list[_Source]
     receivers: list[
         Annotated[
@@ -293,18 +202,19 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
         raise explain(error, content, SceneModel) from error
-    sources = [within(f"sources[{i}]", partial(end.build, base)) for i, end in enumerate(model.sources)]
-    entries = [within(f"receivers[{i}]", partial(entry.build, base)) for i, entry in enumerate(model.receivers)]
-    receivers = [receiver for entry in entries for receiver in entry]
-    things = [within(f"scatterers[{i}]", partial(t.build, base)) for i, t in enumerate(model.scatterers or [])]
-    scatterers = [scatterer for thing in things for scatterer in thing]
-    bodies = [within(f"bodies[{i}]", partial(body.build, base)) for i, body in enumerate(model.bodies or [])]
-    room = within("room", lambda: model.room.build(base))
-    air = within("air", model.air.build)
-    scene = Scene(room, air, sources, receivers, model.min_distance, scatterers, bodies)
-    arguments = within("render", model.render.build)
+    lists = ("sources", "receivers", "scatterers", "bodies")
+    parts: dict[str, Any] = {field: _things(field, getattr(model, field), base) for field in lists}
+    parts["room"], parts["air"] = (built(field, getattr(model, field), base) for field in ("room", "air"))
+    arguments = built("render", model.render, base)
+    scene = Scene(**parts, min_distance=model.min_distance)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)
+
+
+def _things(field: str, tables: list[Table] | None, base: Path) -> list[Any]:
+    """Build the things of a list of tables, of which one may describe several."""
+    things = [built(f"{field}[{i}]", one, base) for i, one in enumerate(tables or [])]
+    return [thing for found in things for thing in (found if isinstance(found, list) else [found])]
 
 
 def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:
@@ -329,7 +239,7 @@ def referenced_files(file: SceneFile) -> list[Path]:
 def _paths_within(content: Any) -> list[tuple[dict[str, Any], str]]:
     """Return tables of a scene file, at any depth, that name a file, and the keys that do."""
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else ()
-    here = [(content, key) for key in _PATHS if isinstance(content, dict) and isinstance(content.get(key), str)]
+    here = [(content, key) for key in PATHS if isinstance(content, dict) and isinstance(content.get(key), str)]
     return [*here, *(found for part in parts for found in _paths_within(part))]
 
 

@@ -1,14 +1,16 @@
 """Errors of ranges and positions estimated from a recording, against the ground truth."""
 
 from clsim.score.position import GdopMap, PositionScore, gdop, gdop_map, position
-from clsim.score.range_doppler import RangeDopplerMap, range_doppler
+from clsim.score.range_doppler import EchoMap, RangeDopplerMap, echoes, range_doppler
 from clsim.score.ranging import RangingScore, ranging
 
 __all__ = [
+    "EchoMap",
     "GdopMap",
     "PositionScore",
     "RangeDopplerMap",
     "RangingScore",
+    "echoes",
     "gdop",
     "gdop_map",
     "position",

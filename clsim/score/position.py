@@ -11,13 +11,13 @@ import numpy as np
 from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.packages import check_packages, check_pictures
-from clsim.pictures.notebook import html_table
+from clsim.pictures.view_page import html_table
 from clsim.score.ranging import RangingScore
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from clsim.scene.room.protocol import Room
 
@@ -70,13 +70,13 @@ class GdopMap:
         x, y = np.meshgrid(self.x, self.y)
         return pandas.DataFrame({"x": x.ravel(), "y": y.ravel(), "z": self.z, "gdop": self.gdop.ravel()})
 
-    def plot(self) -> Axes:
+    def plot(self) -> Figure:
         """Draw the map, and where the anchors are.
 
         Returns
         -------
-        matplotlib.axes.Axes
-            Of a new figure of pyplot.
+        matplotlib.figure.Figure
+            A new figure of pyplot.
         """
         check_pictures("plot")
         from matplotlib import pyplot
@@ -87,7 +87,7 @@ class GdopMap:
         axes.plot(self.anchors[:, 0], self.anchors[:, 1], "k^", clip_on=False)
         figure.colorbar(drawn, label="dilution of precision")
         axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title=f"z = {self.z:g} m; triangles: anchors")
-        return axes
+        return figure
 
 
 def gdop(anchors: Floats, place: Floats, method: str = "toa") -> float:
@@ -264,13 +264,13 @@ class PositionScore:
             columns |= {f"{axis}{suffix}": places[..., i].ravel() for i, axis in enumerate("xyz")}
         return pandas.DataFrame(columns | {"error": self.error.ravel(), "gdop": self.gdop.ravel()})
 
-    def plot(self) -> list[Axes]:
+    def plot(self) -> Figure:
         """Draw estimated and true positions seen from above, and how errors are distributed.
 
         Returns
         -------
-        list of matplotlib.axes.Axes
-            Two, of a new figure of pyplot.
+        matplotlib.figure.Figure
+            A new figure of pyplot with two axes.
         """
         check_pictures("plot")
         from matplotlib import pyplot
@@ -287,7 +287,7 @@ class PositionScore:
         spread.set(xlabel="error of the position (mm)", ylabel="share of the positions (%)", ylim=(0.0, 100.0))
         for axes in (plan, spread):
             axes.grid(alpha=0.25, linewidth=0.6)
-        return list(figure.axes)
+        return figure
 
     def _repr_html_(self) -> str:
         rows = [(f"{p} % within", f"{1e3 * self.percentile(p):.3f} mm") for p in (50, 95)]

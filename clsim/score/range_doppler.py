@@ -1,4 +1,4 @@
-"""Range-Doppler maps: echoes of a train of pulses by range and speed."""
+"""Echoes of a train of pulses: by range and pulse, and by range and speed."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from clsim.score.ranging import emissions_of, outputs_of, scored_paths, source_i
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from clsim.arrays import Complexes
     from clsim.recording import Recording
     from clsim.scene.signal.signal import Signal
 
 _RANGE_DB = 60.0  # shown below the loudest
+_COLUMNS = 1600  # of a picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +37,14 @@ class RangeDopplerMap:
         m.
     speeds : ndarray (speeds,)
         Increasing; positive where the range grows, m/s.
+    unambiguous_speed : float
+        Half the width of `speeds`, m/s: a path that is faster than this, either way, appears at another speed.
     """
 
     amplitude: Complexes
     ranges: Floats
     speeds: Floats
+    unambiguous_speed: float
 
     __repr__ = short_repr
 
@@ -84,24 +89,109 @@ class RangeDopplerMap:
         speeds, ranges = np.meshgrid(self.speeds, self.ranges, indexing="ij")
         return pandas.DataFrame({"speed": speeds.ravel(), "range": ranges.ravel(), "amplitude": self.amplitude.ravel()})
 
-    def plot(self) -> Axes:
-        """Draw its level.
+    def plot(self) -> Figure:
+        """Draw the level over range and speed.
 
         Returns
         -------
-        matplotlib.axes.Axes
-            Of a new figure of pyplot.
+        matplotlib.figure.Figure
+            A new figure of pyplot.
         """
         check_pictures("plot")
         from matplotlib import pyplot
 
         figure, axes = pyplot.subplots(figsize=(9.0, 5.0), layout="constrained")
-        level = 20.0 * np.log10(np.maximum(np.abs(self.amplitude), 1e-30))
-        peak = float(level.max())
-        shown = axes.pcolormesh(self.ranges, self.speeds, level, vmin=peak - _RANGE_DB, vmax=peak, cmap="magma")
+        _draw_level(figure, axes, self.ranges, self.speeds, self.amplitude)
         axes.set(xlabel="range (m)", ylabel="speed at which it grows (m/s)")
-        figure.colorbar(shown, ax=axes, label="level (dB)")
-        return axes
+        axes.set_title(f"unambiguous up to ±{self.unambiguous_speed:.3g} m/s", fontsize=10)
+        return figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EchoMap:
+    """Echoes of a train of pulses by range and pulse: what a sonar's display shows.
+
+    Attributes
+    ----------
+    amplitude : ndarray (pulses, ranges) complex
+        Output of the matched filter: the factor of the pulse as received.
+    ranges : ndarray (ranges,)
+        m.
+    emission_times : ndarray (pulses,)
+        When each pulse begins, s.
+    """
+
+    amplitude: Complexes
+    ranges: Floats
+    emission_times: Floats
+
+    __repr__ = short_repr
+
+    def plot(self) -> Figure:
+        """Draw the level over range and number of the pulse.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A new figure of pyplot.
+        """
+        check_pictures("plot")
+        from matplotlib import pyplot
+
+        figure, axes = pyplot.subplots(figsize=(9.0, 5.0), layout="constrained")
+        _draw_level(figure, axes, self.ranges, np.arange(float(len(self.amplitude))), self.amplitude)
+        axes.set(xlabel="range (m)", ylabel="pulse")
+        return figure
+
+
+def _draw_level(figure: Figure, axes: Axes, across: Floats, up: Floats, amplitude: Complexes) -> None:
+    """Draw the level of amplitudes (up, across), the largest in each of at most 1600 steps of the range."""
+    level = 20.0 * np.log10(np.maximum(np.abs(amplitude), 1e-30))
+    first = np.arange(0, len(across), -(-len(across) // _COLUMNS))
+    level = np.maximum.reduceat(level, first, axis=1)  # no echo is between two pixels
+    peak = float(level.max())
+    shown = axes.pcolormesh(across[first], up, level, vmin=peak - _RANGE_DB, vmax=peak, cmap="magma", shading="nearest")
+    figure.colorbar(shown, ax=axes, label="level (dB)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Train:
+    """Matched outputs `rows` (pulses, ranges) of a train, as if each pulse began at a sample."""
+
+    rows: Complexes
+    ranges: Floats
+    emitted: Floats
+    centre: float
+    speed_of_sound: float
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        pulse: Signal,
+        receiver: int | str,
+        source: int | str,
+        part: tuple[int, int | None, int],
+        ways: float,
+        max_range: float | None,
+    ) -> _Train:
+        """Filter the part (first, count, least) of a train."""
+        paths = scored_paths(recording, "echoes")
+        row = as_index("receiver", receiver, recording.receiver_names)
+        rate, c = recording.sampling_rate, paths.scene.air.speed_of_sound
+        matched = MatchedFilter.of(pulse, rate)
+        emitted = emissions_of(recording, source_index(paths, source), len(matched.pulse))
+        first = as_count("first", part[0], at_most=max(len(emitted) - part[2], 0))
+        most = len(emitted) - first
+        count = most if part[1] is None else as_count("count", part[1], at_least=part[2], at_most=most)
+        emitted = emitted[first : first + count]
+        reach = None if max_range is None else ways * as_number("max_range", max_range, above=0.0, unit="m")
+        span = span_of(emitted, recording, reach, c)
+        rows = np.zeros((len(emitted), span), dtype=np.complex128)
+        for k, (begin, output) in enumerate(outputs_of(recording.samples[row], matched, emitted, span)):
+            late = emitted[k] * rate - begin  # of the emission after the sample, below one
+            rows[k, : len(output)] = output * np.exp(2j * np.pi * matched.centre * late / rate)
+        return cls(rows, read_only(np.arange(span) / rate * c / ways), emitted, matched.centre, c)
 
 
 def range_doppler(
@@ -152,28 +242,67 @@ def range_doppler(
     grows at v turns the phase of the pulse's mean frequency f by ``-2 pi f v P / c`` (two ways: twice that) in a
     period P (M. A. Richards, "Fundamentals of Radar Signal Processing", 2nd edition, 2014, section 5.3).
     """
-    paths = scored_paths(recording, "a range-Doppler map")
-    row = as_index("receiver", receiver, recording.receiver_names)
     ways = 2.0 if as_flag("two_way", two_way) else 1.0
-    rate, c = recording.sampling_rate, paths.scene.air.speed_of_sound
-    matched = MatchedFilter.of(pulse, rate)
-    emitted = emissions_of(recording, source_index(paths, source), len(matched.pulse))
-    first = as_count("first", first, at_most=max(len(emitted) - 2, 0))
-    most = len(emitted) - first
-    emitted = emitted[first : first + (most if count is None else as_count("count", count, at_least=2, at_most=most))]
-    gaps = np.diff(emitted)
+    train = _Train.of(recording, pulse, receiver, source, (first, count, 2), ways, max_range)
+    gaps = np.diff(train.emitted)
     if len(gaps) == 0 or np.ptp(gaps) > 1e-9:
-        raise InputError("source", f"must emit two evenly spaced pulses at least, but emits {len(emitted)}")
-    reach = None if max_range is None else ways * as_number("max_range", max_range, above=0.0, unit="m")
-    span = span_of(emitted, recording, reach, c)
-    rows = np.zeros((len(emitted), span), dtype=np.complex128)
-    for k, (begin, output) in enumerate(outputs_of(recording.samples[row], matched, emitted, span)):
-        late = emitted[k] * rate - begin  # of the emission after the sample, below one
-        rows[k, : len(output)] = output * np.exp(2j * np.pi * matched.centre * late / rate)
-    window = np.hanning(len(rows) + 2)[1:-1]
-    made = np.fft.fft(rows * (window / window.sum())[:, None], axis=0)
-    turns = np.fft.fftfreq(len(rows))  # per period
-    speeds = -turns * c / (ways * matched.centre * gaps[0])
+        raise InputError("source", f"must emit two evenly spaced pulses at least, but emits {len(train.emitted)}")
+    window = np.hanning(len(train.rows) + 2)[1:-1]
+    made = np.fft.fft(train.rows * (window / window.sum())[:, None], axis=0)
+    fastest = 0.5 * train.speed_of_sound / (ways * train.centre * float(gaps[0]))
+    speeds = -2.0 * fastest * np.fft.fftfreq(len(train.rows))
     order = np.argsort(speeds)
-    ranges = np.arange(span) / rate * c / ways
-    return RangeDopplerMap(read_only(made[order]), read_only(ranges), read_only(speeds[order]))
+    return RangeDopplerMap(read_only(made[order]), train.ranges, read_only(speeds[order]), fastest)
+
+
+def echoes(
+    recording: Recording,
+    pulse: Signal,
+    receiver: int | str = 0,
+    *,
+    source: int | str = 0,
+    two_way: bool = True,
+    max_range: float | None = None,
+) -> EchoMap:
+    """Compute the matched filter's output over range and number of the pulse, as a sonar's display shows it.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of sound, with its paths, of which nothing but the scene is used.
+    pulse : Signal
+        The pulse that the source repeats (see `Signal.pulses`).
+    receiver, source : int or str
+        Index or name.
+    two_way : bool
+        Whether sound travels the range forth and back, as a sonar's does, or one way.
+    max_range : float, optional
+        m; what fits between two emissions when left out.
+
+    Returns
+    -------
+    EchoMap
+        A row for each pulse that ends within the recording.
+
+    Raises
+    ------
+    InputError
+        If a value is out of bounds, the recording has no paths, or it is a complex envelope.
+
+    Examples
+    --------
+    >>> import clsim
+    >>> ping = clsim.Signal.chirp(30e3, 50e3, duration=1e-3, sampling_rate=192e3, window="hann")
+    >>> pings = clsim.Signal.pulses(ping, period=0.02, count=3)
+    >>> sonar = clsim.Source("sonar", pings, clsim.Trajectory.fixed((1.0, 1.0, 1.0)))
+    >>> ear = clsim.Receiver("ear", clsim.Trajectory.fixed((1.0, 1.0, 1.02)))
+    >>> room = clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.9))
+    >>> paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [sonar], [ear]), max_order=1)
+    >>> found = echoes(clsim.render(paths, 192e3), ping, max_range=2.0)
+    >>> loudest = abs(found.amplitude[:, 300:]).argmax(axis=1) + 300  # beyond the direct sound
+    >>> found.ranges[loudest].round(2)
+    array([1., 1., 1.])
+    """
+    ways = 2.0 if as_flag("two_way", two_way) else 1.0
+    train = _Train.of(recording, pulse, receiver, source, (0, None, 1), ways, max_range)
+    return EchoMap(read_only(train.rows), train.ranges, read_only(train.emitted))

@@ -14,14 +14,14 @@ from clsim.packages import check_packages, check_pictures
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.ground_truth import in_sight, reception_times
 from clsim.paths.legs.static import direct_paths
-from clsim.pictures.notebook import html_table
+from clsim.pictures.view_page import html_table
 from clsim.recording import as_recording
 from clsim.score.matched_filter import MatchedFilter, envelope_peak, phase_peak
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
@@ -154,13 +154,13 @@ class RangingScore:
         over = ("delay", "exact", "error", "crlb", "line_of_sight")
         return pandas.DataFrame(columns | {name: getattr(self, name).ravel() for name in over})
 
-    def plot(self) -> list[Axes]:
+    def plot(self) -> Figure:
         """Draw errors over time, by line of sight, and the distribution of their magnitudes.
 
         Returns
         -------
-        list of matplotlib.axes.Axes
-            Two, of a new figure of pyplot.
+        matplotlib.figure.Figure
+            A new figure of pyplot with two axes.
         """
         check_pictures("plot")
         from matplotlib import pyplot
@@ -180,7 +180,7 @@ class RangingScore:
             axes.grid(alpha=0.25, linewidth=0.6)
             if axes.get_legend_handles_labels()[0]:
                 axes.legend()
-        return list(figure.axes)
+        return figure
 
     def _inliers(self) -> Floats:
         found = self.error[self.detected]

@@ -15,12 +15,12 @@ import numpy as np
 from clsim.arrays import texts
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
-from clsim.output.raw_rows import SampleFile
+from clsim.output.hdf5_file import SampleFile
 from clsim.output.stores import member_store
 from clsim.paths.ground_truth import SCALARS, VECTORS
-from clsim.paths.labelled import ATTRIBUTES
+from clsim.paths.path_table import ATTRIBUTES
 from clsim.recording import Recording
-from clsim.render.rendering import Rendering
+from clsim.render.render import Rendering
 from clsim.scene_file.scene import build_scene
 from clsim.study.file import TAKEN
 from clsim.workflow.checkpoint import run_identity
@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clsim.output.stores import SoundStore
-    from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.ground_truth import DirectPath, EchoTruth
     from clsim.paths.path_table import PathTable
-    from clsim.paths.target_truth import EchoTruth
     from clsim.scene.scene import Scene
     from clsim.study.file import Member, Study
     from clsim.workflow.pipeline import PlannedScene, Sink

@@ -18,8 +18,7 @@ from pydantic import Field, ValidationError
 from clsim.arrays import as_count, as_number
 from clsim.errors import InputError
 from clsim.files.input_files import read_toml
-from clsim.scene_file.explain import UNKNOWN, explain
-from clsim.scene_file.model import Model
+from clsim.scene_file.model import UNKNOWN, Model, explain
 from clsim.scene_file.scene import build_scene, referenced_files
 
 if TYPE_CHECKING:

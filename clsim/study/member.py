@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 from clsim.errors import ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.output.stores import STORE_FORMAT, consolidate, write_zarr
-from clsim.output.zarr_chunks import arrays_with_missing_chunks
-from clsim.output.zarr_seal import is_sealed, seal
+from clsim.output.zarr_files import arrays_with_missing_chunks, is_sealed, seal
 from clsim.packages import check_packages
 from clsim.study.content import computed, metrics_function
 from clsim.study.file import Member, Study

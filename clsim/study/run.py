@@ -19,7 +19,7 @@ from clsim.cluster.workers import Workers
 from clsim.errors import InputError, in_one_line, warn
 from clsim.files.atomic import locked, safe_path, uninterrupted
 from clsim.output.stores import consolidate, write_zarr
-from clsim.output.zarr_seal import is_sealed, seal
+from clsim.output.zarr_files import is_sealed, seal
 from clsim.study.content import metrics_function
 from clsim.study.file import DEFAULT_LIMIT, Study, checked, load_study
 from clsim.study.member import (

@@ -8,17 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError
-from clsim.opencl.compiler import compiler_of
-from clsim.opencl.device import find_device
-from clsim.opencl.launch import upload, work
-from clsim.opencl.limits import check_buffers, operations_in_launch
+from clsim.opencl.device import check_buffers, find_device, operations_in_launch
+from clsim.opencl.launch import compiler_of, upload, work
 from clsim.tail.host_rays import FLOOR, PI, HostRays
-from clsim.tail.ray_run import ESCAPE_SCALE, FAINT, FARTHEST, MOST_REFLECTIONS, NOT_ESCAPED, SLOTS, Energies
-from clsim.tail.room_rays import ANGLES
+from clsim.tail.ray_room import ANGLES, ESCAPE_SCALE, FAINT, FARTHEST, MOST_REFLECTIONS, NOT_ESCAPED, SLOTS, Energies
 
 if TYPE_CHECKING:
     from clsim.opencl.device import DeviceInfo
-    from clsim.tail.ray_run import Layout, RayEngine, RayRun
+    from clsim.tail.ray_room import Layout, RayEngine, RayRun
 
 _OPERATIONS = 3000.0  # of a reflection
 _OPERATIONS_OF_ZONE = 30.0

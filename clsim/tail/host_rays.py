@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.tail.ray_run import ESCAPE_SCALE, FAINT, FARTHEST, MOST_REFLECTIONS, SLOTS
-from clsim.tail.room_rays import ANGLES
+from clsim.tail.ray_room import ANGLES, ESCAPE_SCALE, FAINT, FARTHEST, MOST_REFLECTIONS, SLOTS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.tail.ray_room import Float32s, RayRoom
-    from clsim.tail.ray_run import Energies, Layout, RayRun
+    from clsim.tail.ray_room import Energies, Float32s, Layout, RayRoom, RayRun
 
     Ints = NDArray[Any]
     Met = tuple[Float32s, Ints]

@@ -12,7 +12,7 @@ import numpy as np
 from clsim.numerics.quaternions import normalised, rotate
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.tail.host_rays import FLOOR
-from clsim.tail.ray_run import ESCAPE_SCALE, SLOTS, Layout, RayRun
+from clsim.tail.ray_room import ESCAPE_SCALE, SLOTS, Layout, RayRun
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.tail.ray_room import RayRoom
-    from clsim.tail.ray_run import RayEngine
-    from clsim.tail.room_rays import WallEnergies
+    from clsim.tail.ray_room import RayEngine, RayRoom, WallEnergies
 
     Emitted = Callable[[Floats], Floats]
     Ints = NDArray[np.int64]

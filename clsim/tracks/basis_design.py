@@ -12,7 +12,7 @@ import numpy as np
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import LONGEST, band_filters
 from clsim.tracks.basis import Basis, in_parts
-from clsim.tracks.sampled import GRIDS, Sample, common_delay, sampled_responses
+from clsim.tracks.sampled import GRIDS, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.numerics.band_filters import BandFilters
     from clsim.tracks.sampled import Band, Draw
-    from clsim.tracks.tracks import SceneTracks
 
 MOST_FUNCTIONS = 96  # a rod of 30 cm over 20 to 60 kHz takes 60
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
@@ -46,15 +45,7 @@ def turning_basis(source: int, frequency: float, band: Band, sampling_rate: floa
     )  # fmt: skip
 
 
-def scene_basis(
-    tracks: SceneTracks,
-    source: int,
-    band_at: Callable[[int], Band],
-    drawn: Draw,
-    until: float,
-    sampling_rate: float,
-    error_db: float,
-) -> Basis:
+def scene_basis(drawn: Draw, band_at: Callable[[int], Band], sampling_rate: float, error_db: float) -> Basis:
     """Return the fewest functions that hold the responses of a source's paths within an error.
 
     Phases of paths are as good as random, so that what a receiver hears, and the error of it, are the roots of sums of
@@ -66,26 +57,26 @@ def scene_basis(
     and given to the filters.
     """
     allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
-    late = common_delay(tracks, source, band_at(GRIDS[0]), until, sampling_rate)
+    late = drawn.common_delay(band_at(GRIDS[0]), sampling_rate)
     for count in GRIDS:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
-        sampled = sampled_responses(tracks.scene, source, drawn.rows, fine)
-        unresolved = _unresolved(sampled)
+        sampled = drawn.responses(fine)
+        unresolved = float(sampled.relative(_unresolved(sampled.responses)).max())
         if unresolved <= allowed:
             break
-    held = Held(source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
+    held = Held(drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    held_out = sampled_responses(tracks.scene, source, drawn.held_out, band)
+    held_out = drawn.responses(band, held_out=True)
     sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
     rows = _Rows.of(sampled)
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):
         found = _Functions.of(rows, count, allowed)
-        while found.wrong(rows.sample).max() > allowed and count < MOST_FUNCTIONS:
+        while found.error(rows).max() > allowed and count < MOST_FUNCTIONS:
             count += 1
             found = _Functions.of(rows, count, allowed)
-        wrong = found.wrong(held_out)
+        wrong = held_out.wrong(found.left(held_out.responses), found.nodes)
         if wrong.max() <= allowed or count == MOST_FUNCTIONS:
             break
         # What is held worst joins the rows; if that does not do, one more function is needed.
@@ -99,15 +90,15 @@ def _in_db(ratio: float) -> float:
     return 20.0 * math.log10(max(ratio, 1e-15))
 
 
-def _unresolved(sample: Sample) -> float:
-    """Return the largest error of responses at 3 F frequencies as made of every third, Chebyshev points as well."""
+def _unresolved(responses: Floats | Complexes) -> Floats | Complexes:
+    """Errors of responses (n, 3 F) as made of every third, Chebyshev points as well."""
     from scipy.fft import idct
 
-    responses = sample.responses
     coefficients = _chebyshev_coefficients(responses[:, 1::3])
     coefficients[:, 0] *= 2.0
     made = idct(coefficients * responses.shape[1], type=2, n=responses.shape[1], axis=1)
-    return float(sample.relative(made - responses).max())
+    left: Floats | Complexes = made - responses
+    return left
 
 
 def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) -> Basis:
@@ -207,7 +198,7 @@ class _Functions:
             if rows.parts == 2:
                 shapes = shapes + 1j * (found[:, frequencies:] / weight)
             functions = _Functions(shapes, nodes, _projection(shapes, nodes, weight))
-            wrong = functions.wrong(rows.sample)
+            wrong = functions.error(rows)
             if not allowed < wrong.max() < _HOPELESS * allowed:
                 break
             emphasis *= 1.0 + 3.0 * wrong / wrong.max()
@@ -222,15 +213,14 @@ class _Functions:
         """Return the gains (n, K) of responses (n, F)."""
         return np.asarray(in_parts(rows[:, self.nodes], self.parts) @ self.projection.T)
 
-    def wrong(self, sample: Sample) -> Floats:
-        """Return the largest error over all windows of each frame of a sample, (frames,).
+    def left(self, responses: Floats | Complexes) -> Floats | Complexes:
+        """Errors (n, F) of responses (n, F) as sums of the functions."""
+        left: Floats | Complexes = self.gains(responses) @ self.shapes - responses
+        return left
 
-        The error over the nodes counts as well, for that is what the OpenCL engine looks at as it renders.
-        """
-        gains, weight = self.gains(sample.responses), sample.importance[self.nodes]
-        left = gains @ self.shapes - sample.responses
-        at_nodes, heard = (sample.by_frame(r[:, self.nodes] * weight).sum(axis=1) for r in (left, sample.responses))
-        return np.asarray(np.maximum(sample.relative(left), np.sqrt(at_nodes / np.maximum(heard, 1e-300))))
+    def error(self, rows: _Rows) -> Floats:
+        """Largest error over all windows of each frame of the rows, (frames,)."""
+        return rows.sample.wrong(self.left(rows.sample.responses), self.nodes)
 
 
 def _square(rows: Floats) -> Floats:

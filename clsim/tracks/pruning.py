@@ -38,7 +38,7 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
     signal's band. What all paths that are left out add is at most the sum of their bounds.
     """
     sources = {pair.source for pair in tracks.pairs}
-    bands = {i: shares(tracks.scene.sources[i].emitted.energy_spectrum(), _SHARE) for i in sources}
+    bands = {i: shares(tracks.paths.scene.sources[i].emitted.energy_spectrum(), _SHARE) for i in sources}
     bounds = [_bounds(tracks, i, bands[pair.source], until) for i, pair in enumerate(tracks.pairs)]
     ends = [(pair.source, pair.receiver) for pair in tracks.pairs]
     strongest: dict[tuple[int, int], float] = {}  # of paths of all kinds
@@ -66,7 +66,7 @@ def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTra
 
 def _bounds(tracks: SceneTracks, pair: int, band: tuple[float, float], until: float) -> tuple[Floats, float]:
     """Return bounds (P,) of the gains of a pair's paths over a band, Hz, and the strongest gain that was met."""
-    scene, paths = tracks.scene, tracks.pair_paths[pair]
+    scene, paths = tracks.paths.scene, tracks.pair_paths[pair]
     source, receiver, c = scene.sources[paths.source], scene.receivers[paths.receiver], scene.air.speed_of_sound
     frequencies = np.linspace(*band, _FREQUENCIES)
     at = SceneResponse(scene, paths.source, frequencies)

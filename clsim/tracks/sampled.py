@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.numerics.chebyshev import chebyshev_points
+from clsim.numerics.band_filters import chebyshev_points
+from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.motion.curves import CONTINUATION, onward
 from clsim.scene.room.faces import NEAREST
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals
     from clsim.paths.family import PairPaths
-    from clsim.scene.scene import Scene
+    from clsim.scene.ends import Receiver, Source
+    from clsim.scene.motion.trajectory import Trajectory
     from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
     from clsim.tracks.tracks import SceneTracks, Tracks
+
+    End = TypeVar("End", Source, Receiver)
 
 GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
 SEED = 20_160_914
@@ -118,6 +124,15 @@ class Sample:
         """Return the error of functions that are wrong by so much (K, F), each with a gain of 1 at every instant."""
         return float(np.linalg.norm(self.sizes(shapes, np.ones((len(self.first), len(shapes))))))
 
+    def wrong(self, left: Floats | Complexes, nodes: NDArray[np.int64]) -> Floats:
+        """Largest error over all windows of each frame, (frames,), of errors (n, F) of its rows.
+
+        The error over nodes, by their indices, counts as well: the OpenCL engine measures it as it renders.
+        """
+        weight = self.importance[nodes]
+        at_nodes, heard = (self.by_frame(r[:, nodes] * weight).sum(axis=1) for r in (left, self.responses))
+        return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(heard, 1e-300))))
+
     @property
     def importance(self) -> Floats:
         """Weight (F,) of errors at each frequency: largest energy in any window, relative to its received energy."""
@@ -153,15 +168,58 @@ class Picked:
 class Draw:
     """Paths of a source at instants of the run: whatever its signal and band are, the same."""
 
+    tracks: SceneTracks
+    source: int  # index
+    until: float  # end of the run, s
     rows: tuple[Picked, ...]  # of which functions are made, and at which they are checked
-    held_out: tuple[Picked, ...]  # likewise
+    held_out: tuple[Picked, ...] = ()  # likewise
 
     @classmethod
     def of(cls, tracks: Tracks, source: int, until: float) -> Draw:
-        """Return those of a source of a scene for a run that ends at `until`, s."""
+        """Draw paths of a source of a scene for a run that ends at `until`, s."""
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
-        return cls(*(tuple(picked_paths(of_scene, source, until, count, rng)) for count in (_ROWS, _HELD_OUT)))
+        rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in (_ROWS, _HELD_OUT))
+        return cls(of_scene, source, until, rows, held_out)
+
+    def responses(self, band: Band, *, held_out: bool = False) -> Sample:
+        """Responses over a band of the paths of which functions are made, or of those at which they are checked."""
+        made: list[Any] = []
+        at = SceneResponse(self.tracks.paths.scene, self.source, band.frequencies)
+        for some in self.held_out if held_out else self.rows:
+            along = some.paths.shapes(some.found, some.times, at)[:, :, 0]
+            if band.late != 0.0:
+                along = along * np.conj(band.turn)
+            along = along * some.scale
+            made += [channel[begin:end] for begin, end in pairwise(some.first) for channel in along]
+        if not made:  # paths that are silent all the time
+            return Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64))
+        return Sample(band, np.concatenate(made), np.cumsum([0, *(len(rows) for rows in made[:-1])]))
+
+    def common_delay(self, band: Band, sampling_rate: float) -> float:
+        """Middle of the time in which complex responses have nearly all their energy, s, in whole samples.
+
+        It is 0 where that is little, and for real responses, which have no delay.
+        """
+        if not self.tracks.paths.is_complex:
+            return 0.0
+        width = band.high - band.low
+        count = int(np.clip(math.ceil(_LATEST * width), 64, _MOST_DELAYS))
+        even = np.linspace(band.low, band.high, count)
+        level = np.sqrt(band.energy.max(axis=0))
+        level = np.interp(even, band.frequencies[::-1], np.maximum(level / level.max(), _FAINT)[::-1])
+        picked = picked_paths(self.tracks, self.source, self.until, _LATE_ROWS, np.random.default_rng(SEED))
+        spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
+        rows = replace(self, rows=tuple(picked)).responses(spread).responses
+        energy = np.sum(np.abs(np.fft.ifft(rows * (level * np.hanning(count)), axis=1)) ** 2, axis=0)
+        # The transform goes round: time begins opposite to where most of the energy is, which is late rather than
+        # early.
+        turns = np.angle(energy @ np.exp(2j * math.pi * np.arange(count) / count)) / (2.0 * math.pi)
+        begin = round((turns + (turns < -0.25) - 0.5) * count)
+        below = np.cumsum(np.roll(energy, -begin)) / max(float(energy.sum()), 1e-300)
+        middle = begin + 0.5 * float(np.searchsorted(below, [_LATE_SHARE, 1.0 - _LATE_SHARE]).sum())
+        samples = round(middle * sampling_rate * (count - 1) / count / width)
+        return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
 
 
 def picked_paths(
@@ -172,8 +230,8 @@ def picked_paths(
     if len(pairs) > _MOST_PAIRS:
         pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
     few = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
-    centre = np.array([tracks.scene.sources[source].emitted.centre_frequency])
-    at_centre = SceneResponse(tracks.scene, source, centre)
+    centre = np.array([tracks.paths.scene.sources[source].emitted.centre_frequency])
+    at_centre = SceneResponse(tracks.paths.scene, source, centre)
     for i in pairs:
         paths, start, end = tracks.pair_paths[i], tracks.pairs[i].start, tracks.pairs[i].end
         instants, last = _instants(tracks, i, until, few), until
@@ -194,7 +252,14 @@ def picked_paths(
         most = max((len(rows) for _, rows, _ in drawn), default=1)
         each = max(_TOGETHER // most, 1) if paths.family.one_by_one else 1
         for begin in range(0, len(drawn), each):
-            yield _at_instants(paths, found, times, level, drawn[begin : begin + each])
+            part = drawn[begin : begin + each]
+            counts = [len(rows) for _, rows, _ in part]
+            scale = np.concatenate([np.sqrt(standing) / np.linalg.norm(level[:, t]) for t, _, standing in part])
+            rows = np.concatenate([rows for _, rows, _ in part])
+            at = np.repeat([t for t, _, _ in part], counts)[:, None]
+            when = times[at] if paths.family.one_by_one else times[at[0]]
+            first = tuple(np.cumsum([0, *counts]).tolist())
+            yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale[:, None], first)
 
 
 def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
@@ -203,7 +268,7 @@ def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
     Ends that hear alike in all directions, go a quarter of their distance and have the same paths all the time are
     told of by beginning, end and one instant between them.
     """
-    paths, scene = tracks.pair_paths[pair], tracks.scene
+    paths, scene = tracks.pair_paths[pair], tracks.paths.scene
     source, receiver = scene.sources[paths.source], scene.receivers[paths.receiver]
     alike = isinstance(source.directivity, Omni) and isinstance(receiver.directivity, Omni)
     if not (alike and paths.family.is_specular and tracks.pairs[pair].always_heard) or paths.family.moves:
@@ -212,38 +277,6 @@ def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
     begin = np.zeros(1)
     apart = float(np.linalg.norm(source.trajectory.position(begin) - receiver.trajectory.position(begin)))
     return int(np.clip(math.ceil(_PER_DISTANCE * way / max(apart - way, 1e-3 * way, NEAREST)), 3, most))
-
-
-def _at_instants(
-    paths: PairPaths, found: Arrivals, times: Floats, level: Floats, drawn: list[tuple[int, NDArray[np.int64], Floats]]
-) -> Picked:
-    """Return paths of a pair at instants together: index of each, rows, and how many paths each row stands for."""
-    counts = [len(rows) for _, rows, _ in drawn]
-    scale = np.concatenate([np.sqrt(standing) / np.linalg.norm(level[:, t]) for t, _, standing in drawn])[:, None]
-    rows, at = np.concatenate([rows for _, rows, _ in drawn]), np.repeat([t for t, _, _ in drawn], counts)[:, None]
-    when = times[at] if paths.family.one_by_one else times[at[0]]
-    first = tuple(np.cumsum([0, *counts]).tolist())
-    return Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
-
-
-def sampled_responses(scene: Scene, source: int, picked: Iterable[Picked], band: Band) -> Sample:
-    """Return the responses of picked paths of a source over a band."""
-    made: list[Any] = []
-    at = SceneResponse(scene, source, band.frequencies)
-    for some in picked:
-        along = some.paths.shapes(some.found, some.times, at)[:, :, 0]
-        if band.late != 0.0:
-            along = along * np.conj(band.turn)
-        along = along * some.scale
-        made += [channel[begin:end] for begin, end in pairwise(some.first) for channel in along]
-    if not made:
-        return _nothing(band)
-    return Sample(band, np.concatenate(made), np.cumsum([0, *(len(rows) for rows in made[:-1])]))
-
-
-def _nothing(band: Band) -> Sample:
-    """Return the sample of paths that are silent all the time."""
-    return Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64))
 
 
 def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Floats]:
@@ -266,26 +299,29 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
     return sounding[at], 1.0 / chance[at]
 
 
-def common_delay(tracks: SceneTracks, source: int, band: Band, until: float, sampling_rate: float) -> float:
-    """Return the middle of the time in which complex responses have nearly all their energy, s, in whole samples.
+def continued(tracks: SceneTracks, seconds: float) -> SceneTracks:
+    """Return the same tracks between ends that move on for so many seconds at either side.
 
-    It is 0 where that is little, and for real responses, which have no delay.
+    Ends are copied without their checks: where nothing sounds they may be outside of the room.
     """
-    if not tracks.paths.is_complex:
-        return 0.0
-    width = band.high - band.low
-    count = int(np.clip(math.ceil(_LATEST * width), 64, _MOST_DELAYS))
-    even = np.linspace(band.low, band.high, count)
-    level = np.sqrt(band.energy.max(axis=0))
-    weight = np.interp(even, band.frequencies[::-1], np.maximum(level / level.max(), _FAINT)[::-1]) * np.hanning(count)
-    spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
-    picked = picked_paths(tracks, source, until, _LATE_ROWS, np.random.default_rng(SEED))
-    rows = sampled_responses(tracks.scene, source, picked, spread).responses
-    energy = np.sum(np.abs(np.fft.ifft(rows * weight, axis=1)) ** 2, axis=0)
-    # The transform goes round: time begins opposite to where most of the energy is, which is late rather than early.
-    turns = np.angle(energy @ np.exp(2j * math.pi * np.arange(count) / count)) / (2.0 * math.pi)
-    begin = round((turns + (turns < -0.25) - 0.5) * count)
-    below = np.cumsum(np.roll(energy, -begin)) / max(float(energy.sum()), 1e-300)
-    middle = begin + 0.5 * float(np.searchsorted(below, [_LATE_SHARE, 1.0 - _LATE_SHARE]).sum())
-    samples = round(middle * sampling_rate * (count - 1) / count / width)
-    return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
+    scene, families = copy(tracks.paths.scene), {id(family): copy(family) for family in tracks.paths.families}
+    object.__setattr__(scene, "sources", tuple(_end(end, seconds) for end in tracks.paths.scene.sources))
+    object.__setattr__(scene, "receivers", tuple(_end(end, seconds) for end in tracks.paths.scene.receivers))
+    for family in families.values():
+        object.__setattr__(family, "scene", scene)
+    pair_paths = tuple(replace(pair, family=families[id(pair.family)]) for pair in tracks.pair_paths)
+    return replace(tracks, paths=PathSet(scene, tuple(families.values())), pair_paths=pair_paths)
+
+
+def _end(end: End, seconds: float) -> End:
+    made = copy(end)
+    object.__setattr__(made, "trajectory", _motion(end.trajectory, seconds))
+    return made
+
+
+def _motion(motion: Trajectory, seconds: float) -> Trajectory:
+    """Return a motion that goes on: lines and circles as they are, others straight beyond their continuation."""
+    if motion.end == np.inf:
+        return motion
+    curve = onward(motion.curve, motion.start - CONTINUATION, motion.end + CONTINUATION)
+    return replace(motion, curve=curve, start=motion.start - seconds, end=motion.end + seconds)

@@ -1,15 +1,17 @@
-"""Delays and gains as samples: checks, active intervals, and splines through them."""
+"""Delays and gains as samples, splines through them, and transitions of paths that begin and end."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from clsim.arrays import as_floats
+from clsim.arrays import as_floats, as_number, read_only
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -69,3 +71,96 @@ def fitted_splines(
         values = np.stack([delays[which, a:b], gains[which, a:b]], axis=-1).swapaxes(0, 1)
         fitted.append((rows, CubicSpline(times[a:b], values, bc_type="not-a-knot" if b - a > 3 else "natural")))
     return tuple(fitted)
+
+
+DEFAULT_TRANSITION = 1e-3  # s
+_LONGEST = 1.0  # s
+
+
+def as_transition(value: object) -> float:
+    """Return the length of the transition, s; 0 for none."""
+    return as_number("transition", value, at_least=0.0, at_most=_LONGEST, unit="s")
+
+
+def heard(times: Floats, start: Floats, end: Floats, transition: float) -> Floats:
+    """Return the weight (paths, times) of paths that are active from `start` to `end` (paths,).
+
+    Shapes: times (T,) s; start, end (P,) s.
+
+    transition: length of the raised cosine, s; 0 for none: 1 from `start` on and 0 from `end` on.
+
+    A gate splatters: a 40 kHz tone that is switched leaves -49 dB at 5 kHz off, over 1 ms -90 dB. Weights of paths that
+    follow each other add up to 1, however short each is.
+    """
+    if transition == 0.0:
+        return ((times >= start[:, None]) & (times < end[:, None])).astype(np.float64)
+    rise = np.clip((times - start[:, None]) / transition + 0.5, 0.0, 1.0)
+    fall = np.clip((times - end[:, None]) / transition + 0.5, 0.0, 1.0)
+    return np.asarray(0.5 * (np.cos(np.pi * fall) - np.cos(np.pi * rise)))
+
+
+def heard_samples(
+    start: Floats, end: Floats, transition: float, sampling_rate: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first sample of each path and the one after its last, counted from time 0, bounded to 62 bits."""
+    first = _first_at(start - 0.5 * transition, sampling_rate)
+    last = _first_at(end + 0.5 * transition, sampling_rate)
+    return first, last
+
+
+def _first_at(times: Floats, sampling_rate: float) -> NDArray[np.int64]:
+    """Return the first sample n with ``n / sampling_rate >= time``, exactly as floats compare."""
+    place = np.clip(np.ceil(times * sampling_rate), -(2.0**62), 2.0**62)
+    place = np.where((place - 1.0) / sampling_rate >= times, place - 1.0, place)
+    place = np.where(place / sampling_rate < times, place + 1.0, place)
+    return np.asarray(np.clip(place, -(2.0**62), 2.0**62), dtype=np.int64)
+
+
+_TOGETHER = 65536  # paths looked at at a time
+
+
+def in_batches(items: Sequence[int], counts: Sequence[int]) -> Iterator[list[int]]:
+    """Yield neighbouring items together whose paths, as many as counted, are a bounded number, or one item."""
+    batch: list[int] = []
+    together = 0
+    for item, count in zip(items, counts, strict=True):
+        if batch and together + count > _TOGETHER:
+            yield batch
+            batch, together = [], 0
+        batch.append(item)
+        together += count
+    if batch:
+        yield batch
+
+
+class FittedTracks(NamedTuple):
+    """Splines through sampled delays and gains, by source and receiver, and bounds of what they do."""
+
+    pairs: list[tuple[int, int, Floats, Floats]]  # source, receiver, and when each path begins and ends, s
+    splines: tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...]
+    source_count: int
+    receiver_names: tuple[str, ...]
+    largest_rate: float  # s/s
+    end: float  # s
+
+
+def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: Any) -> FittedTracks:
+    """Fit tracks to samples; see `Tracks.from_samples`."""
+    times, delays, gains = checked_samples(times, delays, gains)
+    s, r = (checked_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
+    intervals = heard_intervals(np.isfinite(delays))
+    pairs, splines, largest = [], [], 0.0
+    for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in intervals}):
+        mine = [interval for interval in intervals if (s[interval[0]], r[interval[0]]) == pair]
+        fitted = fitted_splines(mine, times, delays, gains)
+        splines.append(fitted)
+        largest = max([largest, *(float(np.abs(f(f.x, 1)[..., 0]).max()) for _, f in fitted)])
+        start = np.array([times[a] if a else -np.inf for _, a, _ in mine])
+        end = np.array([times[b - 1] if b < len(times) else np.inf for _, _, b in mine])
+        pairs.append((*pair, read_only(start), read_only(end)))
+    if largest >= 1.0:
+        raise InputError("delays", f"must change by less than 1 s per second, but change by {largest:.3g}")
+    names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
+    # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
+    bound = min(1.05 * largest, 0.99)
+    return FittedTracks(pairs, tuple(splines), int(s.max()) + 1, names, bound, float(times[-1]))

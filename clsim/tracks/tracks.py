@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, read_only, short_repr
+from clsim.arrays import Floats, short_repr
 from clsim.errors import InputError
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.family import PeakSpeeds
@@ -17,9 +17,7 @@ from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.tracks.basis import Basis, flat_basis
-from clsim.tracks.delay_bounds import delay_bounds
-from clsim.tracks.splines import checked_indices, checked_samples, fitted_splines, heard_intervals
-from clsim.tracks.transition import DEFAULT_TRANSITION, as_transition
+from clsim.tracks.splines import DEFAULT_TRANSITION, as_transition, fitted_tracks, in_batches
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -235,8 +233,8 @@ class Tracks(ABC):
         float
             Not below any delay, s; 0 without paths.
         """
-        pairs = (i for i, pair in enumerate(self.pairs) if source in (None, pair.source))
-        return max((float(self.delay_range(i, start, end)[1].max()) for i in pairs), default=0.0)
+        pairs = [i for i, pair in enumerate(self.pairs) if source in (None, pair.source)]
+        return max((float(high.max()) for _, high in self.delay_ranges(pairs, start, end)), default=0.0)
 
     @abstractmethod
     def first_end(self) -> tuple[float, str]:
@@ -291,7 +289,8 @@ class Tracks(ABC):
         >>> clsim.render_tracks([tone], tracks, sampling_rate=48e3).pressure.shape
         (1, 48000)
         """
-        return _from_samples(times, delays, gains, sources, receivers, as_transition(transition))
+        fitted = fitted_tracks(times, delays, gains, sources, receivers)
+        return SampledTracks(tuple(PairTracks(*pair) for pair in fitted.pairs), *fitted[1:], as_transition(transition))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,7 +325,7 @@ class SceneTracks(Tracks):
     @property
     def channels(self) -> tuple[tuple[str, ...], ...]:
         """Those of the receivers' directivities."""
-        return tuple(receiver.directivity.channels for receiver in self.scene.receivers)
+        return tuple(receiver.directivity.channels for receiver in self.paths.scene.receivers)
 
     def paths_of(self, pair: int) -> Any:
         """Return the kind of paths, both ends, and where among all the paths stand."""
@@ -335,7 +334,7 @@ class SceneTracks(Tracks):
 
     def costly(self, pair: int) -> bool:
         """Test the kind of paths, and whether the host works out the gains of several channels."""
-        receiver = self.scene.receivers[self.pairs[pair].receiver]
+        receiver = self.paths.scene.receivers[self.pairs[pair].receiver]
         return self.pair_paths[pair].family.costly or isinstance(receiver.directivity, ChannelDirectivity)
 
     def evaluate(
@@ -355,12 +354,12 @@ class SceneTracks(Tracks):
         """Solve the paths once that pairs have in common, as those of both ears."""
         of_pairs = [self.pair_paths[i] if rows is None else self.pair_paths[i].part(rows) for i in pairs]
         paths = of_pairs[0]
-        receiver = self.scene.receivers[paths.receiver]
+        receiver = self.paths.scene.receivers[paths.receiver]
         clock_error, clock_rate = receiver.clock_error(times), receiver.clock_rate
         now = times + clock_error
         found = paths.arrivals(now, self.kinematics)
         some = found if every == 1 else found.part(np.arange(len(paths)), slice(None, None, every))
-        at = SceneResponse(self.scene, paths.source, basis.nodes)
+        at = SceneResponse(self.paths.scene, paths.source, basis.nodes)
         response = paths.response(some, now[::every], at)
         delay, rate = found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0)
         late, beside = np.zeros((*delay.shape, 1)), np.zeros((*delay.shape, 1))
@@ -384,7 +383,7 @@ class SceneTracks(Tracks):
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
         fastest, source_speed = 0.0, float(self.speeds.source[source])
-        clock_rates = (receiver.clock_rate for receiver in self.scene.receivers)
+        clock_rates = (receiver.clock_rate for receiver in self.paths.scene.receivers)
         for speed, clock_rate in set(zip(self.speeds.receiver.tolist(), clock_rates, strict=True)):
             rate = max(family.max_rate(source_speed, speed) for family in self.paths.families)
             fastest = max(fastest, rate * clock_rate + abs(clock_rate - 1.0))
@@ -393,13 +392,15 @@ class SceneTracks(Tracks):
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
         """Return the largest peak speed, of scatterers and bodies too, and what it would be at another rate."""
         v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
-        surfaces = [s.peak_speeds()[1] for s in self.scene.scatterers] + [b.peak_speed for b in self.scene.bodies]
+        surfaces = [s.peak_speeds()[1] for s in self.paths.scene.scatterers] + [
+            b.peak_speed for b in self.paths.scene.bodies
+        ]
         v_b = max(surfaces, default=0.0)  # seen there and back
         together = v_s + v_r + 2.0 * v_b + max_rate * v_s
         if together == 0.0:
             return 0.0, 0.0
         most = max(v_s, v_r, v_b)
-        return most, max_rate * self.scene.air.slowest / together * most
+        return most, max_rate * self.paths.scene.air.slowest / together * most
 
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return the bounds of the kind of paths, by the receiver's clock."""
@@ -407,28 +408,25 @@ class SceneTracks(Tracks):
 
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
         """Return the bounds of very many pairs at once."""
+        clock_times = np.array([start, end])
+        clock_error = np.stack([r.clock_error(clock_times) for r in self.paths.scene.receivers])
+        first, last = (clock_times + clock_error).T
+        least, most = clock_error.min(axis=1), clock_error.max(axis=1)
         bounds: dict[int, tuple[Floats, Floats]] = {}
-        for batch, low, high in delay_bounds(self.paths, self.speeds, self.pair_paths, pairs, start, end):
-            last = 0
-            for pair in batch:
-                first, last = last, last + len(self.pairs[pair])
-                bounds[pair] = low[first:last], high[first:last]
+        for family in self.paths.families:
+            mine = [i for i in pairs if self.pair_paths[i].family is family]
+            for batch in in_batches(mine, [len(self.pair_paths[i]) for i in mine]):
+                rows = np.concatenate([self.pair_paths[i].index for i in batch])
+                r, counts = family.receiver[rows], [len(self.pair_paths[i]) for i in batch]
+                low, high = family.delay_bounds(rows, first[r], last[r], self.speeds)
+                reach = np.repeat([self.pair_paths[i].reach for i in batch], counts)
+                each = (np.split(x, np.cumsum(counts)[:-1]) for x in (low - most[r] - reach, high - least[r] + reach))
+                bounds |= dict(zip(batch, zip(*each, strict=True), strict=True))
         return [bounds[pair] for pair in pairs]
-
-    def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
-        """Return the largest of the bounds of `delay_range`, of very many pairs at once."""
-        pairs = [i for i, pair in enumerate(self.pair_paths) if source in (None, pair.source)]
-        return max(
-            (
-                float(high.max())
-                for _, _, high in delay_bounds(self.paths, self.speeds, self.pair_paths, pairs, start, end)
-            ),
-            default=0.0,
-        )
 
     def first_end(self) -> tuple[float, str]:
         """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity, and whose."""
-        scene = self.scene
+        scene = self.paths.scene
         ends = [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
         ends += [(body.trajectory.end, body.name) for body in scene.bodies]
         known = [min([(r.trajectory.end, r.name), *ends]) for r in scene.receivers]
@@ -564,27 +562,3 @@ def _clock_time(receiver: Receiver, times: Floats) -> Floats:
     if receiver.electronics is None:
         return times
     return (times - receiver.clock_error(np.zeros(1))) / receiver.clock_rate
-
-
-def _from_samples(
-    times: Any, delays: Any, gains: Any, sources: Any, receivers: Any, transition: float
-) -> SampledTracks:
-    times, delays, gains = checked_samples(times, delays, gains)
-    s, r = (checked_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
-    intervals = heard_intervals(np.isfinite(delays))
-    pairs, splines, largest = [], [], 0.0
-    for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in intervals}):
-        mine = [interval for interval in intervals if (s[interval[0]], r[interval[0]]) == pair]
-        fitted = fitted_splines(mine, times, delays, gains)
-        splines.append(fitted)
-        largest = max([largest, *(float(np.abs(f(f.x, 1)[..., 0]).max()) for _, f in fitted)])
-        start = np.array([times[a] if a else -np.inf for _, a, _ in mine])
-        end = np.array([times[b - 1] if b < len(times) else np.inf for _, _, b in mine])
-        pairs.append(PairTracks(*pair, read_only(start), read_only(end)))
-    if largest >= 1.0:
-        raise InputError("delays", f"must change by less than 1 s per second, but change by {largest:.3g}")
-    names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
-    # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
-    return SampledTracks(
-        tuple(pairs), tuple(splines), int(s.max()) + 1, names, min(1.05 * largest, 0.99), float(times[-1]), transition
-    )

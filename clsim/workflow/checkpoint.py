@@ -15,8 +15,7 @@ from clsim.cluster.dispatch import Dispatch
 from clsim.errors import ClsimError, InputError, warn
 from clsim.files.atomic import remove_leftovers
 from clsim.render.memory import within_memory
-from clsim.render.receiver_chain import ReceiverChain
-from clsim.render.rendering import PressureSum, Rendering
+from clsim.render.render import PressureSum, ReceiverChain, Rendering
 from clsim.scene_file.scene import referenced_files
 from clsim.workflow.console import progress
 from clsim.workflow.pieces import Handed, Piece, PlanFile, check_worker, device_of, do_piece, idle, versions

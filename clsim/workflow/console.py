@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimWarning
 from clsim.files.names import shown
-from clsim.scene_file.words import as_toml
+from clsim.scene_file import as_toml
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -97,7 +97,7 @@ class BuiltPrograms(logging.Handler):
 @contextmanager
 def built_programs() -> Iterator[BuiltPrograms]:
     """Yield a counter of the programs that are built in this block."""
-    log, handler = logging.getLogger("clsim.opencl.compiler"), BuiltPrograms()
+    log, handler = logging.getLogger("clsim.opencl.launch"), BuiltPrograms()
     level, spreads = log.level, log.propagate
     log.addHandler(handler)
     log.setLevel(logging.INFO)

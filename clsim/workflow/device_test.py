@@ -11,10 +11,10 @@ import numpy as np
 
 from clsim.opencl.device import DeviceInfo, find_device
 from clsim.paths.find_paths import find_paths
+from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.planning import plan_render
-from clsim.render.reference import ReferenceEngine
 from clsim.scene.air import Air
 from clsim.scene.directivity.patterns import FirstOrder, Piston
 from clsim.scene.ends import Receiver, Source

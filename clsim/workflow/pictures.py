@@ -12,6 +12,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
 
 from clsim.errors import counted, warn
 from clsim.pictures.plots import DIRECT, RANGE_DB, envelope_spectrogram, new_figure, save_figure, spectrogram_picture
+from clsim.recording import sweep_window
 from clsim.workflow.console import progress
 from clsim.workflow.outputs import MOST_DRAWN, PICTURES, picture
 
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     from clsim.workflow.pipeline import PlannedScene
     from clsim.workflow.result_folder import ResultFolder
 
-_SHORT, _SWEEPS = 0.05, 8.0  # s, and band times duration, of pulses that are short sweeps
-_LEAST_WINDOW = 32  # samples
 _PURE, _MOST_CURVES = (
     0.02,
     6,
@@ -85,22 +84,11 @@ def _draw(kind: str, planned: PlannedScene, times: Floats, sound: Readable, r: i
     elif plan.carrier is None:
         spectrogram_picture(
             sound, rate, path, title=title, band=_shown_band(plan), unit=plan.units[plan.first_rows[r]],
-            segment=_sweep_window(plan), overlay=_theory(planned, times, r),
+            segment=sweep_window((filters.signal for filters in plan.source_filters), rate),
+            overlay=_theory(planned, times, r),
         )  # fmt: skip
     else:
         envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, path, title=title)
-
-
-def _sweep_window(plan: Plan) -> int | None:
-    """Return the window of a spectrogram that resolves a short sweep best, samples; None for other signals."""
-    windows = []
-    for filters in plan.source_filters:
-        pulse = filters.signal.pulse
-        low, high = pulse.band()
-        if pulse.duration > _SHORT or (high - low) * pulse.duration < _SWEEPS:
-            return None
-        windows.append(2.0 * np.sqrt(pulse.duration / (high - low)) * plan.sampling_rate)
-    return max(_LEAST_WINDOW, 2 ** round(np.log2(max(windows)))) if windows else None
 
 
 def _theory(planned: PlannedScene, times: Floats, r: int) -> list[tuple[Floats, Floats, str]]:

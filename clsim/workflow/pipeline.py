@@ -12,8 +12,7 @@ import numpy as np
 from clsim.errors import InputError, warn
 from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
-from clsim.paths.ground_truth import direct_path
-from clsim.paths.target_truth import body_truth, scatterer_truth
+from clsim.paths.ground_truth import body_truth, direct_path, scatterer_truth
 from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths
@@ -30,12 +29,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.ground_truth import DirectPath
+    from clsim.paths.ground_truth import DirectPath, EchoTruth
     from clsim.paths.path_set import PathSet
     from clsim.paths.path_table import PathTable
-    from clsim.paths.target_truth import EchoTruth
     from clsim.render.plan import Plan
-    from clsim.render.rendering import Rendering
+    from clsim.render.render import Rendering
     from clsim.scene_file.scene import SceneFile
     from clsim.workflow.console import Progress
 

@@ -23,11 +23,11 @@ version = release = clsim.__version__
 html_title = f"clsim {release}"
 extensions = [
     "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "sphinx_gallery.gen_gallery",
-    "sphinx.ext.mathjax", "sphinx-mathjax-offline",
+    "sphinx.ext.mathjax", "sphinx-mathjax-offline", "sphinx_design",
 ]  # fmt: skip
 root_doc = "index"
 exclude_patterns = ["site", "tutorials", "gallery/*.ipynb", "gallery/**/*.md5"]
-myst_enable_extensions = ["dollarmath"]
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
 highlight_language = "none"
 
@@ -70,4 +70,5 @@ def setup(app: Any) -> None:
     """Write the pages that are made of the program itself before any is read."""
     app.connect("source-read", _within_site)
     pages.write_reference(Path(__file__).parents[1] / "api")
+    pages.write_copies(Path(__file__).parents[1])
     pages.write_validation(Path(__file__).parents[1], os.environ.get("CLSIM_MEASURED"))

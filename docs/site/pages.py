@@ -44,6 +44,20 @@ def write_reference(folder: Path) -> None:
     _write(folder / "index.rst", "\n".join(parts))
 
 
+# Pages that stand elsewhere in the repository, and their names on the site.
+COPIES = {"CHANGELOG.md": "changes", "CONTRIBUTING.md": "contributing", "tests/README.md": "tests"}
+
+
+def write_copies(docs: Path) -> None:
+    """Write the pages that stand elsewhere, with links from where they are then."""
+    root = Path(clsim.__file__).parents[1]
+    for source, name in COPIES.items():
+        text = (root / source).read_text("utf-8").replace("](benchmarks/", "](../benchmarks/")
+        for other, page in COPIES.items():
+            text = text.replace(f"]({other})", f"]({page}.md)")
+        _write(docs / f"{name}.md", text.replace("](docs/", "](").replace("](../docs/", "]("))
+
+
 def _write(path: Path, text: str) -> None:
     """Write a file whose text differs from what is there: what is the same need not be read again."""
     if not path.exists() or path.read_text("utf-8") != text:

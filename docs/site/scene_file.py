@@ -6,6 +6,7 @@
 import ast
 import inspect
 import re
+import sys
 import textwrap
 import types
 from collections.abc import Callable, Iterator
@@ -18,7 +19,7 @@ from pydantic_core import PydanticUndefined
 from clsim.render.options import RenderOptions
 from clsim.scene.ends import Receiver
 from clsim.scene.fluctuation import Fluctuation
-from clsim.scene_file.explain import kinds, tables_of
+from clsim.scene_file.model import kinds, tables_of
 from clsim.scene_file.scene import SceneModel, _Common
 
 PAGE = Path(__file__).parents[1] / "scene_file.md"
@@ -125,7 +126,10 @@ def default_of(field: Any) -> str:
 
 
 def constructors(model: type[BaseModel]) -> Iterator[Callable[..., Any]]:
-    """Yield what a model's methods call by name: the constructors whose arguments its keys are."""
+    """Yield the constructors whose arguments a model's keys are: its own, or what its methods call by name."""
+    if own := getattr(model, "constructor", None):
+        yield own
+        yield vars(sys.modules[own.__module__]).get(own.__qualname__.partition(".")[0], own)  # its class
     methods = [
         (name, found) for base in model.__mro__ for name, found in vars(base).items() if inspect.isfunction(found)
     ]

@@ -2,8 +2,8 @@
 A circle and Doppler
 ====================
 
-A 40 kHz source goes round a circle once a second. The receiver hears the frequency rise and fall, and the ground truth
-says by how much, exactly.
+A 40 kHz source goes round a circle once a second. The frequency at the receiver rises and falls.
+The ground truth states it exactly.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ import clsim
 
 tone = clsim.Signal.tone(40e3, duration=1.0, sampling_rate=192e3, fade=0.01)
 circle = clsim.Trajectory.circle(center=(4, 3, 1.5), radius=0.5, period=1.0, duration=1.0)
-room = clsim.Shoebox(size=(8.0, 6.0, 3.0), walls=clsim.Material.from_reflection(0.0))  # nothing comes back
+room = clsim.Shoebox(size=(8.0, 6.0, 3.0), walls=clsim.Material.from_reflection(0.0))  # no echoes
 scene = clsim.Scene(
     room,
     clsim.Air(),
@@ -23,14 +23,14 @@ paths = clsim.find_paths(scene, max_order=0)
 recording = clsim.render(paths, sampling_rate=192e3, duration=1.0)
 
 # %%
-# The theory is drawn over the spectrogram: 40 kHz times the Doppler factor of the direct path.
+# Draw the spectrogram, and over it 40 kHz times the Doppler factor of the direct path.
 times = np.linspace(0.05, 0.95, 91)
 truth = clsim.direct_path(paths, times)
-axes = recording.spectrogram("ear", band=(39e3, 41e3))
-axes.plot(times, 40e3 * truth.doppler_factor[0, 0] / 1e3, "w--", linewidth=1)
+figure = recording.spectrogram("ear", band=(39e3, 41e3))
+figure.axes[0].plot(times, 40e3 * truth.doppler_factor[0, 0] / 1e3, "w--", linewidth=1)
 
 # %%
-# The check: cycles of the sound between two instants are those that the truth tells.
+# Check: the frequency of the sound, from its phase, is that of the ground truth.
 sound = recording.pressure[0].astype(np.float64)
 spectrum = np.fft.fft(sound)
 spectrum[len(sound) // 2 :] = 0.0  # the analytic signal

@@ -2,8 +2,8 @@
 What walls add
 ==============
 
-Each wall is a mirror: behind it is an image of the source, and the order of a path is how often it is mirrored. What a
-wall keeps of the sound is its material's.
+Each wall is a mirror. Behind it is an image of the source, and the number of mirrors is the order
+of the path. The material says how much of the sound a wall reflects.
 """
 
 import numpy as np
@@ -27,6 +27,7 @@ rows[-1].set_xlabel("delay (ms)")
 figure.colorbar(points, ax=rows, label="order", ticks=range(4))
 
 # %%
-# The check: of order 3 there are as many images as the closed form says, and none comes before the direct sound.
+# Check: up to order 3 there are as many paths as the closed form says. None arrives before the
+# direct sound.
 assert len(table.order) == 1 + 2 * 3 * (2 * 3**2 + 3 * 3 + 4) // 3
 assert np.argmin(table.delay[:, 0]) == np.flatnonzero(table.order == 0)[0]

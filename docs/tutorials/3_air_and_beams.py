@@ -2,8 +2,8 @@
 Air and beams
 =============
 
-At 40 kHz air takes more than 1 dB per metre, and transducers look ahead. Both depend on the frequency and act over the
-whole band of the signal.
+At 40 kHz air absorbs more than 1 dB per metre, and transducers have narrow beams. Both depend on
+the frequency and act over the whole band of the signal.
 """
 
 import numpy as np
@@ -26,7 +26,8 @@ right.set(xlabel="angle (°)", ylabel="gain (dB)")
 right.legend()
 
 # %%
-# In a scene both are properties: the same receiver, turned by 60 degrees, hears less, by the beam's gain.
+# In a scene, air and directivity are properties. A receiver that is turned by 60 degrees receives
+# less, by the gain of its beam.
 room = clsim.Shoebox((9.0, 5.0, 3.0), clsim.Material.from_reflection(0.0))
 tone = clsim.Signal.tone(40e3, duration=0.05, sampling_rate=192e3, fade=0.005)
 source = clsim.Source("source", tone, clsim.Trajectory.fixed((1, 2.5, 1.5)))
@@ -39,7 +40,7 @@ recording = clsim.render(clsim.find_paths(clsim.Scene(room, air, [source], ears)
 ahead, aside = np.sqrt(np.mean(recording.pressure[:, 5000:8000] ** 2, axis=1))
 
 # %%
-# The check: the level at 5 m, of a source whose amplitude is that at 1 m, and the share that the beam leaves.
+# Check: the level at 5 m of a source whose amplitude is that at 1 m, and the gain of the beam.
 loss = 10 ** (-4.0 * air.absorption_at(40e3) / 20)
 np.testing.assert_allclose(ahead, loss / 5.0 / np.sqrt(2), rtol=1e-3)
 np.testing.assert_allclose(aside / ahead, np.abs(piston.gain(0.5, 40e3, air.speed_of_sound)), rtol=1e-3)

@@ -2,8 +2,9 @@
 A mesh room and a corner
 ========================
 
-Rooms of any shape: a floor plan here, a mesh file with ``MeshRoom.from_file``. A path is heard exactly while walls let it
-through, and sound that turns round an edge, ``diffraction=1``, fills the shadow.
+Rooms may have any shape. Here it is a floor plan; ``MeshRoom.from_file`` reads a mesh. A path is
+active exactly while walls let it pass. With ``diffraction=1`` sound goes round edges and fills
+the shadow.
 """
 
 import numpy as np
@@ -26,7 +27,8 @@ times = np.linspace(0.0, 2.95, 300)
 table = paths.table(times)
 
 # %%
-# Delays over time; what turns round the corner is dashed. The direct sound begins where the robot comes into sight.
+# Draw delays over time. Paths round the corner are dashed. The direct sound begins when the robot
+# comes into sight.
 turned = np.any(table.interactions == 1, axis=1)
 figure, axes = pyplot.subplots(layout="constrained")
 for path in range(len(table.order)):
@@ -35,7 +37,7 @@ for path in range(len(table.order)):
 axes.set(xlabel="time (s)", ylabel="delay (ms)")
 
 # %%
-# The check: the direct sound begins when source, corner and receiver are in line, one travel time later.
+# Check: the direct sound begins one travel time after source, corner and receiver are in line.
 first = times[table.heard[(table.order == 0) & ~turned].any(axis=0)][0]
 positions = walk.position(times)
 side = (positions[:, 0] - 7.0) * (4.0 - 1.0) - (positions[:, 1] - 1.0) * (4.0 - 7.0)

@@ -2,8 +2,8 @@
 Ranging and its score
 =====================
 
-A beacon sends chirps; four receivers measure ranges by matched filters, and places by their ranges. The score compares
-both with the ground truth.
+A beacon sends chirps. Four receivers measure ranges by matched filters, and the beacon's position
+follows from their ranges. The score compares both with the ground truth.
 """
 
 import clsim
@@ -21,17 +21,18 @@ paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [beacon], anchors), max_
 recording = clsim.render(paths, sampling_rate=192e3)
 
 # %%
-# Errors of the ranges, over the emissions:
+# Plot the errors of the ranges over the emissions.
 ranges = clsim.score.ranging(recording, pulse, "first-peak")
 ranges.plot()
 
 # %%
-# and of the places found by all four:
+# Print the median errors of ranges and positions.
 found = clsim.score.position(ranges)
-print(f"median {1e3 * ranges.percentile(50):.2f} mm of ranges, {1e3 * found.percentile(50):.2f} mm of places")
+print(f"median {1e3 * ranges.percentile(50):.2f} mm of ranges, {1e3 * found.percentile(50):.2f} mm of positions")
 
 # %%
-# The check: everything is detected. What is left is mostly what a chirp's Doppler moves its peak by, ``f T / B`` of the speed:
-# 10 ms of at most 0.34 m/s. A beacon at 3 m/s is 3 cm off.
+# Check: every pulse is detected. The remaining error is mostly the shift of a chirp's peak by
+# Doppler, ``f T / B`` times the speed: 10 ms times at most 0.34 m/s. A beacon at 3 m/s is 3 cm
+# off.
 assert ranges.detection_rate == 1.0
 assert ranges.percentile(75) < 4e-3

@@ -2,8 +2,8 @@
 Sonar
 =====
 
-Things that move scatter sound. With ``direct=False`` only their echoes are heard, which are otherwise far below what comes
-straight from the source.
+Moving things scatter sound. Their echoes are far below the direct sound; ``direct=False`` leaves
+the direct sound out.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ echoes = clsim.find_paths(scene, max_order=0, scattering_order=0, direct=False)
 recording = clsim.render(echoes, sampling_rate=192e3)
 
 # %%
-# Echoes of each pulse, one row for each, by the time since it was sent: the ball comes nearer.
+# Draw the echoes, one row for each pulse, over the time since it was sent. The ball comes nearer.
 period = round(0.05 * 192e3)
 sound = np.resize(np.pad(recording.pressure[0], (0, period)), 16 * period)
 rows = sound.reshape(16, period)
@@ -33,7 +33,8 @@ axes.imshow(correlation, aspect="auto", origin="lower", extent=span)
 axes.set(xlabel="time since the pulse (ms)", ylabel="pulse")
 
 # %%
-# The check: the peaks are at the ways there and back, less what Doppler moves a chirp's peak by, ``f T / B`` of the shift.
+# Check: each peak is at the travel time there and back, less the shift of a chirp's peak by
+# Doppler. That is ``f T / B`` times the relative Doppler shift.
 sent = 0.05 * np.arange(16)
 peaks = correlation.argmax(axis=1) / 192e3
 ball_at = way.position(sent + 0.5 * peaks)

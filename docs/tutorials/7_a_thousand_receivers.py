@@ -2,8 +2,8 @@
 A thousand receivers
 ====================
 
-An array is a grid of positions; all share the source's images. Here a ceiling of 1000 receivers hears one chirp, and shows the
-field as a picture.
+An array is a grid of positions. All receivers share the images of the source. Here a ceiling of
+1000 receivers records one chirp and shows the field as a picture.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ scene = clsim.Scene(room, clsim.Air(), [source], ears)
 recording = clsim.render(clsim.find_paths(scene, max_order=0), sampling_rate=192e3)
 
 # %%
-# The peak of each receiver's sound:
+# Draw the peak pressure of each receiver.
 peak = np.abs(recording.pressure).max(axis=1)
 figure, axes = pyplot.subplots(layout="constrained")
 image = axes.scatter(*grid.T[:2], c=20 * np.log10(peak / peak.max()), s=22, marker="s", vmin=-40)
@@ -30,6 +30,7 @@ axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
 figure.colorbar(image, label="level (dB of the highest)")
 
 # %%
-# The check: a thousand rows, the highest near where the beam points, and not above the source.
+# Check: there are a thousand rows. The highest is near where the beam points, not above the
+# source.
 assert recording.pressure.shape[0] == 1000
 assert np.linalg.norm(grid[peak.argmax(), :2] - (2.5 + 0.3 * 1.9, 2.0)) < 0.4

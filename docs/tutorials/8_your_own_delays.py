@@ -2,8 +2,8 @@
 Your own simulator's delays
 ===========================
 
-Delays and gains over time from any program render as clsim's own do: here two paths by formula, a source that flies past
-and its echo from the ground.
+clsim also renders delays and gains from any other program. Here two paths follow formulae: a
+source that passes by, and its echo from the ground.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ tracks = clsim.Tracks.from_samples(times, delays, gains)
 recording = clsim.render_tracks([tone], tracks, sampling_rate=96e3)
 
 # %%
-# Two lines that cross 20 kHz where either way is shortest.
+# Draw the two paths. Each line crosses 20 kHz where its path is shortest.
 figure, axes = pyplot.subplots(layout="constrained")
 axes.specgram(recording.pressure[0] + 1e-9, NFFT=1024, noverlap=896, Fs=96e3, vmin=-140)
 axes.set(xlabel="time (s)", ylabel="frequency (Hz)", ylim=(17e3, 23e3))
@@ -30,7 +30,7 @@ for delay in delays:
     axes.plot(times, 20e3 * (1 - np.gradient(delay, times)), "w--", linewidth=0.8)
 
 # %%
-# The check: a sample in the middle is the sum of both, each at its own delay.
+# Check: a sample in the middle is the sum of both paths, each at its own delay.
 sample = 20_000
 t = sample / 96e3
 expected = sum(

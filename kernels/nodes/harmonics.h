@@ -1,4 +1,4 @@
-// Real spherical harmonics of a direction, for receivers of CHANNELS ambisonic components: twin of numerics/spherical_harmonics.py.
+// Real spherical harmonics of a direction, for receivers of CHANNELS ambisonic components: twin of numerics/sphere.py.
 
 #if RECEIVER_DIRECTIVITY == HARMONIC
 // Write the components of a direction in the receiver's axes, in ACN order; `norm` is the factor of each. Returns the sum of squares.

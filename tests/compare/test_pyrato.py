@@ -8,8 +8,7 @@ import pytest
 import soundfile
 
 import clsim
-from clsim.acoustics.decay import before_noise, centre_time, decay_curve, reverberation_time
-from clsim.acoustics.lateral import lateral_fractions
+from clsim.acoustics.decay import before_noise, centre_time, decay_curve, lateral_fractions, reverberation_time
 
 RATE = 48e3
 

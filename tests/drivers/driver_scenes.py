@@ -20,23 +20,23 @@ from made_rays import box, run_in, traced, with_a_sheet
 from made_responses import POROUS, ROUGH, Lopsided, OffCentre
 
 import clsim
-from clsim.opencl import compiler as compiler_module
 from clsim.opencl import device as device_module
+from clsim.opencl import launch as compiler_module
 from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module
-from clsim.render.opencl import channel_engine as channel_module
+from clsim.render.diffuse_tail import DeviceWaves
+from clsim.render.methods import sampled_channel as channel_module
+from clsim.render.methods.sampled_channel import ChannelEngine
+from clsim.render.opencl import batches as layout_module
+from clsim.render.opencl import branch_signals as limits_module
 from clsim.render.opencl import engine as engine_module
-from clsim.render.opencl import layout as layout_module
-from clsim.render.opencl import limits as limits_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
-from clsim.render.opencl.channel_engine import ChannelEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
-from clsim.render.opencl.plane_waves import DeviceWaves
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
 from clsim.tail.device_rays import GROUP, DeviceRays
-from clsim.tail.interpolation import NODE, Between, Motion
+from clsim.tail.streams import NODE, Between, Motion
 
 RATE = 192e3
 SAMPLES = 192

@@ -11,7 +11,7 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.opencl import compiler as compiler_module
+from clsim.opencl import launch as compiler_module
 from clsim.opencl.device import find_device, list_devices
 from clsim.opencl.launch import work
 

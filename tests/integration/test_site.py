@@ -13,7 +13,7 @@ import pytest
 from pydantic import TypeAdapter
 
 import clsim
-from clsim.scene_file.explain import kinds
+from clsim.scene_file.model import kinds
 
 ROOT = Path(clsim.__file__).parents[1]
 SITE = ROOT / "out" / "site"

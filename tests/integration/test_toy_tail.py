@@ -14,7 +14,7 @@ from clsim.cli import main
 from clsim.render import planning
 from clsim.render.contributions import State, Unshared
 from clsim.render.plan import SEGMENT, Plan
-from clsim.render.rendering import Rendering
+from clsim.render.render import Rendering
 from clsim.workflow import checkpoint
 
 RATE = 48e3

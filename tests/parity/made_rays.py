@@ -6,8 +6,7 @@ import numpy as np
 
 import clsim
 from clsim.numerics.sphere import fibonacci_sphere
-from clsim.tail.ray_room import RayRoom
-from clsim.tail.ray_run import SLOTS, Energies, Layout, RayRun
+from clsim.tail.ray_room import SLOTS, Energies, Layout, RayRoom, RayRun
 
 C, RADIUS, BANDS = 343.0, 0.5, 4
 WALL = clsim.Material.from_reflection(0.9)

@@ -16,7 +16,7 @@ from difflib import SequenceMatcher
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import ClsimError
-from clsim.opencl import compiler as compiler_module
+from clsim.opencl import launch as compiler_module
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

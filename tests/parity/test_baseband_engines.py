@@ -8,12 +8,12 @@ from mutants import Mutants
 
 import clsim
 from clsim.opencl import device as device_module
+from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import GPU_LAYOUT
 from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
-from clsim.render.reference import ReferenceEngine
 
 pytestmark = pytest.mark.usefixtures("device")
 RATE, BAND = 192e3, (40e3, 4.8e3)

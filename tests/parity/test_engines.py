@@ -11,13 +11,13 @@ from mutants import Mutants
 import clsim
 from clsim.opencl import device as device_module
 from clsim.paths.chain import Chain
+from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl import engine as opencl_module
+from clsim.render.opencl.block_polynomials import Residual
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
-from clsim.render.opencl.pair_nodes import PairNodeMaker
-from clsim.render.opencl.residual import Residual
+from clsim.render.opencl.host_nodes import PairNodeMaker
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import plan_render
-from clsim.render.reference import ReferenceEngine
 
 pytestmark = pytest.mark.usefixtures("device")
 RATE = 192e3

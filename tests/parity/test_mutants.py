@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation, Slerp
 import clsim
 from clsim.paths.legs.static import StaticLeg
 from clsim.paths.path_set import PathSet
+from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
-from clsim.render.reference import ReferenceEngine
 
 pytestmark = pytest.mark.usefixtures("device")
 RATE = 192e3

@@ -13,8 +13,7 @@ from clsim.numerics.sphere import fibonacci_sphere
 from clsim.opencl.device import find_device
 from clsim.tail.device_rays import DeviceRays
 from clsim.tail.host_rays import HostRays, _Traced, next_wall, philox
-from clsim.tail.ray_room import RayRoom, has_free_edges
-from clsim.tail.ray_run import Energies
+from clsim.tail.ray_room import Energies, RayRoom, has_free_edges
 
 
 @pytest.mark.parametrize("sized", [False, True])

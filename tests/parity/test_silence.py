@@ -10,7 +10,7 @@ from mutants import Mutants
 
 import clsim
 from clsim.render.opencl import branch_signals as branches_module
-from clsim.render.opencl.activity import CELL, Activity, find_activity
+from clsim.render.opencl.batches import CELL, Activity, find_activity
 from clsim.render.opencl.engine import GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import BUILDERS, plan_render

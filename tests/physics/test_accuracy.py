@@ -10,10 +10,10 @@ import pytest
 from exhaustive import few
 
 import clsim
+from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import plan_render
-from clsim.render.reference import ReferenceEngine
 
 SIZE = np.array([6.0, 5.0, 4.0])
 REFLECTION = 0.9

@@ -10,8 +10,7 @@ from pillar_bem import HEIGHT, PILLAR, RECEIVERS, SIDE, SOURCE, WALLS, C
 from scipy.special import hankel2
 
 import clsim
-from clsim.acoustics.diffraction import transition
-from clsim.acoustics.double_edge import double_transition
+from clsim.acoustics.diffraction import double_transition, transition
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 

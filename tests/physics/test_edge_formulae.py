@@ -8,9 +8,15 @@ from edge_fields import mistaken
 from scipy.special import fresnel, wofz
 from wedge_oracle import C, Place, edge_field, half_plane, wedge_series
 
-from clsim.acoustics.diffraction import edge_way, end_detour, lit_angles, transition, wedge_terms
-from clsim.acoustics.edge_end import end_transition
-from clsim.acoustics.exact_wedge import exact_wedge_terms
+from clsim.acoustics.diffraction import (
+    edge_way,
+    end_detour,
+    end_transition,
+    exact_wedge_terms,
+    lit_angles,
+    transition,
+    wedge_terms,
+)
 
 HALF_PLANE = 2.0 * np.pi
 

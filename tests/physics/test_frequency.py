@@ -9,8 +9,8 @@ import pytest
 import spectral_sums
 
 import clsim
+from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.planning import plan_render
-from clsim.render.reference import ReferenceEngine
 from clsim.render.render import record
 
 RATE, C = 192e3, 343.0
@@ -132,7 +132,7 @@ def test_order_six_needs_few_functions(low: float, high: float, most: int) -> No
     assert basis.error_db < -80.0
     # Of paths and times that were not looked at: the same bound, for what a response is at any frequency of the band.
     tracks, rng = plan.tracks, np.random.default_rng(5)
-    from clsim.numerics.chebyshev import chebyshev_points
+    from clsim.numerics.band_filters import chebyshev_points
     from clsim.paths.response import SceneResponse
 
     # The chirp's spectrum fades towards the ends of its band, and so does what is asked there.

@@ -9,8 +9,8 @@ import pytest
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
-from clsim.acoustics.spherical_head import sphere_surface_field
-from clsim.numerics.arrival_times import arrival_times
+from clsim.acoustics.sphere import sphere_surface_field
+from clsim.numerics.convolution import arrival_times
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "hrtf"
 RATE = 48e3

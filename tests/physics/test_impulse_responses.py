@@ -8,7 +8,7 @@ import pytest
 from made_responses import OffCentre
 
 import clsim
-from clsim.numerics.nufft import band_taper, delayed_sums, ringing
+from clsim.numerics.convolution import band_taper, delayed_sums, ringing
 
 RATE = 192e3
 SIZE = (5.0, 4.0, 3.0)

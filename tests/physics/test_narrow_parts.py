@@ -14,7 +14,7 @@ from exhaustive import few
 from test_double_edges import prism
 
 import clsim
-from clsim.render.methods.narrow_band import NarrowFilters, RestFilters
+from clsim.render.envelope import NarrowFilters, RestFilters
 from clsim.render.plan import Plan
 from clsim.render.planning import on_device
 from clsim.render.render import record

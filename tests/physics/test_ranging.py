@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.score import gdop, gdop_map, position, range_doppler, ranging
+from clsim.score import echoes, gdop, gdop_map, position, range_doppler, ranging
 
 pytestmark = pytest.mark.usefixtures("device")
 
@@ -130,7 +130,7 @@ def test_scores_are_tables_and_pictures(located: clsim.Recording) -> None:
     np.testing.assert_array_equal(rows[["x", "y", "z"]], found.estimated[0])
     np.testing.assert_array_equal(rows.z_exact, [1.0, 1.0])
     for drawn in (score, found):
-        assert len(drawn.plot()) == 2
+        assert len(drawn.plot().axes) == 2
         assert "within" in drawn._repr_html_()
     pyplot.close("all")
 
@@ -148,7 +148,7 @@ def test_dilution_of_precision() -> None:
     assert plane.gdop[0, 1] == pytest.approx(1.5)
     assert plane.gdop[0, 0] > 1.5
     assert plane.to_dataframe()["gdop"].tolist() == plane.gdop[0].tolist()
-    assert plane.plot().get_xlabel() == "x (m)"
+    assert plane.plot().axes[0].get_xlabel() == "x (m)"
 
 
 def test_what_is_hidden_and_what_is_louder_than_the_direct_sound() -> None:
@@ -197,6 +197,7 @@ def test_a_sonar_sees_a_wall_come_nearer() -> None:
     # The peak between bins and ranges is at most 1.42 dB lower (Hann) than the path is loud.
     assert 0.8 < level.max() / (0.8 / (2.0 * middle)) < 1.02
     np.testing.assert_allclose(np.ptp(found.speeds), C / (2 * 40e3 * period) * (count - 1) / count, rtol=1e-3)
+    np.testing.assert_allclose(found.unambiguous_speed, C / (4 * 40e3 * period), rtol=1e-3)
     pytest.importorskip("pandas")
     frame = found.to_dataframe()
     far = frame[frame["range"] >= 0.5]
@@ -207,8 +208,39 @@ def test_a_sonar_sees_a_wall_come_nearer() -> None:
     from matplotlib import pyplot
 
     pyplot.switch_backend("agg")
-    drawn = found.plot().collections[0].get_array()
-    np.testing.assert_allclose(drawn, 20.0 * np.log10(np.abs(found.amplitude)), rtol=1e-12)
+    drawn = found.plot().axes[0].collections[0].get_array()
+    assert drawn.shape[1] <= 1600  # columns of a picture: each is the largest of some ranges
+    np.testing.assert_allclose(drawn.max(axis=1), 20.0 * np.log10(np.abs(found.amplitude).max(axis=1)), rtol=1e-12)
+    pyplot.close("all")
+
+
+def test_echoes_of_a_train_follow_a_wall() -> None:
+    """A sonar drives towards a wall: in each row the loudest echo is at the wall's distance at the reflection."""
+    pulse = clsim.Signal.chirp(35e3, 45e3, 1e-3, RATE, window="hann")
+    walls = {"default": clsim.Material.from_reflection(0.0), "x_max": clsim.Material.from_reflection(0.8)}
+    period, count, speed = 0.02, 20, 0.5
+    trajectory = clsim.Trajectory.line((4, 2, 1), (4 + speed, 2, 1), 1.0)
+    source = clsim.Source("s", clsim.Signal.pulses(pulse, period, count), trajectory)
+    scene = clsim.Scene(
+        clsim.Shoebox((6, 4, 3), walls), clsim.Air(speed_of_sound=C, absorption=False), [source],
+        [clsim.Receiver("r", trajectory)],
+    )  # fmt: skip
+    recording = clsim.render(clsim.find_paths(scene, 1, direct=False), sampling_rate=RATE)
+    found = echoes(recording, pulse, max_range=3.0)
+    assert found.amplitude.shape == (count, len(found.ranges))
+    np.testing.assert_array_equal(found.emission_times, period * np.arange(count))
+    distance = 2.0 - speed * found.emission_times
+    exact = distance * C / (C + speed)  # half of the time of flight times c: out to the wall, back to where it is then
+    loudest = np.abs(found.amplitude).argmax(axis=1)
+    # Half a sample, and what Doppler makes of a chirp: its peak is early by 2 v / c T f_c / B seconds.
+    shift = C / 2 * 2 * speed / C * 1e-3 * 40e3 / 10e3
+    np.testing.assert_allclose(found.ranges[loudest], exact - shift, atol=0.6 * C / 2 / RATE)
+    assert np.abs(found.amplitude)[np.arange(count), loudest] == pytest.approx(0.8 / (2 * exact), rel=0.02)
+    from matplotlib import pyplot
+
+    pyplot.switch_backend("agg")
+    drawn = found.plot().axes[0].collections[0].get_array()
+    np.testing.assert_allclose(drawn.max(axis=1), 20.0 * np.log10(np.abs(found.amplitude).max(axis=1)), rtol=1e-12)
     pyplot.close("all")
 
 
@@ -224,6 +256,8 @@ def test_what_cannot_be_scored_is_refused(receding: clsim.Recording) -> None:
         (lambda: ranging(receding, pulse, max_range=0.0), r"max_range: must be above 0"),
         (lambda: range_doppler(receding, pulse, 4), r"receiver: must be from 0 to 3, but is 4"),
         (lambda: range_doppler(receding, pulse, "nobody"), r"receiver: must be one of .*, but is 'nobody'"),
+        (lambda: echoes(bare, pulse), r"recording: must have its paths for echoes, but has none"),
+        (lambda: echoes(receding, pulse, max_range=-1.0), r"max_range: must be above 0"),
         (lambda: position([]), r"scores: must be one RangingScore at least"),
     ):
         with pytest.raises(clsim.InputError, match=message):

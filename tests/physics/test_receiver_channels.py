@@ -9,7 +9,7 @@ import pytest
 from scipy.special import sph_harm_y
 
 import clsim
-from clsim.numerics.spherical_harmonics import real_harmonics
+from clsim.numerics.sphere import real_harmonics
 
 RATE = 48e3
 

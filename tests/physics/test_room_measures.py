@@ -10,9 +10,15 @@ import pytest
 import soundfile
 
 import clsim
-from clsim.acoustics.decay import centre_time, decay_curve, reverberation_time
-from clsim.acoustics.lateral import interaural_correlation, lateral_fractions
-from clsim.acoustics.speech import modulation_transfer, transmission_index
+from clsim.acoustics.decay import (
+    centre_time,
+    decay_curve,
+    interaural_correlation,
+    lateral_fractions,
+    modulation_transfer,
+    reverberation_time,
+    transmission_index,
+)
 
 RATE = 48e3
 

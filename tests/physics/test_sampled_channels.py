@@ -12,13 +12,21 @@ from default_oracle import Circle, Line, Room
 from exhaustive import few
 
 import clsim
-from clsim.opencl import compiler
+from clsim.opencl import launch
 from clsim.opencl.kernels import kernel_source
 from clsim.render import channel_grid
-from clsim.render.channel_frames import ChannelFilters
-from clsim.render.channel_grid import NODES, OVERSAMPLING, TAPS, node_window, spread, window_at, window_table
-from clsim.render.channel_reference import reference_channels
-from clsim.render.opencl import limits
+from clsim.render.channel_grid import (
+    NODES,
+    OVERSAMPLING,
+    TAPS,
+    ChannelFilters,
+    node_window,
+    reference_channels,
+    spread,
+    window_at,
+    window_table,
+)
+from clsim.render.opencl import branch_signals
 from clsim.render.plan import Plan
 from clsim.render.planning import on_device
 from clsim.render.render import record
@@ -120,7 +128,7 @@ MUTANTS = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_the_twin_sees_a_kernel_with_one_thing_wrong(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     old, new = MUTANTS[name]
-    monkeypatch.setattr(compiler, "kernel_source", lambda program: mutated(program, old, new))
+    monkeypatch.setattr(launch, "kernel_source", lambda program: mutated(program, old, new))
     plan = planned(scene(0.3), order=2)
     (part,) = plan.allocation.channels
     assert not apart_db(sound(plan), reference_channels(part, 0, plan.samples)) <= TWIN_DB
@@ -271,7 +279,7 @@ def test_many_paths_take_several_batches(monkeypatch: pytest.MonkeyPatch) -> Non
     """Receivers apart, and a receiver's paths in parts, whose responses are added up as sound; blocks are chosen for each."""
     plan = planned(scene(0.3), order=4)
     whole = sound(plan)
-    monkeypatch.setattr(limits, "NODE_BUDGET", 2**17)
+    monkeypatch.setattr(branch_signals, "NODE_BUDGET", 2**17)
     assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -105.0
-    monkeypatch.setattr(limits.Limits, "paths_in_launch", 64)
+    monkeypatch.setattr(branch_signals.Limits, "paths_in_launch", 64)
     assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -105.0

@@ -14,7 +14,7 @@ from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
 from clsim.acoustics.silhouette import CapsuleOutline, EllipsoidOutline, outline_field
-from clsim.numerics.chebyshev import chebyshev_points
+from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.scene.shaded import hidden_by_several
 

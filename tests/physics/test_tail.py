@@ -19,9 +19,10 @@ from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.render.contributions import Contribution
 from clsim.render.diffuse_tail import DiffuseTail
-from clsim.render.methods import per_sample, static
+from clsim.render.methods import static
 from clsim.render.plan import SEGMENT, Plan
-from clsim.render.rendering import Rendering
+from clsim.render.planning import PER_SAMPLE
+from clsim.render.render import Rendering
 from clsim.tail.bands import at_middles, band_centres, band_shares, with_middles
 from clsim.tail.design import DEPARTURES, SourceTail, TailEnergy, TailOptions, find_tail
 from clsim.tail.noise import combined, plane_waves
@@ -258,7 +259,7 @@ def test_chunks_and_resuming_change_nothing_and_zones_little() -> None:
     np.testing.assert_array_equal(of_contribution(cut), whole)
     np.testing.assert_array_equal(of_contribution(cut, 2 * SEGMENT), whole[:, 2 * SEGMENT :])
     heard = rendered(plan)
-    by_path = rendered(replace(plan, builders=[per_sample.build, static.build]))
+    by_path = rendered(replace(plan, builders=[PER_SAMPLE, static.build]))
     np.testing.assert_allclose(heard - by_path, whole, atol=1e-5 * np.abs(heard).max())
     level = [float(np.mean(part**2)) for part in np.array_split(whole[0][round(0.3 * RATE) : round(1.4 * RATE)], 6)]
     assert 10.0 * math.log10(max(level) / min(level)) < 2.5

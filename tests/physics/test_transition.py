@@ -6,9 +6,9 @@ from exhaustive import exhaustive, few
 from made_meshes import l_room
 
 import clsim
+from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.planning import plan_render
-from clsim.render.reference import ReferenceEngine
 
 RATE, TONE = 192e3, 40e3
 SIGNAL = clsim.Signal.tone(TONE, 0.4, RATE, fade=0.002)

@@ -101,11 +101,11 @@ def test_a_tone_may_have_the_shortest_fade() -> None:
 
 
 def test_a_sequence_in_pieces_is_the_sequence() -> None:
-    from clsim.scene.signal.sequences import shaped_count, shaped_sequence
+    from clsim.scene.signal.waveforms import Sequence, shaped_count, shaped_sequence
 
-    whole = shaped_sequence("mls", 10, 0, 5, 8e3, 40e3, 0.5, 192e3)
+    whole = shaped_sequence(Sequence("mls", 10, 0, 5, 8e3, 40e3, 0.5, 1.0), 192e3)
     assert len(whole) == shaped_count(5 * 1023, 8e3, 192e3) > 2**16
-    one = shaped_sequence("mls", 10, 0, 1, 8e3, 40e3, 0.5, 192e3)
+    one = shaped_sequence(Sequence("mls", 10, 0, 1, 8e3, 40e3, 0.5, 1.0), 192e3)
     # A period is 24 552 samples, 5115 cycles of the carrier; away from the ends all periods are the same.
     inside = slice(1000, 20_000)
     for period in range(5):

@@ -29,7 +29,7 @@ LAYERS = [
     ("tracks",),
     ("tail",),
     ("recording", "impulse_responses"),
-    ("room_measures", "lateral_measures", "decoding", "score"),
+    ("room_measures", "decoding", "score"),
     ("render",),
     ("output",),
     ("exchange",),
@@ -196,7 +196,6 @@ def test_help_loads_no_command() -> None:
         "clsim.workflow.console",
         "clsim.commands",
         "clsim.scene_file",
-        "clsim.scene_file.words",
     }
 
 
@@ -222,7 +221,7 @@ def test_a_run_without_pictures_loads_nothing_that_draws(tmp_path: Path) -> None
         "scipy.interpolate",
         "pyopencl",
     }
-    assert "clsim.render.reference" in loaded
+    assert "clsim.render.methods.per_sample" in loaded
     none(f"{name} is loaded" for name in late & loaded)
 
 

@@ -153,12 +153,12 @@ def test_paths_and_ground_truth_have_named_dimensions(recording: clsim.Recording
 
 
 def test_pictures(recording: clsim.Recording, pyplot: Any) -> None:
-    lines = recording.plot()
+    lines = recording.plot().axes
     assert [axes.get_title() for axes in lines] == ["über links", "right"]
     assert [axes.get_ylabel() for axes in lines] == ["Pa", "V"]
     drawn = lines[0].lines[0].get_ydata()
     assert (drawn.min(), drawn.max()) == (recording.samples[0].min(), recording.samples[0].max())
-    level = recording.spectrogram("right", (30e3, 50e3)).images[0]
+    level = recording.spectrogram("right", (30e3, 50e3)).axes[0].images[0]
     data = level.get_array()
     loudest = np.unravel_index(data.argmax(), data.shape)
     low, high = level.get_extent()[2:]
@@ -168,7 +168,7 @@ def test_pictures(recording: clsim.Recording, pyplot: Any) -> None:
 def test_waveforms_of_any_length_keep_their_peaks(pyplot: Any) -> None:
     samples = np.zeros((1, 1_000_003), dtype=np.float32)
     samples[0, [123_456, 1_000_002]] = 2.0, -3.0
-    drawn = clsim.Recording(samples, 192e3, ("ear",), None, ()).plot()[0].lines[0].get_ydata()
+    drawn = clsim.Recording(samples, 192e3, ("ear",), None, ()).plot().axes[0].lines[0].get_ydata()
     assert len(drawn) < 10_000
     assert (drawn.max(), drawn.min()) == (2.0, -3.0)
 

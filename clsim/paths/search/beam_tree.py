@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import firsts
-from clsim.paths.visibility.beams import BEHIND, beam_planes, clip_rings
-from clsim.paths.visibility.occlusion import Beams, Ears, Views, WallLookup, open_parts
+from clsim.paths.visibility.occlusion import BEHIND, Beams, Ears, Views, WallLookup, beam_planes, clip_rings, open_parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -12,6 +12,7 @@ import numpy as np
 
 from clsim.arrays import read_only
 from clsim.errors import InputError
+from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
@@ -24,7 +25,7 @@ from clsim.paths.visibility.occlusion import WallLookup, air_sides
 from clsim.paths.visibility.rates import BodyRates, EndRates
 from clsim.paths.visibility.subdivision import certified, looks
 from clsim.scene.flush import find_mount
-from clsim.scene.motion.carried import even_ways
+from clsim.scene.motion.motion import even_ways
 from clsim.scene.room.walls import build_walls
 
 if TYPE_CHECKING:
@@ -37,8 +38,9 @@ if TYPE_CHECKING:
     from clsim.paths.options import PathOptions
     from clsim.paths.propagation import UniformAir
     from clsim.paths.visibility.intervals import VisibilityQuery
-    from clsim.scene.ends import End, Receiver, Source
+    from clsim.scene.ends import Receiver, Source
     from clsim.scene.motion.motion import Motion
+    from clsim.scene.room.faces import Mount
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
@@ -78,9 +80,9 @@ class PairQuery:
 class _Lifted:
     """An end as validity takes it: off the wall that it sits in, and off planes of symmetry."""
 
-    def __init__(self, scene: Scene, end: End, shift: Floats) -> None:
-        self._motion, self._mount, self._shift = end.trajectory, find_mount(scene.room, end), shift
-        self.is_static = end.trajectory.is_static
+    def __init__(self, motion: Motion, mount: Mount | None, shift: Floats) -> None:
+        self._motion, self._mount, self._shift = motion, mount, shift
+        self.is_static = motion.is_static
 
     def position(self, times: Floats) -> Floats:
         place = self._motion.position(times)
@@ -99,7 +101,8 @@ class BodySearch:
         check_support("moving", scene.air)
         self.scene, self.search = scene, search
         self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)
-        self.room, self.obstacles = scene.room.as_mesh(), Obstacles.of(scene)
+        self.room = scene.room.as_mesh()
+        self.obstacles = Obstacles(Mirrors.of(scene), self.room.walls, scene.room.is_convex)
         fastest = max(body.peak_speed for body in scene.bodies)
         most = _FASTEST * scene.air.slowest
         if 2.0 * fastest * self.order > most:
@@ -124,7 +127,9 @@ class BodySearch:
             last = max((t for t in moving if math.isfinite(t)), default=0.0) + longest
         motions = ends[0].trajectory, ends[1].trajectory
         times = looks(scene.bodies, motions, last, longest, self.search.body_step)
-        lifted: Any = tuple(_Lifted(scene, ends[i], PERTURBATIONS[i]) for i in range(2))
+        lifted: Any = tuple(
+            _Lifted(ends[i].trajectory, find_mount(scene.room, ends[i]), PERTURBATIONS[i]) for i in range(2)
+        )
         medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
         rates = self._rates(longest, last).of_ends(motions[0], motions[1:])
         return PairQuery(lifted, medium, rates, times, query.resolution)

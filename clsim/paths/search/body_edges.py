@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import TERMS, edge_way, lit_angles, partner_reflections
-from clsim.acoustics.edge_end import EVEN
+from clsim.acoustics.diffraction import EVEN, TERMS, edge_way, lit_angles, partner_reflections
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.legs.mirrors import ROOM, EdgeLines

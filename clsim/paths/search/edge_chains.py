@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import TERMS
-from clsim.acoustics.edge_end import EVEN
+from clsim.acoustics.diffraction import EVEN, TERMS
 from clsim.arrays import read_only
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain

@@ -17,11 +17,10 @@ from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
 from clsim.paths.legs.static import image_columns
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooManyBeamsError
-from clsim.paths.search.panels import THROUGH, divided, see_through
-from clsim.paths.search.ray_shooting import ShotRays
+from clsim.paths.search.ray_shooting import THROUGH, ShotRays, divided, see_through
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
-from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, ends_about, find_intervals
+from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, find_intervals
 from clsim.paths.visibility.occlusion import WallLookup, air_sides, in_air
 from clsim.scene.flush import find_mount
 
@@ -143,7 +142,7 @@ class _InAir:
         """Return the intervals in which sequences (n, N) of walls are paths to receivers (n,)."""
         query, found = self.query, self.search(sequence, receiver)
         walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
-        source, _, _ = ends_about(query, walls, receiver[found.path], middle, np.zeros(len(middle)))
+        source, _, _ = query.ends_about(walls, receiver[found.path], middle, np.zeros(len(middle)))
         kept = np.flatnonzero(in_air(query.walls, self.air, walls, source))
         return Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import warnings
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,6 @@ from clsim.paths.propagation import mean_medium_of, medium_of, straight
 from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.ends import Receiver, Source
-from clsim.scene.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from clsim.scene.ends import End
     from clsim.scene.motion.motion import Motion
     from clsim.scene.scatterer import Scatterer
+    from clsim.scene.scene import Scene
 
     Ends = tuple[int, int, int]  # source, scatterer, receiver
 
@@ -126,17 +126,16 @@ def direct_ways(scene: Scene) -> Chain:
 
 
 def sides(scene: Scene, bodies: Sequence[Body] = ()) -> tuple[Scene, Scene]:
-    """Return the scene with scatterers for receivers, and with scatterers for sources: all else was checked before."""
+    """Return the scene with scatterers for receivers, and with scatterers for sources, both without scatterers."""
     check_support("static scatterer", scene.air)
     signal = max((source.signal for source in scene.sources), key=lambda signal: signal.sampling_rate)
-    listening = [Receiver(s.name, s.trajectory) for s in scene.scatterers]
-    sounding = [Source(s.name, signal, s.trajectory) for s in scene.scatterers]
-    with warnings.catch_warnings():  # what there is to say of room and signals was said
-        warnings.simplefilter("ignore")
-        return (
-            Scene(scene.room, scene.air, scene.sources, listening, scene.min_distance, (), bodies),
-            Scene(scene.room, scene.air, sounding, scene.receivers, scene.min_distance, (), bodies),
-        )
+    receivers = tuple(Receiver(s.name, s.trajectory) for s in scene.scatterers)
+    sources = tuple(Source(s.name, signal, s.trajectory) for s in scene.scatterers)
+    before, after = copy(scene), copy(scene)  # without the checks of a scene, which this one has passed
+    for side, name, ends in ((before, "receivers", receivers), (after, "sources", sources)):
+        for field, value in ((name, ends), ("scatterers", ()), ("bodies", tuple(bodies))):
+            object.__setattr__(side, field, value)
+    return before, after
 
 
 def _pairs(scene: Scene, before: Side, after: Side, ends: Ends) -> dict[str, Any]:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, edge_way, end_detour, lit_angles, wedge_terms
-from clsim.acoustics.edge_end import EVEN
+from clsim.acoustics.diffraction import EVEN, ON_LINE, edge_way, end_detour, lit_angles, wedge_terms
 from clsim.paths.arrivals import RETARDED, Arrivals
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.propagation import UniformAir, arrivals_by

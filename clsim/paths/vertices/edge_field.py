@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.diffraction import (
+    AT_CORNER,
     EdgeWay,
     end_detour,
+    end_transition,
+    exact_wedge_terms,
     off_line,
     partner_reflections,
     transition,
     wedge_terms,
 )
-from clsim.acoustics.edge_end import AT_CORNER, end_transition
-from clsim.acoustics.exact_wedge import exact_wedge_terms
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

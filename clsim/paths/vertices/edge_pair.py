@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, edge_way, lit_angles, wedge_terms
-from clsim.acoustics.double_edge import double_tie, double_transition
+from clsim.acoustics.diffraction import ON_LINE, double_tie, double_transition, edge_way, lit_angles, wedge_terms
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_field import face_factor
 from clsim.paths.vertices.edge_lengths import EdgeView, RolledOut

@@ -267,3 +267,15 @@ def _drift(moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats
     places = np.column_stack([pace.source * dilation, np.minimum(place, FAR), pace.receiver])
     dilation = 1.0 + (np.pad(line.length[:, None] / c * share, ((0, 0), (1, 1))) + slower[:, None])
     return Drift(dilation, places, share, start, stop, np.empty(0))
+
+
+def absent(line: Line, change: Drift, holds: Bools, beside: Floats) -> Floats:
+    """Return for how long it is certain that paths do not meet all their mirrors in order, (n,) s."""
+    far, near = np.abs(line.share) * line.rise, np.abs(1.0 - line.share) * line.rise
+    one_side = (line.share <= 0.0) | (line.share >= 1.0)
+    sure = np.where(one_side, np.minimum(lasts(far, change.start), lasts(near, change.stop)), 0.0)
+    off = line.tame & ~holds & ~one_side
+    sure = np.maximum(sure, np.where(off, beside, 0.0)).max(axis=1, initial=0.0)
+    late = line.share[:, :-1] - line.share[:, 1:]
+    wrong = np.where(late > 0.0, lasts(np.maximum(late, 0.0), change.share[:, :-1] + change.share[:, 1:]), 0.0)
+    return np.asarray(np.maximum(sure, wrong.max(axis=1, initial=0.0)))

@@ -185,10 +185,10 @@ def _reflects(walls: Walls, sequence: Ints, paths: Unfolded) -> tuple[Bools, Flo
             rows = np.flatnonzero((sequence[:, k] == wall) & paths.crosses[:, k])
             lost, at = ~walls.holds(wall, hit[rows]), int(wall)
             out = rows[lost]
-            sure[out] = _edges_apart(walls, at, ends[0][out], ends[1][out])
+            sure[out] = edges_apart(walls.edges_of(at), ends[0][out], ends[1][out])
             for twin in walls.twin[walls.first_twin[wall] : walls.first_twin[wall + 1]]:
                 taken = rows[(sure[rows] < 0.0) & walls.holds(twin, hit[rows])]
-                sure[taken] = _edges_apart(walls, int(twin), ends[0][taken], ends[1][taken])
+                sure[taken] = edges_apart(walls.edges_of(int(twin)), ends[0][taken], ends[1][taken])
         if k > 0:
             with np.errstate(invalid="ignore", divide="ignore"):
                 late = paths.tau[:, k] - paths.tau[:, k + 1]
@@ -227,14 +227,14 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
             before, behind = (end @ normal - walls.offset[wall] for end in ends)
             moves = [path.across(leg, tau, normal) for tau in (first[some], last[some])]
             surely = np.minimum(moves_within(np.abs(before), moves[0]), moves_within(np.abs(behind), moves[1]))
-            apart = np.minimum(_edges_apart(walls, wall, *ends), path.reach.most * surely)
+            apart = np.minimum(edges_apart(walls.edges_of(wall), *ends), path.reach.most * surely)
             clear[some] = np.where(before * behind < 0.0, np.maximum(clear[some], apart), clear[some])
             # Nearer to an end of the leg than that can move: sure only while both ends move less.
             unsure = np.concatenate([rows[first[rows] >= last[rows]], some[before * behind >= 0.0]])
             path = paths.part(unsure)
             high, low = (np.abs(end[unsure] @ normal - walls.offset[wall]) for end in (a, b))
             slope = (high + low) / (path.tau[:, leg + 1] - path.tau[:, leg])
-            apart = _edges_apart(walls, wall, a[unsure], b[unsure])
+            apart = edges_apart(walls.edges_of(wall), a[unsure], b[unsure])
             for end, k in ((high, leg), (low, leg + 1)):
                 moves = path.across(leg, path.tau[:, k], normal) + path.slack[:, k] * slope
                 apart = np.minimum(apart, path.reach.most * moves_within(end, moves))
@@ -280,9 +280,9 @@ def _edge_clearance(walls: Walls, paths: Unfolded, at_edge: bool) -> Floats:
     return clear
 
 
-def _edges_apart(walls: Walls, wall: int, a: Floats, b: Floats) -> Floats:
-    """Return the distance from segments a to b (n, 3) to the nearest edge of a wall, (n,) m."""
-    return np.asarray(segments_apart(walls.edges_of(wall), a, b).min(axis=1, initial=np.inf))
+def edges_apart(outline: Floats, start: Floats, stop: Floats) -> Floats:
+    """Distances (n,) of straight legs from an outline (E, 2, 3), m."""
+    return np.asarray(segments_apart(outline, start, stop).min(axis=1, initial=np.inf))
 
 
 def segments_apart(edges: Floats, a: Floats, b: Floats) -> Floats:

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.compiler import compiler_of
-from clsim.opencl.device import find_device
-from clsim.opencl.launch import upload, work
-from clsim.opencl.limits import FLOAT64, MOST_INDEX, check_buffers, check_group, operations_in_launch
+from clsim.opencl.device import FLOAT64, MOST_INDEX, check_buffers, check_group, find_device, operations_in_launch
+from clsim.opencl.launch import compiler_of, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
 from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.paths.visibility.clearance import EVER, PARALLEL, TOUCHING

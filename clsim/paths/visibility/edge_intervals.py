@@ -132,7 +132,10 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell
     """
     there, visibility = finder.find(candidates), EdgeVisibility(finder.edges, candidates)
     near = GRAZE * finder.query.walls.size
-    ignored = _ignored(finder, candidates, order)
+    met = candidates.before.shape[1] + candidates.after.shape[1]
+    ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)  # terms whose partners have too many reflections
+    for edge, term in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
+        ignored[:, term : term + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
     stack = [(there.path, there.begin, there.end)]
     found: list[tuple[Any, ...]] = [(there.path[:0], there.begin[:0], there.end[:0], np.empty((0, SIDES), np.int8))]
     evaluations = np.zeros(len(candidates.edge), dtype=np.int64)
@@ -153,7 +156,7 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell
             unsure = unsure[along & np.all(beside == sides[unsure], axis=1)]
         done[unsure] = True
         np.add.at(evaluations, row, 1)
-        _refuse_endless(finder, candidates, evaluations)
+        _refuse_endless(evaluations, lambda worst: finder.edges.names[candidates.edge[worst, 0]])
         tell()
         found.append((row[done], begin[done], end[done], sides[done]))
         row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
@@ -163,23 +166,14 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell
     return _joined_pieces(candidates, *(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _ignored(finder: EdgeSearch, candidates: EdgeCandidates, order: int) -> NDArray[np.bool_]:
-    """Tell which sides (n, 11) do not matter: those of terms whose partners have too many reflections."""
-    ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)
-    met = candidates.before.shape[1] + candidates.after.shape[1]
-    for edge, term in zip(candidates.edge.T, (0, TERMS + 1), strict=True):
-        ignored[:, term : term + TERMS] = met + partner_reflections(finder.edges.n[edge]) > order
-    return ignored
-
-
-def _refuse_endless(finder: EdgeSearch, candidates: EdgeCandidates, evaluations: NDArray[np.int64]) -> None:
+def _refuse_endless(evaluations: NDArray[np.int64], name: Callable[[int], str]) -> None:
     worst = int(np.argmax(evaluations)) if len(evaluations) else 0
     together = evaluations.sum()
     if together > MOST_TOGETHER or (together and evaluations[worst] > MOST_EVALUATIONS):
         raise InputError(
             "diffraction",
             f"must let paths over edges be settled within {MOST_EVALUATIONS} evaluations of each and {MOST_TOGETHER} "
-            f"of a batch, but one over {finder.edges.names[candidates.edge[worst, 0]]!r} has had {evaluations[worst]}: "
+            f"of a batch, but one over {name(worst)!r} has had {evaluations[worst]}: "
             "it runs along a boundary of shadow or reflection; move an end a millimetre, shorten the run, lower "
             "max_order, or give a larger resolution",
         )

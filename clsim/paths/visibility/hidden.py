@@ -188,9 +188,10 @@ def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -
     Behind the receiver of paths of fewer corners stands NaN.
     """
     count, every = times.shape
-    source, receiver = (end.trajectory for end in family.ends(rows))
+    sender = family.scene.sources[family.source[rows][0]]
+    source, receiver = sender.trajectory, family.scene.receivers[family.receiver[rows][0]].trajectory
     if family.is_specular:  # whatever the order of walls, their image is one and the same
-        medium = mean_medium_of(family.scene.air, family.ends(rows)[0].emitted.centre_frequency)
+        medium = mean_medium_of(family.scene.air, sender.emitted.centre_frequency)
         met = family.walls[rows]
         met = np.take_along_axis(met, np.argsort(met < 0, axis=1, kind="stable"), axis=1)
         delay = find_events(mirrors, met, (source, receiver), medium, times, rounds=ROUNDS).delay

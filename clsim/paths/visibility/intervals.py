@@ -66,6 +66,27 @@ class VisibilityQuery:
         mach = self.trajectory_tables.scales[:, 2] / self.medium.slowest
         return np.asarray((1.0 + mach[1:]) / (1.0 - mach[0]))
 
+    def ends_about(
+        self, sequence: NDArray[np.int32], receiver: NDArray[np.int64], time: Floats, half: Floats
+    ) -> tuple[Floats, Floats, Reach]:
+        """Locate endpoints of paths (n, 3), m, as validity takes them; bound their motion within `half` of a time."""
+        walls, ends = self.walls, self.trajectory_tables
+        row, source = receiver + 1, np.zeros(len(receiver), dtype=np.int64)
+        at = ends.position(row, time)
+        image = at
+        for k in range(sequence.shape[1] - 1, -1, -1):
+            image = mirrored(walls, sequence[:, k], image)
+        emission_time = time - ends.delay(image, at, time, self.medium)
+        late = self.time_dilation[receiver]
+        reach = Reach(
+            half * late * ends.speed_over(source, emission_time - late * half, emission_time + late * half),
+            half * ends.speed_over(row, time - half, time + half),
+            ends.mounts[source, :3],
+            ends.mounts[row, :3],
+        )
+        origin = ends.lifted(source, ends.position(source, emission_time) + PERTURBATIONS[0])
+        return origin, ends.lifted(row, at + PERTURBATIONS[1]), reach
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
@@ -137,31 +158,9 @@ def evaluate(
     query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64], time: Floats, half: Floats
 ) -> tuple[NDArray[np.bool_], Floats, Floats]:
     """Return validity, clearance and how far the ends can move within `half` of a time, each (n,)."""
-    source, at, reach = ends_about(query, sequence, receiver, time, half)
+    source, at, reach = query.ends_about(sequence, receiver, time, half)
     valid, clear = path_status(query.walls, sequence, source, at, reach)
     return valid, clear, reach.most
-
-
-def ends_about(
-    query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64], time: Floats, half: Floats
-) -> tuple[Floats, Floats, Reach]:
-    """Locate the ends of paths (n, 3), m, as validity takes them, and bound how they move within `half` of a time."""
-    walls, ends = query.walls, query.trajectory_tables
-    row, source = receiver + 1, np.zeros(len(receiver), dtype=np.int64)
-    at = ends.position(row, time)
-    image = at
-    for k in range(sequence.shape[1] - 1, -1, -1):
-        image = mirrored(walls, sequence[:, k], image)
-    emission_time = time - ends.delay(image, at, time, query.medium)
-    late = query.time_dilation[receiver]
-    reach = Reach(
-        half * late * ends.speed_over(source, emission_time - late * half, emission_time + late * half),
-        half * ends.speed_over(row, time - half, time + half),
-        ends.mounts[source, :3],
-        ends.mounts[row, :3],
-    )
-    origin = ends.lifted(source, ends.position(source, emission_time) + PERTURBATIONS[0])
-    return origin, ends.lifted(row, at + PERTURBATIONS[1]), reach
 
 
 def merged(path: NDArray[np.int64], begin: Floats, end: Floats, evaluations: int) -> Intervals:

@@ -9,7 +9,7 @@ import numpy as np
 
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import ROOM
-from clsim.paths.visibility.certainty import drift, straightened
+from clsim.paths.visibility.certainty import absent, drift, straightened
 from clsim.paths.visibility.obstacles import LegDrift, Legs
 from clsim.paths.visibility.rates import FAR, lasts, middle_of, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS
@@ -72,14 +72,14 @@ class MirrorLook:
         delay = events.delay[:, 0]
         pace = self.rates.over(ears, times - _EARLIER * (half + delay), times, half)
         met = np.array(np.all((events.share[:, 0] > 0.0) & (events.share[:, 0] < 1.0), axis=1))
-        holds, apart, far = self._on_faces(walls, line)
+        holds, apart, far = self._on_faces(walls, line.place, line.now[:, None] + line.time)
         met &= np.all(holds, axis=1)
         change = drift(self.obstacles.mirrors, walls, line, pace, self.medium, met)
-        slide = self._slides(walls, change, pace, far)
+        slide = self._slides(walls, (change.place, change.dilation), (pace.speed, pace.turn, pace.half), far)
         sure = np.zeros(len(walls))
         gone = np.flatnonzero(~met)
-        absent = np.minimum(_absent(line, change, holds, lasts(apart, slide)), change.holds)
-        sure[gone] = np.maximum(absent, self._behind(walls, line, pace, delay))[gone]
+        not_met = np.minimum(absent(line, change, holds, lasts(apart, slide)), change.holds)
+        sure[gone] = np.maximum(not_met, self._behind(walls, line, pace, delay))[gone]
         there, some = met, np.flatnonzero(met)
         if len(some):
             ways = np.linalg.norm(np.diff(line.place[some], axis=1), axis=2)
@@ -94,14 +94,14 @@ class MirrorLook:
         fastest = np.minimum(change.place.max(axis=1), FAR) + pace.all_ways
         return there, certain, np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
 
-    def _on_faces(self, walls: NDArray[np.int32], line: Line) -> tuple[Bools, Floats, Floats]:
+    def _on_faces(self, walls: NDArray[np.int32], place: Floats, when: Floats) -> tuple[Bools, Floats, Floats]:
         """Mask of hits (n, N) on their faces, and distances from borders and from the middles of bodies, m."""
         holds, apart, far = np.zeros(walls.shape, dtype=bool), np.zeros(walls.shape), np.zeros(walls.shape)
         for k in range(walls.shape[1]):
             for surface in np.unique(walls[:, k]).tolist():
                 p = np.flatnonzero(walls[:, k] == surface)
-                when = line.now[p] + line.time[p, k + 1]
-                holds[p, k], apart[p, k], far[p, k] = self.obstacles.border(surface, line.place[p, k + 1], when)
+                hits = place[p, k + 1], when[p, k + 1]
+                holds[p, k], apart[p, k], far[p, k] = self.obstacles.border(surface, *hits)
         return holds, apart, far
 
     def _behind(self, walls: NDArray[np.int32], line: Line, pace: Pace, delay: Floats) -> Floats:
@@ -132,13 +132,19 @@ class MirrorLook:
             sure[n] = np.where(heights[0] * heights[1] < 0.0, found, 0.0)
         return sure
 
-    def _slides(self, walls: NDArray[np.int32], change: Drift, pace: Pace, far: Floats) -> Floats:
+    def _slides(
+        self,
+        walls: NDArray[np.int32],
+        moved: tuple[Floats, Floats],
+        turning: tuple[Floats, Floats, Floats],
+        far: Floats,
+    ) -> Floats:
         """Speeds of hits (n, N) in the axes of their faces, m/s."""
         body = self.obstacles.mirrors.owner[walls]
         rows = np.arange(len(walls))[:, None]
-        slide = change.place[:, 1:-1]
-        speed, turn = (x[rows, np.maximum(body, 0)] for x in (pace.speed, pace.turn))
-        late, half = change.dilation[:, 1:-1], pace.half[:, None]
+        slide, (fast, turns, halves) = moved[0][:, 1:-1], turning
+        speed, turn = (x[rows, np.maximum(body, 0)] for x in (fast, turns))
+        late, half = moved[1][:, 1:-1], halves[:, None]
         away = far + half * (slide + late * speed)
         return np.asarray(np.where(body == ROOM, slide, slide + late * (speed + turn * away)))
 
@@ -182,15 +188,3 @@ class _Ears:
         for ear, rows in self._rows:
             out[rows] = getattr(self._motions[ear], name)(times[rows])
         return out
-
-
-def _absent(line: Line, change: Drift, holds: Bools, beside: Floats) -> Floats:
-    """Return for how long it is certain that paths do not meet all their mirrors in order, (n,) s."""
-    far, near = np.abs(line.share) * line.rise, np.abs(1.0 - line.share) * line.rise
-    one_side = (line.share <= 0.0) | (line.share >= 1.0)
-    sure = np.where(one_side, np.minimum(lasts(far, change.start), lasts(near, change.stop)), 0.0)
-    off = line.tame & ~holds & ~one_side
-    sure = np.maximum(sure, np.where(off, beside, 0.0)).max(axis=1, initial=0.0)
-    late = line.share[:, :-1] - line.share[:, 1:]
-    wrong = np.where(late > 0.0, lasts(np.maximum(late, 0.0), change.share[:, :-1] + change.share[:, 1:]), 0.0)
-    return np.asarray(np.maximum(sure, wrong.max(axis=1, initial=0.0)))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.paths.legs.mirrors import ROOM, Mirrors
-from clsim.paths.visibility.clearance import segments_apart
+from clsim.paths.visibility.clearance import edges_apart
 from clsim.paths.visibility.occlusion import INNER
 from clsim.paths.visibility.rates import FAR, lasts, middle_of
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from clsim.paths.visibility.rates import Pace
     from clsim.scene.body import Body
     from clsim.scene.room.walls import Walls
-    from clsim.scene.scene import Scene
 
     Bools = NDArray[np.bool_]
     Rows = NDArray[np.int64]
@@ -83,11 +82,10 @@ class Obstacles:
     mirrors: Mirrors  # walls and faces
     walls: Walls  # of the room
     convex: bool  # whether no wall of the room hides anything in it
+    of_owner: tuple[Walls, ...] = field(init=False)  # faces of each body, and the walls of the room, the last owner
 
-    @staticmethod
-    def of(scene: Scene) -> Obstacles:
-        """Return those of a scene."""
-        return Obstacles(Mirrors.of(scene), scene.room.as_mesh().walls, scene.room.is_convex)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "of_owner", (*(body.mesh.walls for body in self.mirrors.bodies), self.walls))
 
     def there(self, surfaces: NDArray[np.signedinteger[Any]], events: Events, times: Floats) -> Bools:
         """Mask (P, T) of valid paths by mirrors (P, N), received at times (P, T)."""
@@ -132,26 +130,25 @@ class Obstacles:
 
     def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
         """Mask of places (n, 3) on a mirror at times (n,), and distances from its border and the body's middle, m."""
-        walls, face, own = self._of(surface, places, times)
-        apart = _edges_apart(walls, face, own, own)
+        walls, face, own = self.of_owner[self.mirrors.owner[surface]], *self._seen(surface, places, times)
+        apart = edges_apart(walls.edges_of(face), own, own)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
-            apart = np.minimum(apart, _edges_apart(walls, int(twin), own, own))
+            apart = np.minimum(apart, edges_apart(walls.edges_of(int(twin)), own, own))
         body = int(self.mirrors.owner[surface])
         middle = 0.0 if body == ROOM else middle_of(self.mirrors.bodies[body]).place
         return self._holds(surface, places, times), apart, np.linalg.norm(own - middle, axis=1)
 
-    def _of(self, surface: int, places: Floats, times: Floats) -> tuple[Walls, int, Floats]:
-        """Return a mirror as a wall of its room or body, and places at times in the coordinates of that."""
+    def _seen(self, surface: int, places: Floats, times: Floats) -> tuple[int, Floats]:
+        """Return the number of a mirror in the room or on its body, and places at times in the coordinates of that."""
         body = int(self.mirrors.owner[surface])
         if body == ROOM:
-            return self.walls, surface, places
-        thing = self.mirrors.bodies[body]
-        return thing.mesh.walls, surface - int(self.mirrors.first[body]), thing.seen(places, times)
+            return surface, places
+        return surface - int(self.mirrors.first[body]), self.mirrors.bodies[body].seen(places, times)
 
     def _holds(self, surface: int, places: Floats, times: Floats) -> Bools:
         """Mask of places (n, 3) in the plane of a mirror at times (n,) that are on it."""
-        walls, face, places = self._of(surface, places, times)
-        held = walls.holds(face, places)
+        walls, face, places = self.of_owner[self.mirrors.owner[surface]], *self._seen(surface, places, times)
+        held: Bools = walls.holds(face, places)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
             held &= ~walls.holds(int(twin), places)
         return held
@@ -258,7 +255,7 @@ def _faced(
     border = np.empty(len(way))
     for each in np.unique(face).tolist():
         these = np.flatnonzero(face == each)
-        border[these] = _edges_apart(walls, each, places[these], places[these])
+        border[these] = edges_apart(walls.edges_of(each), places[these], places[these])
     border = lasts(border, _slides([h[way, face] for h in heights], (start[way], stop[way]), share, drift.part(way)))
     sure[way, face] = np.where(
         hit[way, face], np.minimum(border, sides[way, face]), np.maximum(sure[way, face], border)
@@ -286,7 +283,7 @@ def _past(
 
 def _beside(walls: Walls, face: int, start: Floats, stop: Floats, heights: list[Floats]) -> Floats:
     """Return distances (n,) of straight ways that do not meet a face from it, m."""
-    apart = _edges_apart(walls, face, start, stop)
+    apart = edges_apart(walls.edges_of(face), start, stop)
     for place, height in zip((start, stop), heights, strict=True):
         foot = place - height[:, None] * walls.normal[face]
         apart = np.where(walls.holds(face, foot), np.minimum(apart, np.abs(height)), apart)
@@ -299,11 +296,6 @@ def _slides(heights: list[Floats], ends: tuple[Floats, Floats], share: Floats, d
     length = np.linalg.norm(ends[1] - ends[0], axis=1)
     slope = np.abs(heights[0] - heights[1]) - 4.0 * drift.curved
     return np.asarray(np.where(slope > 0.0, moved * (1.0 + length / np.where(slope > 0.0, slope, 1.0)), FAR))
-
-
-def _edges_apart(walls: Walls, face: int, start: Floats, stop: Floats) -> Floats:
-    """Return the distances (n,) of straight ways from the border of a face, m."""
-    return np.asarray(segments_apart(walls.edges_of(face), start, stop).min(axis=1, initial=np.inf))
 
 
 def _apart(points: Floats, legs: Legs) -> Floats:

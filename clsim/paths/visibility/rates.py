@@ -12,8 +12,8 @@ import numpy as np
 from clsim.arrays import read_only
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.paths.legs.mirrors import FARTHEST
-from clsim.scene.motion.carried import seen_by
 from clsim.scene.motion.curves import CONTINUATION
+from clsim.scene.motion.motion import seen_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.scene.motion.carried import even_ways
+from clsim.scene.motion.motion import even_ways
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

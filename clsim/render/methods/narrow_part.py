@@ -1,26 +1,38 @@
-"""The contribution of narrow parts: complex envelopes at a low rate, made sound once for each receiver."""
+"""Narrow parts: the choice of bands that are rendered as complex envelopes, by their cost, and their contribution."""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.render.blas_threads import with_blas_threads
+from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.contributions import Stateless
+from clsim.render.envelope import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
+from clsim.render.interpolator import Bandlimited
+from clsim.render.memory import with_blas_threads
+from clsim.render.methods.costs import is_passed, measured_costs, on_gpu, passes
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.block_polynomials import GAIN_ERROR
+from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
+from clsim.tracks.basis import flat_basis
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
-    from clsim.arrays import Complexes
+    from clsim.arrays import Complexes, Floats
     from clsim.render.plan import NarrowPart, Plan
+    from clsim.render.source_filters import Emission
+    from clsim.scene.signal.signal import Signal
+    from clsim.tracks.tracks import SceneTracks, Tracks
 
 _AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
 
@@ -172,3 +184,214 @@ class _Upsampled:
         if alone:
             self._engine.until(stop)
         return self._engine.render(start, stop)
+
+
+_SHARES = (1e-3, 1e-6, 1e-9, 1e-11)  # of the energy to either side of what is passed as it is
+_SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
+_MOST_BANDS = 6
+_BINS = 10.0  # of short-time spectra: what a tone spreads in them
+_LEAST_EVERY = 4  # samples of the sound in one of the envelope
+_WINDOWS, _ENDS = 48, 4  # of short-time spectra that are looked at, and of these at either end
+_LOOKED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
+_STRETCH = 0.02  # s
+_BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NarrowOffer:
+    """Bands of one source's signal that can be rendered as complex envelopes, and what that costs."""
+
+    split: Split  # the bands, and the rest of the signal
+    cost: float  # processor time of the envelopes and of the rest of a path in a sample of the sound, ns
+
+
+def cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, str]:
+    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used."""
+    best = min(offers(emission, pairs), key=lambda offer: offer.cost, default=None)
+    if best is None or (best.cost > emission.cost_of_whole() and not emission.options.narrowband):
+        return None, ""
+    why = can(emission, pairs, best.split)
+    if why is None:
+        return best.split, ""
+    return None, f"source {emission.source}: rendered as a whole, without a narrow part: {why}"
+
+
+def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
+    """Return the splits of a source's signal into narrow bands and a rest, for pairs of this source, by index.
+
+    None where the sum of the costs that every split has exceeds the cost of rendering the whole, unless they are
+    requested.
+    """
+    signal, sound, options, tracks = emission.signal, emission.sound, emission.options, emission.tracks
+    usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
+    if not (usable and isinstance(options.interpolator, Bandlimited) and pairs and len(sound.energy)):
+        return []
+    if tracks.of_scene is None:
+        return []
+    known, rate, error_db = measured_costs(), signal.sampling_rate, options.interpolator.error_db
+    samples = min(signal.duration, emission.until) * rate
+    path_samples = max(_heard(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
+    of_band = samples * known.upsampled * len(pairs) / path_samples
+    of_all = (known.planned + samples * known.split) / path_samples
+    if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
+        return []
+    some, fades = _some(sound), _width_of_fades(tracks, pairs, error_db)
+    found = []
+    for bands in dict.fromkeys(_band_sets(signal, sound, tracks.max_rate(emission.source), fades)):
+        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db)
+        loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
+        cost = of_all + sum(of_band + _envelope_cost(band, rate) for band in split.bands) + emission.cost_of_rest(loud)
+        found.append(NarrowOffer(split, cost))
+    return found
+
+
+def _envelope_cost(band: NarrowBand, rate: float) -> float:
+    """Return the processor time of a path's envelope in a sample of the sound, ns."""
+    known = measured_costs()
+    return known.nodes + known.envelope * (band.baseband.sampling_rate or rate) / rate
+
+
+def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
+    """Return the reason against envelopes at a low rate for the pairs of a source; None if there is none."""
+    assert emission.tracks.of_scene is not None, "offers are made for scenes"
+    span = emission.start, emission.start + emission.signal.duration, emission.until
+    reasons = (
+        _obstacle(emission.source, emission.tracks.of_scene, pairs, band, split.silence, span) for band in split.bands
+    )
+    return next(filter(None, reasons), None)
+
+
+def _heard(tracks: Tracks, mine: list[int], until: float) -> float:
+    """Return the mean number of active paths of some pairs until the end of the run, s."""
+    times = (np.clip([tracks.pairs[i].start, tracks.pairs[i].end], 0.0, until) for i in mine)
+    return float(sum((end - start).sum() for start, end in times)) / until
+
+
+def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
+    """Return the half width to which paths that begin and end spread a tone, within an error, Hz; 0 for none.
+
+    The energy spectrum of a raised cosine over T is that of a step, ``1 / (2 pi f)^2``, times ``cos(pi f T)^2 /
+    (1 - (2 f T)^2)^2``: beyond F there are ``1 / (320 pi^2 T^4 F^5)`` to either side together, which must be below the
+    asked error in what sounds within 20 ms even if all paths begin at once.
+    """
+    if tracks.transition == 0.0 or all(tracks.pairs[i].always_heard for i in mine):
+        return 0.0
+    return float((320.0 * math.pi**2 * tracks.transition**4 * LEVEL_TIME * 10 ** (error_db / 10)) ** -0.2)
+
+
+def _band_sets(
+    signal: Signal, sound: ShortTimeSpectra, max_rate: float, fades: float
+) -> Iterator[tuple[tuple[Baseband, float, float], ...]]:
+    """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz."""
+    spread, spectrum = _BINS * float(sound.frequencies[1]), (sound.frequencies, sound.weights @ sound.energy)
+    for share, skirt in itertools.product(_SHARES, _SKIRTS):
+        for ranges in ([shares(spectrum, share)], _ranges(spectrum, share, 2.0 * (spread + skirt))):
+            bands = [_band(signal, *ends, spread, skirt, max_rate, fades) for ends in ranges]
+            found = tuple(band for band in bands if band is not None)
+            if 0 < len(found) == len(ranges):
+                yield found
+
+
+def _ranges(spectrum: tuple[Floats, Floats], share: float, apart: float) -> list[tuple[float, float]]:
+    """Return ranges so far apart that hold all but twice a share of the energy, Hz; none where they are one or many."""
+    frequencies, energy = spectrum
+    order = np.argsort(energy)
+    loud = frequencies[np.sort(order[np.cumsum(energy[order]) > 2.0 * share * energy.sum()])]
+    gaps = np.flatnonzero(np.diff(loud) > apart)
+    if not 0 < len(gaps) < _MOST_BANDS:
+        return []
+    return list(zip(loud[np.r_[0, gaps + 1]].tolist(), loud[np.r_[gaps, len(loud) - 1]].tolist(), strict=True))
+
+
+def _band(
+    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float
+) -> tuple[Baseband, float, float] | None:
+    """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None."""
+    rate, carrier = signal.sampling_rate, float(round(0.5 * (low + high)))
+    if abs(signal.centre_frequency - carrier) < spread:
+        carrier = signal.centre_frequency
+    flat = 0.5 * (high - low) + spread
+    half = flat + skirt
+    # All that is emitted is received within the width, and at the rate what transitions spread.
+    width, emitted = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
+    width = max(width, WIDEST * (emitted + 2.0 * fades))
+    every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
+    if every < _LEAST_EVERY or width > min(carrier, rate - 2.0 * carrier):
+        return None
+    return Baseband(carrier, width, rate / every), flat, half
+
+
+def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
+    """Return some of the windows of a sound, those at its ends and others between."""
+    count = len(sound.energy)
+    if count <= _WINDOWS:
+        return sound
+    ends = np.r_[:_ENDS, count - _ENDS : count]
+    inner = np.linspace(_ENDS, count - _ENDS - 1, _WINDOWS - 2 * _ENDS).astype(np.int64)
+    weights = np.full(len(inner), sound.weights[_ENDS : count - _ENDS].sum() / len(inner))
+    rows = np.concatenate([ends, inner])
+    return ShortTimeSpectra(sound.frequencies, sound.energy[rows], np.concatenate([sound.weights[ends], weights]))
+
+
+def _obstacle(
+    index: int,
+    tracks: SceneTracks,
+    mine: list[int],
+    narrow: NarrowBand,
+    silence: float,
+    span: tuple[float, float, float],
+) -> str:
+    """Return the reason against an envelope at a low rate; "" if there is none. Levels below `silence` are neglected.
+
+    The span is when the signal begins and ends and when the run ends, s.
+    """
+    scene = tracks.paths.scene
+    if tracks.transition == 0.0 and not all(tracks.pairs[i].always_heard for i in mine):
+        return "paths begin and end at once"
+    receivers = sorted({tracks.pairs[i].receiver for i in mine})
+    ends = [("the source", scene.sources[index].trajectory)]
+    ends += [(f"receiver {i}", scene.receivers[i].trajectory) for i in receivers]
+    ends += [(f"scatterer {i}", scatterer.trajectory) for i, scatterer in enumerate(scene.scatterers)]
+    ends += [(f"body {i}", body.trajectory) for i, body in enumerate(scene.bodies)]
+    for what, trajectory in ends:
+        turning = trajectory.turning if what.startswith("body") else None
+        if len(trajectory.breaks) or (turning is not None and len(turning.breaks)):
+            return f"the velocity of {what} jumps"
+    # Passing an end at a distance d with a speed v spreads a tone by its Doppler shift D and beyond, at an offset f, by
+    # exp(-2 pi sqrt(f^2 - D^2) d / v): the phase k sqrt(d^2 + v^2 t^2) has branch points at +-j d / v.
+    skirt, carrier = narrow.half - narrow.flat, narrow.baseband.carrier
+    shift = carrier * tracks.max_rate(index)
+    needed = -math.log(silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
+    # In the shortest blocks cubics must hold 1 / sqrt(d^2 + v^2 t^2), whose fourth derivative is 9 (v / d)^4 over d.
+    rate = narrow.baseband.sampling_rate or 0.0
+    shortest = blocks_of(rate, carrier, tracks.max_rate(index))[-1] / rate
+    needed = max(needed, shortest * (9.0 * GAIN_ERROR[8] / silence) ** 0.25)
+    for what, ends_of, most, radius in passes(tracks, index, receivers):
+        if most > 0.0 and is_passed(ends_of, span[2], needed, most, radius):
+            return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
+    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > silence:
+        return "ends move so quickly that what is heard is not narrow"
+    return ""
+
+
+def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
+    """Estimate the level of a carrier tone outside the envelope's band, relative to the tone, from a sample.
+
+    The sample is some paths in some segments of the run in which the signal is received.
+    """
+    carrier, max_rate = narrow.baseband.carrier, tracks.max_rate(tracks.pairs[pair].source)
+    rate = 2.0 * (narrow.baseband.sampling_rate or 0.0)
+    count, rng = math.ceil(_STRETCH * rate), np.random.default_rng(pair)
+    rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
+    window, worst = np.kaiser(count, _BETA), 0.0
+    outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > carrier * max_rate + narrow.half - narrow.flat
+    begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2])
+    stretches = begins[:, None] + np.arange(count) / rate
+    delays, _, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
+    for k, begin in enumerate(begins.tolist()):
+        delay, gain = (a[:, k * count : (k + 1) * count] for a in (delays, gains[0]))
+        heard = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
+        spectrum = np.fft.fft((gain * np.exp(-2j * math.pi * carrier * delay) * window)[heard], axis=1)
+        level = np.maximum(np.linalg.norm(spectrum, axis=1), 1e-300)
+        worst = max(worst, float((np.linalg.norm(spectrum[:, outside], axis=1) / level).max(initial=0.0)))
+    return worst * 10 ** (-MARGIN_DB / 20)

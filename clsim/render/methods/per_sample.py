@@ -7,48 +7,20 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
 from clsim.render.contributions import Stateless
-from clsim.render.interpolator import Bandlimited
-from clsim.render.methods.costs import measured_costs
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
-from clsim.render.reference import ReferenceEngine
+from clsim.tracks.splines import heard
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from clsim.arrays import Complexes, Floats
     from clsim.render.plan import Plan
-    from clsim.render.source_filters import Emission, SourceFilters
-
-_OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
-
-
-def cost_of_whole(emission: Emission) -> float:
-    """Return the processor time of a path in a sample of all that is emitted, ns."""
-    assert isinstance(emission.options.interpolator, Bandlimited)
-    low, high = emission.sound.bounds(10 ** ((emission.options.interpolator.error_db - 6.0) / 10))
-    known = measured_costs()
-    return known.plain + known.wide * (high - low) / (0.5 * emission.signal.sampling_rate)
-
-
-def cost_of_filters(filters: SourceFilters) -> float:
-    """Return the same with filters that are designed."""
-    known = measured_costs()
-    return known.branch * float(filters.rows[-1]) + known.function * len(filters.basis)
-
-
-def cost_of_rest(emission: Emission, loud: float) -> float:
-    """Return the same of what narrow bands leave, by the share of time in which that is not silent.
-
-    Functions of frequency are then for that time alone, and on average it lasts for half of a window of the spectra.
-    """
-    known = measured_costs()
-    return (cost_of_whole(emission) - known.plain + _OF_A_WINDOW * known.rest) * loud
-
-
-def build(plan: Plan) -> PathSum | None:
-    """Return the sum over a plan's paths except those that other methods claim; None if there are no others."""
-    return None if len(plan.allocation.claimed) == len(plan.tracks.pairs) else PathSum(plan)
+    from clsim.render.source_filters import SourceFilters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +38,7 @@ class PathSum:
         """Describe the filters of each source for delays and responses, and the bound of the error."""
         lines = []
         for i, filters in enumerate(self.plan.source_filters):
-            if not self.plan.allocation.claims(self.plan.tracks, i):
+            if not self.plan.is_claimed(i):
                 lines += [f"source {i}: {filters.describe_filters()}", f"source {i}: {filters.describe()}"]
                 lines.append(
                     f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"
@@ -124,3 +96,74 @@ def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine:
     if plan.options.engine == "reference":
         return ReferenceEngine(plan)
     return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
+
+
+_NUMBERS = 2**22  # gains held at a time
+
+
+class ReferenceEngine:
+    """Carries out a plan slowly and exactly."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+
+    def warn(self) -> None:
+        """Tell nothing: all is exact."""
+
+    def until(self, last: int) -> None:
+        """Prepare nothing anyway."""
+
+    def render(self, start: int, stop: int) -> Floats | Complexes:
+        """Return the pressure (rows, stop - start) in Pa; in baseband its complex envelope."""
+        plan = self._plan
+        pressure = np.zeros((plan.row_count, stop - start), dtype=float if plan.baseband is None else complex)
+        for i, pair in enumerate(plan.tracks.pairs):
+            functions, rows = len(plan.source_filters[pair.source].basis), plan.rows_of_pair(i)
+            step = min(max(_NUMBERS // (len(pair) * functions * (rows.stop - rows.start)), 256), 4096)
+            for first in range(start, stop, step):
+                last = min(first + step, stop)
+                pressure[rows, first - start : last - start] += _render_paths(plan, i, first, last)
+        return pressure
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add all paths from sample `start` on to the pressure (rows, n), Pa."""
+        pressure += self.render(start, start + pressure.shape[1])
+
+
+def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Complexes:
+    """Return the sum of a pair's paths over samples `first` to `last` by channel, shape (C, n)."""
+    tracks, member = plan.tracks, plan.tracks.pairs[pair]
+    filters = plan.source_filters[member.source]
+    times = np.arange(first, last) / plan.sampling_rate
+    ramp = 0.5 * tracks.transition
+    rows = np.flatnonzero((member.start - ramp <= times[-1]) & (member.end + ramp >= times[0]))
+    if not len(rows):
+        return np.zeros((1, last - first))
+    delay, _, gain = tracks.evaluate(pair, times, filters.basis, rows)
+    weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
+    gain = np.where(weight > 0.0, gain, 0.0) * weight
+    delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples
+    whole = np.rint(delay_samples)
+    weighted: Any = gain * filters.carrier_phase(delay_samples)
+    samples = filters.oversampling * np.arange(first, last)
+    return _sum_paths(plan, filters, samples - whole.astype(np.int64), delay_samples - whole, weighted)
+
+
+def _sum_paths(
+    plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, gain: Floats | Complexes
+) -> Floats | Complexes:
+    """Apply taps and gains (C, K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
+    length, centre = filters.bank.taps.shape[1], filters.bank.centre
+    total: Any = np.zeros((len(gain), emitted.shape[1]), dtype=gain.dtype)
+    first = int(emitted.min()) + centre - length + 1
+    streams = filters.streams(first, int(emitted.max()) + centre + 1)
+    if not np.any(streams):
+        return np.asarray(total)
+    # Tap k reads x[n - D - k + centre]: a window ends at n - D + centre and runs backwards.
+    windows = sliding_window_view(streams, length, axis=1)
+    for p in range(len(emitted)):
+        if np.any(gain[:, :, p]):
+            seen = windows[:, emitted[p] + centre - length + 1 - first, ::-1]
+            delayed = np.einsum("nk,fnk->fn", plan.options.interpolator.taps(filters.bank, mu[p]), seen)
+            total += np.einsum("fn,cfn->cn", delayed, gain[:, :, p])
+    return np.asarray(total)

@@ -46,7 +46,7 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
         return "tracks without a scene"
     if not options.convolve_static or options.engine != "opencl" or not isinstance(options.interpolator, Bandlimited):
         return "every path is rendered by the requested delay filter"
-    scene, member = of_scene.scene, tracks.pairs[pair]
+    scene, member = of_scene.paths.scene, tracks.pairs[pair]
     source, receiver = scene.sources[member.source], scene.receivers[member.receiver]
     if not (_is_static(source) and _is_static(receiver)) or of_scene.pair_paths[pair].family.moves:
         return "it moves or turns"
@@ -97,7 +97,7 @@ class StaticConvolution:
 
     def responses(self, source: int) -> list[tuple[int, ImpulseResponse]]:
         """Return rows of the pressure and impulse responses of a source."""
-        filters, scene = self.source_filters[source], self.tracks.scene
+        filters, scene = self.source_filters[source], self.tracks.paths.scene
         centre = filters.signal.centre_frequency if self.at_centre else None
         rate = filters.signal.sampling_rate
         band, found = _band(filters, complex_responses=self.tracks.paths.is_complex), []

@@ -10,7 +10,6 @@ import numpy as np
 from clsim.opencl.launch import work
 from clsim.render.baseband import WIDEST_SUBBLOCK
 from clsim.render.envelope import EnvelopeFilters
-from clsim.render.opencl.batches import find_fades
 from clsim.render.opencl.engine import OpenclEngine, Run
 
 if TYPE_CHECKING:
@@ -90,7 +89,7 @@ class _BasebandRun(Run):
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
         engine, begin = self._engine, segment * self._plan.segment
-        fades = find_fades(self._batch, self._start + begin, block, -(-(end - begin) // block))
+        fades = self._batch.fades(self._start + begin, block, -(-(end - begin) // block))
         if fades is None:
             return
         slot = engine._upload(fades.slot)

@@ -1,4 +1,4 @@
-"""Slots: the paths of a batch of receivers as the device sees them, and the blocks in which these begin or end."""
+"""Slots: the paths of a batch of receivers on the device, blocks in which they begin or end, and active samples."""
 
 from __future__ import annotations
 
@@ -7,13 +7,48 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.tracks.transition import heard_samples
+from clsim.render.plan import BATCH
+from clsim.tracks.splines import heard_samples
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.render.plan import Plan
+    from clsim.tracks.tracks import PairTracks
+
+_TILE = 128  # paths whose branch signals stay in cache together
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Layout of the sum of paths on a device: a subblock of samples over lanes of vectors, or over work-items."""
+
+    lanes: int
+    subblocks: int  # subblocks to a work-item, or to a group of them
+    sparse_subblocks: int  # the same where signals pause
+    nodes: int  # of a path, whose delays are solved side by side
+
+    def constants(self, subblock: int, *, sparse: bool, fine: bool, oversampling: int) -> dict[str, int]:
+        """Return the compile-time constants of the render kernel for a subblock's length."""
+        workers = 1 if self.lanes > 1 else subblock
+        return {
+            "LANES": self.lanes,
+            "VECTORS": subblock // (workers * self.lanes),
+            "WORKERS": workers,
+            "SPARSE": int(sparse),
+            "FINE": int(fine),
+            "OVERSAMPLING": oversampling,
+            "BATCH": 1 if sparse else BATCH,
+            "TILE": _TILE,
+            "SUBBLOCKS": (self.sparse_subblocks if sparse else self.subblocks) * (32 // subblock),
+        }
+
+
+CPU_LAYOUT = Layout(lanes=8, subblocks=16, sparse_subblocks=48, nodes=4)
+GPU_LAYOUT = Layout(lanes=1, subblocks=4, sparse_subblocks=16, nodes=1)
 
 
 _NEVER = 2**40  # samples
@@ -28,10 +63,8 @@ class ActivePaths:
     low: Floats  # (n,) bounds of their delays over the chunk, s
     high: Floats  # likewise
 
-    def during(self, plan: Plan, first: int, last: int) -> ActivePaths:
-        """Return those active within samples `first` to `last`."""
-        pair, ramp = plan.tracks.pairs[self.index], 0.5 * plan.tracks.transition
-        begin, end = first / plan.sampling_rate, last / plan.sampling_rate
+    def during(self, pair: PairTracks, ramp: float, begin: float, end: float) -> ActivePaths:
+        """Return those active from a time to another, s, where half of a transition takes `ramp`, s."""
         heard = (pair.start[self.rows] - ramp <= end) & (pair.end[self.rows] + ramp >= begin)
         return ActivePaths(self.index, self.rows[heard], self.low[heard], self.high[heard])
 
@@ -90,6 +123,43 @@ class PathBatch:
         """Return the slots of the batch's i-th pair."""
         return slice(int(self.first_slot[i]), int(self.first_slot[i + 1]))
 
+    def fades(self, start: int, block: int, blocks: int) -> Fades | None:
+        """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
+        found, bounds = [], self.bounds
+        for place in (bounds.start, bounds.end):
+            half = 0.5 * bounds.ramp
+            low = np.clip((place - half - start) / block, -1.0, blocks)
+            high = np.clip((place + half - start) / block, -1.0, blocks)
+            low, high = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
+            if bounds.ramp == 0.0:
+                high = np.where(
+                    place - start == high * block, low - 1, high
+                )  # at once and between blocks: nothing to do
+            high = np.minimum(high, blocks - 1)
+            low = np.maximum(low, 0)
+            count = np.where(self.padding, 0, np.maximum(high - low + 1, 0))
+            which = np.repeat(np.arange(self.count), count)
+            found.append((which, low[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)))
+        slot, at = (np.concatenate([f[i] for f in found]) for i in range(2))
+        if not len(slot):
+            return None
+        slot, at = np.unique(np.stack([slot, at]), axis=1)
+        pair = np.searchsorted(self.first_slot, slot, side="right") - 1
+        order = np.lexsort((slot, at, pair))
+        slot, at, pair = slot[order], at[order], pair[order]
+        new = np.flatnonzero(np.diff(pair * np.int64(blocks) + at, prepend=-1))
+        begin = (start + at * block).astype(np.float64)
+        far = 2.0**23
+
+        def here(place: Floats) -> NDArray[Any]:
+            """Return sample indices of the run from its beginning, bounded to the exact range of float32."""
+            return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
+
+        return Fades(
+            slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
+            np.append(new, len(slot)).astype(np.int32), self.row[pair[new]], at[new].astype(np.int32),
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fades:
@@ -104,7 +174,37 @@ class Fades:
     at: NDArray[np.int32]  # (places,) its block
 
 
-def fill_batch(plan: Plan, active: list[ActivePaths], batch: int, apart: int = 1) -> PathBatch:
+def in_batches(
+    plan: Plan,
+    active: list[ActivePaths],
+    kind: Callable[[int], object],
+    budget: float,
+    block: int,
+    apart: int = 1,
+) -> list[PathBatch]:
+    """Cut a source's pairs into batches of slots: as many as fit the budget of nodes in blocks of a length, bytes.
+
+    All pairs of a batch have their nodes made by the same maker, which the kind stands for, and as many channels. No
+    receiver is in it twice, with paths of two kinds or too many for a launch: work-groups that add to the same samples
+    would race.
+    """
+    batches = list[list[ActivePaths]]()
+    count, last, there = 0, None, set[int]()
+    for pair in active:
+        member, row = plan.tracks.pairs[pair.index], plan.rows_of_pair(pair.index).start
+        channels, slots = len(member.channels), -(-len(pair.rows) // BATCH) * BATCH
+        alike = kind(pair.index), channels
+        a_segment = plan.bytes_per_node(member.source, channels) * (plan.segment // block)
+        if count + slots > max(BATCH, budget // a_segment) or alike != last or row in there:
+            batches.append([])
+            count, last, there = 0, alike, set()
+        batches[-1].append(pair)
+        there.add(row)
+        count += slots
+    return [fill_batch(plan, some, apart) for some in batches]
+
+
+def fill_batch(plan: Plan, active: list[ActivePaths], apart: int = 1) -> PathBatch:
     """Return the slots of some pairs' active paths, sorted by the middle of their delays.
 
     apart: slots side by side that are dealt from so many equal stretches of that order.
@@ -112,7 +212,7 @@ def fill_batch(plan: Plan, active: list[ActivePaths], batch: int, apart: int = 1
     path, padding, first = [], [], [0]
     for pair in active:
         order = pair.rows[np.argsort(pair.low + pair.high, kind="stable")]
-        extra = -len(order) % batch
+        extra = -len(order) % BATCH
         dealt = np.arange(len(order) + extra).reshape(apart, -1).T.ravel()
         path.append(np.concatenate([order, np.full(extra, order[-1])])[dealt])
         padding.append(dealt >= len(order))
@@ -145,37 +245,47 @@ def _boundaries(plan: Plan, pairs: list[int], rows: list[NDArray[np.int64]], pad
     return Boundaries(start * rate, end * rate, first, last, transition * rate)
 
 
-def find_fades(batch: PathBatch, start: int, block: int, blocks: int) -> Fades | None:
-    """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
-    found, bounds = [], batch.bounds
-    for place in (bounds.start, bounds.end):
-        half = 0.5 * bounds.ramp
-        low = np.clip((place - half - start) / block, -1.0, blocks)
-        high = np.clip((place + half - start) / block, -1.0, blocks)
-        low, high = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
-        if bounds.ramp == 0.0:
-            high = np.where(place - start == high * block, low - 1, high)  # at once and between blocks: nothing to do
-        high = np.minimum(high, blocks - 1)
-        low = np.maximum(low, 0)
-        count = np.where(batch.padding, 0, np.maximum(high - low + 1, 0))
-        which = np.repeat(np.arange(batch.count), count)
-        found.append((which, low[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)))
-    slot, at = (np.concatenate([f[i] for f in found]) for i in range(2))
-    if not len(slot):
-        return None
-    slot, at = np.unique(np.stack([slot, at]), axis=1)
-    pair = np.searchsorted(batch.first_slot, slot, side="right") - 1
-    order = np.lexsort((slot, at, pair))
-    slot, at, pair = slot[order], at[order], pair[order]
-    new = np.flatnonzero(np.diff(pair * np.int64(blocks) + at, prepend=-1))
-    begin = (start + at * block).astype(np.float64)
-    far = 2.0**23
+CELL = 16  # samples
+_SPARSE = 0.5  # share of active cells, below which it pays to look
 
-    def here(place: Floats) -> NDArray[Any]:
-        """Return sample indices of the run from its beginning, bounded to the exact range of float32."""
-        return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
 
-    return Fades(
-        slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
-        np.append(new, len(slot)).astype(np.int32), batch.row[pair[new]], at[new].astype(np.int32),
-    )  # fmt: skip
+@dataclass(frozen=True, slots=True, eq=False)
+class Activity:
+    """Cells of `CELL` samples of branch signals in which any of them is not zero."""
+
+    cells: NDArray[np.bool_]  # (cells,) whether they are active
+
+    def __or__(self, other: Activity) -> Activity:
+        """Return the union of both."""
+        return Activity(self.cells | other.cells)
+
+    @property
+    def pays(self) -> bool:
+        """Whether few enough cells are active for skipping to be cost-effective."""
+        return float(np.mean(self.cells)) < _SPARSE
+
+    @property
+    def following(self) -> NDArray[np.int32]:
+        """The nearest active cell from each one on, or the number of cells, (cells,)."""
+        count = len(self.cells)
+        index = np.where(self.cells, np.arange(count, dtype=np.int32), np.int32(count))
+        return np.asarray(np.minimum.accumulate(index[::-1])[::-1])
+
+    @property
+    def preceding(self) -> NDArray[np.int32]:
+        """The nearest active cell up to each one, or -1, (cells,)."""
+        index = np.where(self.cells, np.arange(len(self.cells), dtype=np.int32), np.int32(-1))
+        return np.asarray(np.maximum.accumulate(index))
+
+
+def find_activity(active: NDArray[np.int64], count: int, before: int, after: int) -> Activity:
+    """Find the active cells of branch signals; active (n,).
+
+    active: samples that are not zero of what the branch filters filter; the first sample of the branches is at
+    `before`.
+    """
+    cells = -(-count // CELL)
+    # A sample at i is heard by branches from i - after - before to i.
+    begun = np.bincount(np.clip((active - before - after) // CELL, 0, cells), minlength=cells + 1)
+    ended = np.bincount(np.clip(active // CELL + 1, 0, cells), minlength=cells + 1)
+    return Activity(np.cumsum(begun - ended)[:-1] > 0)

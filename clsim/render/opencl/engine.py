@@ -9,21 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import ClsimError, DeviceError, warn
-from clsim.opencl.compiler import compiler_of
-from clsim.opencl.device import find_device
-from clsim.opencl.launch import Scratch, upload, work
-from clsim.opencl.limits import check_group
-from clsim.render.opencl.batches import ActivePaths, PathBatch, fill_batch, find_fades
-from clsim.render.opencl.branch_signals import Branches, BranchSignals
+from clsim.opencl.device import check_group, find_device
+from clsim.opencl.launch import Scratch, compiler_of, upload, work
+from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT, Layout, PathBatch, in_batches
+from clsim.render.opencl.block_polynomials import Residual
+from clsim.render.opencl.branch_signals import Branches, BranchSignals, Limits
 from clsim.render.opencl.environment import has_directivity
-from clsim.render.opencl.host_nodes import HostNodeMaker
-from clsim.render.opencl.layout import CPU_LAYOUT, GPU_LAYOUT, Layout
-from clsim.render.opencl.limits import Limits
+from clsim.render.opencl.host_nodes import HostNodeMaker, PairNodeMaker
 from clsim.render.opencl.nodes import NodeMaker
-from clsim.render.opencl.pair_nodes import PairNodeMaker
 from clsim.render.opencl.path_columns import COLUMNS
-from clsim.render.opencl.residual import Residual
-from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -112,17 +106,24 @@ class OpenclEngine:
         """Remember the largest error that the shortest blocks leave of a source, and when."""
         self._coarse[source] = max(self._coarse[source], (wrong, time))
 
-    def maker(self, pair: int) -> Maker:
-        """Return the maker of the nodes of a pair: the device, where it has a program for such paths.
+    def kind(self, pair: int) -> PathFamily | None:
+        """Return the kind of paths of a pair for which the device has a program of nodes; None for the host.
 
         Without float64 there is none for envelopes, whose delays are septics, and for wind.
         """
         plan, of_scene = self._plan, self._plan.tracks.of_scene
-        family = None if of_scene is None else of_scene.pair_paths[pair].family
-        in_pairs = of_scene is not None and plan.baseband is None and of_scene.scene.air.wind is None
+        if of_scene is None:
+            return None
+        family, member, scene = of_scene.pair_paths[pair].family, of_scene.pairs[pair], of_scene.paths.scene
+        in_pairs = plan.baseband is None and scene.air.wind is None
         known = COLUMNS.keys() if self._info.fp64 else {"images"} if in_pairs else set()
-        on_device = family is not None and family.device in known and has_directivity(plan, pair)
-        kind = family if on_device else None
+        gains = len(member.channels) * len(plan.source_filters[member.source].basis)
+        on_device = family.device in known and has_directivity(scene.receivers[member.receiver].directivity, gains)
+        return family if on_device else None
+
+    def maker(self, pair: int) -> Maker:
+        """Return the maker of the nodes of a pair: the device, where it has a program for such paths."""
+        plan, of_scene, kind = self._plan, self._plan.tracks.of_scene, self.kind(pair)
         if kind not in self._makers:
             device = NodeMaker if self._info.fp64 else PairNodeMaker
             self._makers[kind] = (
@@ -154,38 +155,17 @@ class OpenclEngine:
             step = segments if always else _CHOSEN_ANEW
             for first in range(0, segments, step):
                 last = min(first + step, segments)
-                here = [pair.during(plan, start + first * plan.segment, start + last * plan.segment) for pair in active]
+                begin, end = ((start + at * plan.segment) / plan.sampling_rate for at in (first, last))
+                ramp = 0.5 * plan.tracks.transition
+                here = [pair.during(plan.tracks.pairs[pair.index], ramp, begin, end) for pair in active]
                 heard = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
-                for some in self._batches(heard, source, plan.shortest_block):
-                    batch = fill_batch(plan, some, BATCH)
+                for batch in in_batches(plan, heard, self.kind, self.limits.node_budget, plan.shortest_block):
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         for unheld in self.unheld:
             unheld.settle((start + length) // plan.segment)
         rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         self.put(rows[:, : pressure.shape[1]], pressure)
         rows.base.release(self._queue)
-
-    def _batches(self, active: list[ActivePaths], source: int, block: int) -> list[list[ActivePaths]]:
-        """Cut a source's pairs into batches of slots: as many fit the node budget.
-
-        All pairs of a batch have their nodes made by the same maker, and as many channels. No receiver is in it twice,
-        with paths of two kinds or too many for a launch: work-groups that add to the same samples would race.
-        """
-        plan, batches = self._plan, list[list[ActivePaths]]()
-        count, last, there = 0, None, set[int]()
-        for pair in active:
-            row, channels = plan.rows_of_pair(pair.index).start, len(plan.tracks.pairs[pair.index].channels)
-            slots = -(-len(pair.rows) // BATCH) * BATCH
-            kind = self.maker(pair.index), channels
-            a_segment = plan.bytes_per_node(source, channels) * (plan.segment // block)
-            most = max(BATCH, self.limits.node_budget // a_segment)
-            if count + slots > most or kind != last or row in there:
-                batches.append([])
-                count, last, there = 0, kind, set()
-            batches[-1].append(pair)
-            there.add(row)
-            count += slots
-        return batches
 
     def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
         """Add the rows of all receivers, `parts` of each, to the pressure."""
@@ -308,7 +288,7 @@ class Run:
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
         engine, begin = self._engine, segment * self._plan.segment
-        fades = find_fades(self._batch, self._start + begin, block, -(-(end - begin) // block))
+        fades = self._batch.fades(self._start + begin, block, -(-(end - begin) // block))
         if fades is None:
             return
         filters = self._plan.source_filters[self._source]

@@ -10,10 +10,18 @@ import numpy as np
 
 from clsim.opencl.launch import Scratch, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS, knot_rate, motion_knots
-from clsim.render.opencl.activity import CELL
+from clsim.render.opencl.batches import CELL
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
-from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR, Environment, receiver_at
-from clsim.render.opencl.lookup_tables import AXIAL, CELLS, FACE_CELLS, HARMONIC, OMNI, SIDE, SPHERICAL
+from clsim.render.opencl.environment import (
+    DIRECTIVITIES,
+    OMNI,
+    RECEIVER_NODE,
+    SPHERICAL,
+    TABLE_SIZES,
+    VECTOR,
+    Environment,
+    receiver_at,
+)
 from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rendered
 from clsim.render.plan import Plan, node_times
 
@@ -23,9 +31,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.opencl.compiler import Compiler
-    from clsim.render.opencl.activity import Activity
-    from clsim.render.opencl.batches import Boundaries, PathBatch
+    from clsim.opencl.launch import Compiler
+    from clsim.render.opencl.batches import Activity, Boundaries, PathBatch
     from clsim.tracks.tracks import SceneTracks
 
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
@@ -75,7 +82,7 @@ class NodeMaker:
         self._family = family
         self._together = together  # nodes of a path that are solved side by side
         self._scratch = Scratch(queue.context)
-        scene = tracks.scene
+        scene = tracks.paths.scene
         wind = np.zeros(3) if scene.air.wind is None else np.array(scene.air.wind)
         media = (family.medium(source) for source in range(len(scene.sources)))
         self._media = [{"speed_of_sound": medium.speed_of_sound, "wind": wind} for medium in media]
@@ -119,7 +126,7 @@ class NodeMaker:
 
         Where `activity` is given, what is silent is left out; `first` is the sample at which branch signals begin.
         """
-        plan, scene = self._plan, self._tracks.scene
+        plan, scene = self._plan, self._tracks.paths.scene
         env, pairs = self._environments[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
         walls = self._columns.met(rows)
@@ -254,7 +261,7 @@ class NodeMaker:
 
     def _exact_constants(self, source: int) -> dict[str, Any]:
         """Constants of the program in float64."""
-        wind = int(self._tracks.scene.air.wind is not None)
+        wind = int(self._tracks.paths.scene.air.wind is not None)
         smooth = np.float32(SMOOTH_ERROR)
         return OF_DELAYS | self._columns.constants | {
             "SMOOTH_ERROR": smooth, "NODES_AT_ONCE": self._together, "WIND": wind,
@@ -306,27 +313,25 @@ class NodeMaker:
         retarded, env = self._tracks.kinematics.retarded, self._environments[source]
         reception = env.reception(self._channels(batch))
         functions = len(self._plan.source_filters[source].basis) * reception.channels
-        return self._motion_constants(source) | {
-            "CELL": CELL,
-            "DELAY_TERMS": self._plan.delay_terms,
-            "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
-            "FREQUENCIES": env.count,
-            "PARTS": env.parts,
-            "AIR_TERMS": env.air_terms,
-            "CELLS": CELLS,
-            "SIDE": SIDE,
-            "FACE_CELLS": FACE_CELLS,
-            "CUBIC_COLUMNS": CUBIC_COLUMNS,
-            "MACH_EXPONENT": self._tracks.kinematics.exponent if retarded else 0,
-            "SOURCE_DIRECTIVITY": env.source_kind,
-            "RECEIVER_DIRECTIVITY": reception.kind,
-            "CHANNELS": reception.channels,
-            "HARMONIC": HARMONIC,
-            "OMNI": OMNI,
-            "AXIAL": AXIAL,
-            "SPHERICAL": SPHERICAL,
-            "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
-        }
+        return (
+            self._motion_constants(source)
+            | DIRECTIVITIES
+            | TABLE_SIZES
+            | {
+                "CELL": CELL,
+                "DELAY_TERMS": self._plan.delay_terms,
+                "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
+                "FREQUENCIES": env.count,
+                "PARTS": env.parts,
+                "AIR_TERMS": env.air_terms,
+                "CUBIC_COLUMNS": CUBIC_COLUMNS,
+                "MACH_EXPONENT": self._tracks.kinematics.exponent if retarded else 0,
+                "SOURCE_DIRECTIVITY": env.source_kind,
+                "RECEIVER_DIRECTIVITY": reception.kind,
+                "CHANNELS": reception.channels,
+                "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
+            }
+        )
 
     def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:
         """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes).
@@ -336,7 +341,7 @@ class NodeMaker:
         times = times[:1] if self._all_static else times
         out = np.empty((len(batch.pairs), len(times)), dtype=RECEIVER_NODE)
         for i, r in enumerate(batch.receiver):
-            out[i] = self._static[r] if r in self._static else receiver_at(self._tracks.scene.receivers[r], times)
+            out[i] = self._static[r] if r in self._static else receiver_at(self._tracks.paths.scene.receivers[r], times)
         return out
 
     def _upload(self, array: NDArray[Any]) -> Any:

@@ -10,8 +10,7 @@ import numpy as np
 
 from clsim.acoustics import fock, shade, silhouette
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
-from clsim.acoustics.diffraction import ON_BOUNDARY, ON_LINE, partner_reflections
-from clsim.acoustics.edge_end import AT_CORNER, END_TERMS
+from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE, partner_reflections
 from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.errors import InputError
@@ -20,7 +19,7 @@ from clsim.paths.legs.events import BEYOND_LEG
 from clsim.paths.legs.mirrors import ROOM
 from clsim.paths.vertices.edge_field import BOTH, least_angle
 from clsim.paths.vertices.scatterer_paths import PATIENCE
-from clsim.render.opencl.lookup_tables import end_table, field_tables, transition_table
+from clsim.render.opencl.environment import end_table, field_tables, transition_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -155,7 +154,7 @@ class EdgeColumns(StaticColumns):
 
     def _tables(self, basis: Basis) -> dict[str, Any]:
         """Tables of the transition functions of edges and of their ends at the frequencies of a basis."""
-        waves = basis.nodes / self._of.tracks.scene.air.speed_of_sound
+        waves = basis.nodes / self._of.tracks.paths.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
         both = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
         return self._of.uploaded(field_tables=field_tables(waves, both)) | {"middle": middle, "modes": None}
@@ -195,11 +194,11 @@ class ScattererColumns(StaticColumns):
 
     def __init__(self, of: Rendered) -> None:
         super().__init__(of)
-        scatterers = of.tracks.scene.scatterers
+        scatterers = of.tracks.paths.scene.scatterers
         self._motions = [scatterer.trajectory for scatterer in scatterers]
         radii = [scatterer.shape.radius for scatterer in scatterers]
         # Either leg changes by as much as a scatterer moves.
-        tolerance = 0.25 * of.tolerance(of.tracks.scene.air.speed_of_sound)
+        tolerance = 0.25 * of.tolerance(of.tracks.paths.scene.air.speed_of_sound)
         self._pose_rate = pose_rate(self._motions, radii, of.plan.duration, tolerance)
         of_shape = np.zeros(len(scatterers), dtype=SCATTERER_VIEW)
         for row, scatterer in zip(of_shape, scatterers, strict=True):
@@ -213,10 +212,10 @@ class ScattererColumns(StaticColumns):
 
     def _tables(self, views: NDArray[Any], basis: Basis) -> dict[str, Any]:
         """Tables of ellipsoids, capsules and spheres; views are given the places where they begin."""
-        outlined = np.array([getattr(s.shape, "outlined", False) for s in self._of.tracks.scene.scatterers])
+        outlined = np.array([getattr(s.shape, "outlined", False) for s in self._of.tracks.paths.scene.scatterers])
         if views["shape"].max() < CAPSULE and not outlined.any():
             return {}
-        waves = basis.nodes / self._of.tracks.scene.air.speed_of_sound
+        waves = basis.nodes / self._of.tracks.paths.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
         # All outlines find Fock's function at the beginning, and then what else casts a shadow, see ``shade.h``.
         casters = np.zeros((int(outlined.sum()), 7))
@@ -231,7 +230,7 @@ class ScattererColumns(StaticColumns):
             parts += [modes.ka, factors.ravel()]
         for row in np.flatnonzero(outlined).tolist():
             start = sum(part.size for part in parts)
-            shape: Any = self._of.tracks.scene.scatterers[row].shape
+            shape: Any = self._of.tracks.paths.scene.scatterers[row].shape
             parts.append(self._points(shape.outline, waves, start))
             views["first_mode"][row], views["modes"][row] = start, int(parts[-1][0])
         chosen = views[outlined]
@@ -296,7 +295,7 @@ class MirrorColumns(StaticColumns):
         mirrors = of.family.legs[0].mirrors
         still = np.array([body.is_static for body in mirrors.bodies])
         # In wind everything moves through the air.
-        self._moves = (mirrors.owner != ROOM) & ~still[mirrors.owner] | (of.tracks.scene.air.wind is not None)
+        self._moves = (mirrors.owner != ROOM) & ~still[mirrors.owner] | (of.tracks.paths.scene.air.wind is not None)
         of_paths = self._moving(of.family.legs[0].surfaces)
         self.mirrors = max(int(of_paths.sum(axis=1).max(initial=0)), 1)
         self.state_numbers = 4 * self.mirrors

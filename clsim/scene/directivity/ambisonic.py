@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from clsim.arrays import as_choice, as_count
-from clsim.numerics.spherical_harmonics import real_harmonics
+from clsim.numerics.sphere import real_harmonics
 from clsim.scene.directivity.directivity import ChannelDirectivity
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.acoustic_centre import fit_delay
+from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.scene.directivity.directivity import (

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.spherical_head import sphere_surface_field
+from clsim.acoustics.sphere import sphere_surface_field
 from clsim.arrays import Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
-from clsim.numerics.arrival_times import advanced, arrival_times
+from clsim.numerics.convolution import advanced, arrival_times
 from clsim.numerics.sphere import RadialOnSphere, largest_hole, merged
 from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage
 from clsim.scene.directivity.sofa_hrtf import read_hrtf

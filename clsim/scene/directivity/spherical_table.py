@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from clsim.acoustics.acoustic_centre import fit_delay
+from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_count, as_floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere

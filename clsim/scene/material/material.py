@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
 
 MIKI_RANGE = (0.01, 1.0)  # m³/kg, of frequency over flow resistivity
+_CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
+_RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
+_DENSEST, _STIFFEST = 1e7, 1e7  # kg/m³ and m/s, beyond all solids
+_HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +111,6 @@ class PorousLayer:
         return f"porous layer of {1e3 * self.thickness:g} mm and {self.flow_resistivity:g} Pa s/m²"
 
 
-_CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
-
-
 @dataclass(frozen=True, slots=True)
 class LibraryEntry:
     """A built-in material."""
@@ -150,20 +151,14 @@ def _read(path: Path) -> dict[str, LibraryEntry]:
 
 
 LIBRARY = _read(Path(__file__).with_name("library.toml"))
-
-
 MATERIAL_NAMES = tuple(LIBRARY)
-
-_RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
-_DENSEST, _STIFFEST = 1e7, 1e7  # kg/m³ and m/s, beyond all solids
-_HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Material(ReflectingSurface):
     """What a wall is made of: how much sound it sends back, by frequency and angle of incidence.
 
-    Made by one of the constructors below; `reflection_at` tells the factor.
+    Made by one of the constructors below, which all take `name` and `scattering`; `reflection_at` gives the factor.
 
     Parameters
     ----------
@@ -174,8 +169,7 @@ class Material(ReflectingSurface):
     roughness : float
         Root mean square of the wall's heights, m: see `rough`.
     scattering : float or (frequencies, values), optional
-        Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz; of every
-        constructor a keyword.
+        Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
     transmission : TransmissionModel, optional
         What gives the factor of the pressure behind the wall: see `transmitting`.
 
@@ -193,15 +187,6 @@ class Material(ReflectingSurface):
         ----------
         factor : float or complex
             From -1 (pressure release) to 1 (rigid), or complex with a magnitude of 1 at most.
-        name : str
-            What to call it.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------
@@ -223,15 +208,6 @@ class Material(ReflectingSurface):
         coefficients : array_like (n,)
             Shares of energy absorbed, 0 to 1. Monotone cubics over the logarithm of frequency join them; outside, the
             ends are held with a warning.
-        name : str
-            What to call it.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------
@@ -269,15 +245,6 @@ class Material(ReflectingSurface):
             Real, -1 to 1, or complex with magnitudes of 1 at most.
         outside : {None, "hold"}
             What the factor is outside the table: refused, or that at the nearest end.
-        name : str
-            What to call it.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------
@@ -330,15 +297,6 @@ class Material(ReflectingSurface):
             Monotone cubics over the logarithm of frequency join real and imaginary parts.
         outside : {None, "hold"}
             What the impedance is outside the table: refused, or that at the nearest end.
-        name : str
-            What to call it.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------
@@ -394,15 +352,6 @@ class Material(ReflectingSurface):
             What the factor is outside the band: refused, or that at the nearest end.
         tolerance : float
             By how much magnitudes within the band may exceed 1, 0 to 1; they are then taken as 1. More is refused.
-        name : str
-            What to call it.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------
@@ -461,15 +410,8 @@ class Material(ReflectingSurface):
             What full scale means: 1 where the file holds the factor's own impulse response.
         reference, band, outside, tolerance, name
             See `from_impulse_response`.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
         truncated : bool
             Whether a file that ends before its header says is taken as far as it goes; else it is refused.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------
@@ -502,15 +444,6 @@ class Material(ReflectingSurface):
         boundary_layer : bool
             Whether viscosity and heat conduction at the wall take their part: at 40 kHz 0.4 % of the pressure at
             normal incidence, and the more the lower the sound comes in. Otherwise one real factor for all angles.
-        name : str
-            What to call it.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------
@@ -561,15 +494,6 @@ class Material(ReflectingSurface):
         outside : {None, "extend"}
             What happens where frequency over flow resistivity is not from 0.01 to 1 m³/kg, for which the formula was
             fitted: refused, or the formula is used all the same.
-        name : str
-            What to call it.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------
@@ -601,13 +525,6 @@ class Material(ReflectingSurface):
             on are published coefficients from 125 Hz to 4 kHz, held above with a warning. Those that begin with
             ``"estimated-"`` are calculated for ultrasound from assumed properties: no measurements. ``clsim
             materials`` lists all with source and uncertainty.
-        scattering : float or (frequencies, values), optional
-            Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-
-        Returns
-        -------
-        Material
-            The material.
 
         Raises
         ------

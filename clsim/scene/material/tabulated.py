@@ -6,7 +6,7 @@ import cmath
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -119,6 +119,14 @@ def warn_of_noise(samples: Floats, name: str) -> None:
 _FEW = 512  # samples of an impulse response that are summed at once
 
 
+class Tabulated(Protocol):
+    """Table whose values a curve over frequency joins."""
+
+    def curves(self) -> Callable[[Floats], NDArray[Any]]:
+        """Return values at frequencies (...), Hz."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class ConstantFactor:
     """One factor, real or complex, at every frequency and angle."""
@@ -156,7 +164,7 @@ class AbsorptionTable:
         return float(self.frequencies[0]), float(self.frequencies[-1])
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        return np.asarray(reflection_from_absorption(np.clip(_curves(self)(frequency), 0.0, 1.0)))
+        return np.asarray(reflection_from_absorption(np.clip(curve_of(self)(frequency), 0.0, 1.0)))
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
         return over_octaves(self.frequencies, self.coefficients)
@@ -185,7 +193,7 @@ class FactorTable:
         return _band(self.frequencies, self.outside)
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        return _curves(self)(frequency)
+        return curve_of(self)(frequency)
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
         """Return the factor as a function of frequency.
@@ -223,7 +231,7 @@ class ImpedanceTable:
         return _band(self.frequencies, self.outside)
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        return reflection_from_impedance(_curves(self)(frequency), cosine)
+        return reflection_from_impedance(curve_of(self)(frequency), cosine)
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
         # Monotone cubics keep the real part above 0: the wall stays passive.
@@ -283,7 +291,8 @@ def _mean_turn(frequencies: Floats, factors: NDArray[Any]) -> float:
 
 
 @lru_cache(maxsize=256)
-def _curves(table: AbsorptionTable | FactorTable | ImpedanceTable) -> Callable[[Floats], NDArray[Any]]:
+def curve_of(table: Tabulated) -> Callable[[Floats], NDArray[Any]]:
+    """Return the curve of a table over frequency, made once."""
     return table.curves()
 
 

@@ -30,10 +30,7 @@ _POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {  # where each kind of me
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagPoses:
-    """Poses of one topic.
-
-    Shapes: positions (n, 3) m; orientations (n, 4).
-    """
+    """Poses of one topic; positions (n, 3) m; orientations (n, 4)."""
 
     stamps: list[int]
     positions: Floats

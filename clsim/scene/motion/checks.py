@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,17 @@ def as_path(value: Any) -> Path:
     if not isinstance(value, str | PathLike) or not str(value).strip():
         raise InputError("path", f"must be the path of a file, but is {value!r:.80}")
     return Path(value)
+
+
+def as_columns(value: Any, known: tuple[str, ...]) -> dict[str, str] | None:
+    """Names of a file's columns by what stands in them, some of `known`."""
+    if value is None:
+        return None
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value.values()):
+        raise InputError("columns", f"must be a mapping to names of columns, but is {value!r:.80}")
+    for name in value:
+        as_choice("columns", name, known)
+    return dict(value)
 
 
 def as_topic(value: Any) -> str:

@@ -17,12 +17,20 @@ from clsim.scene.motion.bags import read_bag
 from clsim.scene.motion.checks import LONGEST
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from clsim.arrays import Floats
 
 FORMATS = ("tum", "euroc", "csv", "rosbag")
 REPAIRS = ("times", "gaps", "nan", "jumps")
 
-_POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+# Other names of these in headers, whatever their case. A name with a unit is none: `columns` and `time_scale` say both.
+_ALIASES = {
+    "t": ("time", "timestamp"),
+    **{axis: (f"pos_{axis}", f"position_{axis}", f"p{axis}") for axis in "xyz"},
+    **{f"q{axis}": (f"q_{axis}", f"quat_{axis}", f"orientation_{axis}") for axis in "xyzw"},
+}
 _LONGEST_STEP = 5.0  # median steps, beyond which a step is a gap
 _LONGEST_INVENTED = 1.0  # s of motion that gaps may make up without a warning
 _SHORTEST_STEP = 1e-3  # median steps, below which two times are the same
@@ -35,10 +43,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Rows of a file.
-
-    Shapes: lines (n,); stamps (n,); times (n,) s; positions (n, 3) m; orientations (n, 4).
-    """
+    """Rows of a file; lines (n,); stamps (n,); times (n,) s; positions (n, 3) m; orientations (n, 4)."""
 
     file: str
     lines: NDArray[np.int64]
@@ -76,6 +81,8 @@ def read_poses(
     form: str,
     *,
     topic: str | None,
+    columns: Mapping[str, str] | None,
+    time_scale: float,
     scale: float,
     repair: tuple[str, ...],
     max_speed: float,
@@ -84,16 +91,23 @@ def read_poses(
     """Read a file and check its rows.
 
     form: TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the quaternion
-    w, x, y, z; further columns are left. CSV: a header with ``t,x,y,z`` and perhaps ``qx,qy,qz,qw`` in any order;
-    further columns are left. Lines that begin with ``#`` and empty lines are skipped. Bags: see `read_bag`.
-
-    repair: which faults to repair, in this order: "nan" drops rows with something that is no finite number, "times"
-    drops rows whose time is not above all before, "jumps" drops rows out of reach from the last good one at
-    `max_speed`, "gaps" lets the spline bridge them.
+    w, x, y, z; further columns are left. CSV: a header with ``t,x,y,z`` and perhaps ``qx,qy,qz,qw`` in any order, by
+    these names, by those of `columns`, or by aliases; further columns are left. Lines that begin with ``#`` and empty
+    lines are skipped. Bags: see `read_bag`. repair: which faults to repair, in this order: "nan" drops rows with
+    something that is no finite number, "times" drops rows whose time is not above all before, "jumps" drops rows out of
+    reach from the last good one at `max_speed`, "gaps" lets the spline bridge them.
     """
     if form != "rosbag" and topic is not None:
         raise InputError("topic", f"must be left out for the format {form!r}, but is {topic!r:.80}")
-    poses = (_from_bag if form == "rosbag" else _parse)(Path(path), topic or form, drop="nan" in repair)
+    if form != "csv" and columns is not None:
+        raise InputError("columns", f"must be left out for the format {form!r}, but is {columns!r:.80}")
+    if form in ("euroc", "rosbag") and time_scale != 1.0:
+        raise InputError("time_scale", f"must be 1 for the format {form!r}, whose unit is known, but is {time_scale:g}")
+    drop = "nan" in repair
+    if form == "rosbag":
+        poses = _from_bag(Path(path), topic or form, drop)
+    else:
+        poses = _parse(Path(path), form, drop, columns or {}, Decimal(str(time_scale)))
     poses = replace(poses, positions=_scaled(poses, scale))
     poses = _with_unit_quaternions(poses)
     for name, check in (
@@ -126,15 +140,15 @@ def _from_bag(path: Path, topic: str, drop: bool) -> Poses:
     return replace(poses, times=poses.times - poses.times[0])
 
 
-def _parse(path: Path, form: str, drop: bool) -> Poses:
+def _parse(path: Path, form: str, drop: bool, names: Mapping[str, str], time_scale: Decimal) -> Poses:
     """Turn the file's text into numbers; `drop` leaves out rows that hold something else."""
-    rows, columns, notes = _rows(path, form)
+    rows, columns, notes = _rows(path, form, names)
     lines, stamps, clock, numbers, bad = [], [], [], [], []
-    unit = Decimal("1e-9") if form == "euroc" else Decimal(1)
+    unit = Decimal("1e-9") if form == "euroc" else time_scale
     for line, cells in rows:
         try:
             clock.append(_clock(cells[columns[0]], whole=form == "euroc") * unit)
-            numbers.append([_number(name, cells[i]) for name, i in zip(_POSE[1:], columns[1:], strict=False)])
+            numbers.append([_number(name, cells[i]) for name, i in zip(POSE[1:], columns[1:], strict=False)])
         except ValueError as error:
             if not drop:
                 raise InputError("path", f"{path.name}, line {line}: {error}") from None
@@ -150,13 +164,15 @@ def _parse(path: Path, form: str, drop: bool) -> Poses:
             raise InputError("repair", f"would drop {len(bad)} of {of} rows of {path.name} (no finite number)")
     values = np.array(numbers, dtype=np.float64).reshape(len(lines), len(columns) - 1)
     times = np.array([float(t - clock[0]) for t in clock])
-    orientations = values[:, 3:] if len(columns) == len(_POSE) else None
+    orientations = values[:, 3:] if len(columns) == len(POSE) else None
     order = np.array(lines, dtype=np.int64), np.array(stamps, dtype=np.str_)
     return Poses(path.name, *order, times, values[:, :3], orientations, notes)
 
 
-def _rows(path: Path, form: str) -> tuple[list[tuple[int, list[str]]], list[int], tuple[str, ...]]:
-    """Return numbered rows of cells, the columns of `_POSE` (four without quaternions), and notes."""
+def _rows(
+    path: Path, form: str, names: Mapping[str, str]
+) -> tuple[list[tuple[int, list[str]]], list[int], tuple[str, ...]]:
+    """Return numbered rows of cells, the columns of `POSE` (four without quaternions), and notes."""
     separator = None if form == "tum" else ","
     rows = [
         (number, text.split(separator))
@@ -170,7 +186,7 @@ def _rows(path: Path, form: str) -> tuple[list[tuple[int, list[str]]], list[int]
         if not rows:
             raise InputError("path", f"{path.name} must begin with a header such as t,x,y,z")
         line, header = rows.pop(0)
-        columns, notes = _header(f"{path.name}, line {line}", header)
+        columns, notes = _header(f"{path.name}, line {line}", header, names)
         widths = (len(header), len(header))
     for line, cells in rows:
         if not widths[0] <= len(cells) <= widths[1]:
@@ -191,23 +207,33 @@ def _text(path: Path) -> str:
     return text
 
 
-def _header(where: str, header: list[str]) -> tuple[list[int], tuple[str, ...]]:
-    """Return the columns of a CSV header and a note of those that are not used."""
+def _header(where: str, header: list[str], given: Mapping[str, str]) -> tuple[list[int], tuple[str, ...]]:
+    """Columns of a CSV header, of which `given` names some, and a note of those that are not used."""
     names = [name.strip().strip('"').strip() for name in header]
-    missing = [name for name in _POSE if name not in names]
-    if any(name in missing for name in _POSE[:4]) or len(missing) not in (0, 4):
+    found = {name: _column(where, names, name, given) for name in POSE}
+    missing = [name for name in POSE if found[name] is None]
+    if any(name in missing for name in POSE[:4]) or len(missing) not in (0, 4):
         raise InputError(
             "path",
-            f"{where}: the header must name t,x,y,z and either all or none of qx,qy,qz,qw, "
-            f"but is {','.join(names)!r:.80}",
+            f"{where}: the header must name t,x,y,z and either all or none of qx,qy,qz,qw (or columns= say what they "
+            f"are called), but is {','.join(names)!r:.80}",
         )
-    wanted = _POSE[: len(_POSE) - len(missing)]
-    twice = [name for name in wanted if names.count(name) > 1]
-    if twice:
-        raise InputError("path", f"{where}: the header must name {twice[0]} once, but names it twice")
-    others = [name for name in names if name not in wanted]
+    columns = [column for column in found.values() if column is not None]
+    others = [name for i, name in enumerate(names) if i not in columns]
     notes = (f"Columns not used: {', '.join(others)}.",) if others else ()
-    return [names.index(name) for name in wanted], notes
+    return columns, notes
+
+
+def _column(where: str, names: list[str], wanted: str, given: Mapping[str, str]) -> int | None:
+    """Column of one of `POSE`: as given, by its own name, or by an alias."""
+    own = [i for i, name in enumerate(names) if name == given.get(wanted, wanted)]
+    if wanted in given and not own:
+        raise InputError(f"columns.{wanted}", f"{where}: must name a column, but {given[wanted]!r:.40} is none of them")
+    found = own or [i for i, name in enumerate(names) if name.lower() in (wanted, *_ALIASES[wanted])]
+    if len(found) > 1:
+        listed = ", ".join(names[i] for i in found)
+        raise InputError("path", f"{where}: the header must name {wanted} once, but names it as {listed}")
+    return found[0] if found else None
 
 
 def _number(name: str, cell: str) -> float:

@@ -2,22 +2,89 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.arrays import Floats, as_number, read_only
+from clsim.numerics.quaternions import inverse, rotate
 from clsim.scene.motion.curves import CONTINUATION, Curve, is_static
-from clsim.scene.motion.instants import Instants
+from clsim.scene.motion.orientation import quaternion_product
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike, NDArray
 
-    from clsim.scene.motion.instants import Indices
-    from clsim.scene.motion.orientation import Turning
+    from clsim.scene.motion.orientation import Hinge, Turning
 
+    Indices = NDArray[np.int64]
+    Probe = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
+
+_BATCH = 8192  # ranges evaluated at a time
 _SAME = 1e-9  # relative difference of speeds that does not matter
+_SPARE = 1.0 + 1e-12  # for the rounding of bounds
+
+
+@dataclass(frozen=True, slots=True)
+class Instants:
+    """Times from `start` to `end`, evenly spaced, at least `rate` a second; however many, they take no memory."""
+
+    start: float
+    end: float
+    rate: float
+
+    @property
+    def count(self) -> int:
+        return max(math.ceil((self.end - self.start) * self.rate), 1 if self.end > self.start else 0) + 1
+
+    @property
+    def step(self) -> float:
+        """From one to the next, s."""
+        return (self.end - self.start) / max(self.count - 1, 1)
+
+    def times(self, index: Indices) -> Floats:
+        """Return the times of some of them, s."""
+        return np.asarray(self.start + self.step * index)
+
+    def margin(self, first: Indices, middle: Indices, last: Indices) -> Floats:
+        """Return largest distance in time from an instant to the ends of its range, s."""
+        return np.asarray(self.step * np.maximum(middle - first, last - middle))
+
+    def first(self, probe: Probe) -> int | None:
+        """Return the first instant for which `probe` reports a hit, the same as by evaluating every instant.
+
+        probe: takes the first, the middle and the last instants of ranges (n,), in the order of time. Returns the first
+        that is surely met in each, or -1, and whether others of the range may be: then its halves before and behind the
+        middle are evaluated as well.
+        """
+        met, waiting = None, [np.array([[0, self.count - 1]])]
+        while waiting:
+            ranges = waiting.pop()
+            if len(ranges) > _BATCH:
+                waiting.append(ranges[_BATCH:])
+            ranges = ranges[:_BATCH]
+            first, last = ranges.T
+            middle = (first + last) // 2
+            hit, unsure = probe(first, middle, last)
+            hits = np.flatnonzero(hit >= 0)
+            if len(hits):  # what is later does not matter any more
+                i, waiting = int(hits[0]), []
+                met = int(hit[i])
+                first, middle, last, unsure = first[: i + 1], middle[: i + 1], last[: i + 1].copy(), unsure[: i + 1]
+                last[i] = met - 1
+            halves = _halves(first[unsure], middle[unsure], last[unsure])
+            if len(halves):
+                waiting.append(halves)
+        return met
+
+
+def _halves(first: Indices, middle: Indices, last: Indices) -> Any:
+    """Return ranges before and behind their middles, (2 n, 2) at most, in the order of time."""
+    halves = np.stack([first, np.minimum(middle - 1, last), middle + 1, last], axis=1).reshape(-1, 2)
+    return halves[halves[:, 0] <= halves[:, 1]]
 
 
 def _no_breaks() -> Floats:
@@ -26,26 +93,11 @@ def _no_breaks() -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """A motion from `start` to `end`.
+    """A motion from `start` to `end`, s; its fields are those of `Trajectory`.
 
-    Shortly before its start and after its end, by 0.05 s, it goes on smoothly (lines and circles as
-    they are, splines by a parabola with the end's velocity and acceleration), because sound received at the
-    start was emitted before it. Beyond that everything stands still.
-
-    Parameters
-    ----------
-    curve : Curve
-        Position and velocity.
-    start, end : float
-        First and last time, s; -inf and inf for a fixed point.
-    turning : Turning, optional
-        Orientation over time; identity where left out.
-    notes : tuple of str
-        What was found, smoothed or repaired in the making, a sentence each.
-    breaks : ndarray (k,)
-        Times at which the velocity jumps, s; empty for smooth trajectories.
-    residual : ndarray (3,), optional
-        Root mean square by which smoothing moved the points along x, y and z, m.
+    Shortly before its start and after its end, by 0.05 s, it goes on smoothly (lines and circles as they are, splines
+    by a parabola with the end's velocity and acceleration), because sound received at the start was emitted before it.
+    Beyond that everything stands still.
     """
 
     curve: Curve
@@ -260,3 +312,141 @@ class Motion:
 
         instants.first(probe)
         return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swung:
+    """A point that swings about an axis.
+
+    Shapes: foot, along, across (3,) m. foot, along, across: the nearest point of the axis, m; from there to where it is
+    at angle 0, and at a quarter turn, m.
+    """
+
+    foot: Floats
+    along: Floats
+    across: Floats
+    hinge: Hinge
+
+    def position(self, time: Floats) -> Floats:
+        angle = self.hinge.at(time)[..., None]
+        return np.asarray(self.foot + np.cos(angle) * self.along + np.sin(angle) * self.across)
+
+    def velocity(self, time: Floats) -> Floats:
+        return np.cross(self.hinge.angular_velocity(time), self.position(time) - self.foot)
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        return np.asarray(np.linalg.norm(self.along) * self.hinge.angle.speed_over(begin, end))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Carried:
+    """A point mounted on a moving object, which may move in the object's frame."""
+
+    carrier: Motion
+    own: Motion
+
+    def position(self, time: Floats) -> Floats:
+        return self.carrier.position(time) + rotate(self.carrier.orientation(time), self.own.position(time))
+
+    def velocity(self, time: Floats) -> Floats:
+        turned = self.carrier.orientation(time)
+        arm = rotate(turned, self.own.position(time))
+        moved = self.carrier.velocity(time) + rotate(turned, self.own.velocity(time))
+        return np.asarray(moved + np.cross(self.carrier.angular_velocity(time), arm))
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        speed = self.own.speed_over(begin, end)
+        arm = np.linalg.norm(self.own.position(begin), axis=-1) + speed * (end - begin)
+        return np.asarray((self.carrier.speed_over(begin, end) + speed + self.carrier.peak_turn * arm) * _SPARE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CarriedTurning:
+    """Orientation of something mounted on a moving object, which may turn in the object's frame; aim (4,)."""
+
+    carrier: Motion
+    own: Motion
+    aim: Floats
+
+    @property
+    def turns(self) -> bool:
+        return self.carrier.turns or self.own.turns
+
+    @property
+    def peak(self) -> float:
+        return self.carrier.peak_turn + self.own.peak_turn
+
+    @property
+    def breaks(self) -> Floats:
+        """Times at which the angular velocity may jump, s."""
+        return np.union1d(*(_turn_breaks(motion) for motion in (self.carrier, self.own)))
+
+    def lever(self, points: Floats) -> float:
+        return float(np.linalg.norm(points, axis=-1).max())
+
+    def orientation(self, time: Floats) -> Floats:
+        own = quaternion_product(self.own.orientation(time), np.broadcast_to(self.aim, (*time.shape, 4)))
+        return quaternion_product(self.carrier.orientation(time), own)
+
+    def angular_velocity(self, time: Floats) -> Floats:
+        own = rotate(self.carrier.orientation(time), self.own.angular_velocity(time))
+        return np.asarray(self.carrier.angular_velocity(time) + own)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A point in the frame of a moving object."""
+
+    frame: Motion
+    point: Motion
+
+    def position(self, time: Floats) -> Floats:
+        away = self.point.position(time) - self.frame.position(time)
+        return rotate(inverse(self.frame.orientation(time)), away)
+
+    def velocity(self, time: Floats) -> Floats:
+        away = self.point.position(time) - self.frame.position(time)
+        moved = self.point.velocity(time) - self.frame.velocity(time)
+        turned = moved - np.cross(self.frame.angular_velocity(time), away)
+        return rotate(inverse(self.frame.orientation(time)), turned)
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        speed = self.point.speed_over(begin, end) + self.frame.speed_over(begin, end)
+        away = np.linalg.norm(self.point.position(begin) - self.frame.position(begin), axis=-1) + speed * (end - begin)
+        return np.asarray((speed + self.frame.peak_turn * away) * _SPARE)
+
+
+def _turn_breaks(motion: Motion) -> Floats:
+    return np.empty(0) if motion.turning is None else motion.turning.breaks
+
+
+def velocity_breaks(carrier: Motion, own: Motion) -> Floats:
+    """Return times (k,) at which the velocity of a mounted point may jump, s, within both motions."""
+    times = np.concatenate([carrier.breaks, own.breaks, _turn_breaks(carrier)])
+    first, last = max(carrier.start, own.start) - CONTINUATION, min(carrier.end, own.end) + CONTINUATION
+    return read_only(np.unique(times[(times > first) & (times < last)]))
+
+
+def seen_by(frame: Motion, point: Motion) -> Motion:
+    """Return a motion in the frame of a moving object; a motion mounted on that object is returned as defined there."""
+    if isinstance(point.curve, Carried) and point.curve.carrier is frame:
+        return point.curve.own
+    moving = [motion for motion in (frame, point) if not motion.is_static or motion.turns]
+    start, end = max((m.start for m in moving), default=0.0), min((m.end for m in moving), default=0.0)
+    return Motion(Seen(frame, point), start, end)
+
+
+def even_ways(speed: Floats, rate: float, step: float) -> Floats:
+    """Return times (n,), s, between which objects move at most a step; first and last instants are included.
+
+    Shapes: speed (m,) m/s. speed: bounds of how fast they go about instants so many per second from 0 s on, m/s.
+    """
+    pace = np.maximum(speed[1:], speed[:-1]) / (rate * step)  # steps from one instant to the next
+    way = np.concatenate([[0.0], np.cumsum(pace)])
+    instants = np.arange(len(way)) / rate
+    steps = np.arange(1, int(np.ceil(way[-1])))
+    rising = np.concatenate([[True], np.diff(way) > 0.0])
+    between = np.interp(steps, way[rising], instants[rising]) if len(steps) else np.empty(0)
+    # What rests from instant to instant is left where it was until it goes on.
+    starts = instants[np.flatnonzero(~rising[:-1] & rising[1:])] if len(way) > 1 else np.empty(0)
+    return np.unique(np.concatenate([instants[[0, -1]], between, starts]))

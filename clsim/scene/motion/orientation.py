@@ -108,10 +108,7 @@ class GreatArcs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hinge:
-    """A turn about one axis, by an angle that is a smooth function of time.
-
-    Shapes: axis (3,).
-    """
+    """A turn about one axis, by an angle that is a smooth function of time; axis (3,)."""
 
     axis: Floats
     angle: Piecewise

@@ -11,10 +11,10 @@ import numpy as np
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
-from clsim.scene.motion.carried import Carried, CarriedTurning, Swung, velocity_breaks
 from clsim.scene.motion.checks import (
     LONGEST,
     as_choices,
+    as_columns,
     as_direction,
     as_increasing,
     as_path,
@@ -23,12 +23,23 @@ from clsim.scene.motion.checks import (
     as_topic,
     question_turns,
 )
-from clsim.scene.motion.curves import Circular, Static, Straight, frame_about, kinks, legs_through, spline_through
-from clsim.scene.motion.motion import Motion
+from clsim.scene.motion.curves import (
+    Circular,
+    Placement,
+    Static,
+    Straight,
+    as_smooth,
+    fit_measured,
+    frame_about,
+    kinks,
+    legs_through,
+    spline_through,
+)
+from clsim.scene.motion.motion import Carried, CarriedTurning, Motion, Swung, velocity_breaks
 from clsim.scene.motion.orientation import Hinge, as_quaternions, quaternion_product, turning_between
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from os import PathLike
 
     from numpy.typing import ArrayLike
@@ -373,6 +384,8 @@ class Trajectory(Motion):
         format: str = "tum",
         *,
         topic: str | None = None,
+        columns: Mapping[str, str] | None = None,
+        time_scale: float = 1.0,
         smooth: bool | float = True,
         time_offset: float = 0.0,
         rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
@@ -390,10 +403,16 @@ class Trajectory(Motion):
             A text file, or a ROS bag.
         format : {"tum", "euroc", "csv", "rosbag"}
             TUM: ``t x y z qx qy qz qw``. EuRoC: nanoseconds, x, y, z, qw, qx, qy, qz. CSV: a header names
-            ``t,x,y,z`` and perhaps ``qx,qy,qz,qw``, in any order. A bag is of ROS 2 (a folder, ``.mcap``, ``.db3``)
-            or ROS 1 (``.bag``), and read without ROS (``clsim[ros]``); times are those of the messages' headers.
+            ``t,x,y,z`` and perhaps ``qx,qy,qz,qw``, in any order; ``time``, ``timestamp``, ``pos_x``, ``position_x``,
+            ``px``, ``q_x``, ``quat_x`` and ``orientation_x`` are known as well, in any case. A bag is of ROS 2 (a
+            folder, ``.mcap``, ``.db3``) or ROS 1 (``.bag``), and read without ROS (``clsim[ros]``); times are those
+            of the messages' headers.
         topic : str, optional
             Of a bag, whose messages are PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped.
+        columns : mapping, optional
+            Names of a CSV file's columns for some of ``t x y z qx qy qz qw``, such as ``{"t": "time (ms)"}``.
+        time_scale : float
+            Unit of time of a TUM or CSV file in s, such as 1e-3 for milliseconds.
         smooth : bool or float
             True removes the noise and no more (cubic smoothing spline per axis by generalised
             cross-validation, see `residual`); a number is the rms residual to leave per axis, m; False is the
@@ -436,21 +455,23 @@ class Trajectory(Motion):
         >>> push.end, push.position(1.5).round(9)
         (3.0, array([2.5, 1. , 1. ]))
         """
-        from clsim.scene.motion import files, measured
+        from clsim.scene.motion import files
 
-        strength = measured.as_smooth(smooth)
+        strength = as_smooth(smooth)
         poses = files.read_poses(
             as_path(path),
             as_choice("format", format, files.FORMATS),
             topic=topic if format != "rosbag" else as_topic(topic),
+            columns=as_columns(columns, files.POSE),
+            time_scale=as_number("time_scale", time_scale, at_least=1e-12, at_most=1e6, unit="s"),
             scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
             repair=as_choices("repair", repair, files.REPAIRS),
             max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
             max_gap=None if max_gap is None else as_span("max_gap", max_gap),
         )
-        place = measured.Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
+        place = Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
         times = poses.times + as_number("time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s")
-        fit = measured.fit_measured(times, poses.positions, strength, place)
+        fit = fit_measured(times, poses.positions, strength, place)
         turning = None
         if poses.orientations is not None:
             turning = turning_between(times, quaternion_product(place.rotation, poses.orientations))

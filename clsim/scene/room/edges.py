@@ -165,10 +165,9 @@ class _Piece:
 def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | None = None) -> Edges:
     """Return the edges of walls at which sound is diffracted.
 
-    inside: mask (n,) of positions (n, 3) in the air of a room; all when left out.
-
-    result: those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between
-    faces of different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
+    inside: mask (n,) of positions (n, 3) in the air of a room; all when left out. result: those between two
+    neighbouring faces, with 360 degrees about a single one, and with 180 degrees between faces of different materials.
+    Inner corners of 180/m degrees are left out: their reflections are the whole field.
     """
     found: list[_Piece] = []
     for line in _lines(walls):
@@ -192,7 +191,8 @@ def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | No
         np.array([p.n for p in found]), np.array([p.faces for p in found]), np.stack(free, axis=1),
     ]  # fmt: skip
     held = zip((f.name for f in fields(Edges)), map(read_only, columns), strict=False)
-    return Edges(**dict(held), names=_names([p.faces for p in found], faces.names))
+    sides = [[faces.names[wall] for wall in dict.fromkeys(p.faces)] for p in found]
+    return Edges(**dict(held), names=numbered([f"edge {' | '.join(names)}" for names in sides]))
 
 
 def _lines(walls: Walls) -> Iterator[_Line]:
@@ -292,12 +292,11 @@ def _ends_at_a_wall(walls: Walls, end: Floats, along: Floats, into_air: Floats) 
     return closed
 
 
-def _names(faces: Sequence[tuple[int, int]], walls: Sequence[str]) -> tuple[str, ...]:
-    """Return a name for each edge: its walls', numbered where several have the same."""
-    plain = [walls[a] if a == b else f"{walls[a]} | {walls[b]}" for a, b in faces]
-    count, seen = Counter(plain), dict.fromkeys(plain, 0)
-    names = []
-    for name in plain:
-        seen[name] += 1
-        names.append(f"edge {name}" if count[name] == 1 else f"edge {name} {seen[name]}")
+def numbered(labels: Sequence[str], nameless: str = "") -> tuple[str, ...]:
+    """Return a name for each of some things: its label, numbered where several have the same or none."""
+    names, seen, count = [], dict.fromkeys(labels, 0), Counter(labels)
+    for label in labels:
+        seen[label] += 1
+        alone = bool(label) and count[label] == 1
+        names.append(label if alone else f"{label or nameless} {seen[label]}")
     return tuple(names)

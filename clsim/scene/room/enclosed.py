@@ -110,11 +110,10 @@ def enclosed_volume(
 ) -> float | None:
     """Return the volume in an odd number of shells of a watertight mesh, m³; None where there is none.
 
-    Shapes: vertices, triangles (V, 3) m.
-
-    crossing: whether walls run through each other, as bent ones seem to: `contains` is then evaluated on a lattice in
-    the box around the largest shell, so that what is sunk into the floor does not count below it. The shells' own
-    volumes are taken where they agree with it within its error, 0.4 %, and of a single shell.
+    Shapes: vertices, triangles (V, 3) m. crossing: whether walls run through each other, as bent ones seem to:
+    `contains` is then evaluated on a lattice in the box around the largest shell, so that what is sunk into the floor
+    does not count below it. The shells' own volumes are taken where they agree with it within its error, 0.4 %, and of
+    a single shell.
     """
     shells = Shells.of(vertices, triangles)
     between = None if shells is None or np.any(shells.holes) else shells.volume_between()

@@ -25,9 +25,8 @@ _FINEST = 1e-8  # of the room's size: less could not be distinguished from round
 class Faces:
     """The walls of a room, F of them: a wall's index is its row here.
 
-    Shapes: normals (F, 3); offsets (F,) m.
-
-    normals: unit normals. They point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
+    Shapes: normals (F, 3); offsets (F,) m. normals: unit normals. They point inwards in a room that `Room.is_convex`;
+    elsewhere their sign means nothing.
     """
 
     normals: Floats
@@ -58,10 +57,7 @@ class Faces:
         return len(self.names)
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return every wall's reflection factor of sound pressure at normal incidence.
-
-        Shapes: result (F ...).
-        """
+        """Return every wall's reflection factor of sound pressure at normal incidence (F, ...)."""
         # Each material once, so that one that warns does so once.
         factors = {id(m): m.reflection_at(frequency) for m in dict.fromkeys(self.materials)}
         return np.array([factors[id(m)] for m in self.materials])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -14,10 +13,9 @@ import numpy as np
 from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
-from clsim.scene.room.edges import Edges, find_edges
+from clsim.scene.room.edges import Edges, find_edges, numbered
 from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
-from clsim.scene.room.floor_plan import extruded_plan
 from clsim.scene.room.healing import HEAL, heal_mesh, healing_tolerance
 from clsim.scene.room.mesh_cleaning import (
     MeshShape,
@@ -28,7 +26,7 @@ from clsim.scene.room.mesh_cleaning import (
     panels_below,
     thin_panels,
 )
-from clsim.scene.room.polygons import checked_polygons, triangulated
+from clsim.scene.room.polygons import checked_polygons, extruded_plan, triangulated
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls, first_contact, first_off, walls_at
 
 if TYPE_CHECKING:
@@ -127,7 +125,7 @@ class MeshRoom:
         kinds = {id(m): i for i, m in enumerate({id(m): m for m in kept}.values())}
         walls = build_walls(clean.vertices, clean.triangles, np.array([kinds[id(m)] for m in kept]), flatness)
         first = np.unique(walls.of_triangle, return_index=True)[1]
-        names = _wall_names([labels[clean.kept[i]] for i in first])
+        names = numbered([labels[clean.kept[i]] for i in first], "wall")
         healed_at = np.empty((0, 3)) if self.healed_at is None else np.asarray(self.healed_at)
         if healed_at.size:
             healed_at = as_floats("healed_at", healed_at, (None, 3), within=FARTHEST, unit="m")
@@ -175,11 +173,6 @@ class MeshRoom:
             How far corners may be moved to meet others, m, and sides of triangles are cut at corners that lie on
             them. With "auto" as far as it takes to close the mesh, 12 mm and 2 per mille of its size at most; a mesh
             that is closed, or that gains nothing, keeps every bit. The notes say what was changed.
-
-        Returns
-        -------
-        MeshRoom
-            The room.
 
         Raises
         ------
@@ -230,11 +223,6 @@ class MeshRoom:
             As in `MeshRoom`, m.
         labels : sequence of str, optional
             Names of the polygons; numbered when left out.
-
-        Returns
-        -------
-        MeshRoom
-            The room.
 
         Raises
         ------
@@ -292,11 +280,6 @@ class MeshRoom:
         pillars : sequence of array_like (n, 2)
             Outlines of pillars from floor to ceiling, m.
 
-        Returns
-        -------
-        MeshRoom
-            The room.
-
         Raises
         ------
         InputError
@@ -321,11 +304,6 @@ class MeshRoom:
         ----------
         parts : sequence of Room
             Room, furniture, screens.
-
-        Returns
-        -------
-        MeshRoom
-            The room.
 
         Raises
         ------
@@ -478,38 +456,12 @@ class MeshRoom:
         return np.asarray(inside)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask (n,) of positions (n, 3) with walls on all sides, as between solid walls: by six rays.
-
-        Parameters
-        ----------
-        positions : array_like (n, 3)
-            m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            Whether walls surround them.
-        """
+        """Return a mask of positions with walls on all sides, by six rays; see `Room.surrounds`."""
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         return np.asarray(np.all([self._met(x, sign * ray) > 0 for ray in _RAYS for sign in (1.0, -1.0)], axis=0))
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
-        """Return lower bounds (n,) of the distance of positions (n, 3) from all walls, m; see `Room.clearance`.
-
-        What is in a wall is on one.
-
-        Parameters
-        ----------
-        positions : ndarray (n, 3)
-            m.
-        mount : Mount, optional
-            The wall that they sit in.
-
-        Returns
-        -------
-        ndarray (n,)
-            m; 0 or less where they may be on a wall.
-        """
+        """Return lower bounds of the distance from all walls, m; what is in a wall is on one; see `Room.clearance`."""
         if mount is not None:
             return np.minimum(mount.clearance(positions), 0.0)
         walls, found = self.walls, np.empty(len(positions))
@@ -522,20 +474,7 @@ class MeshRoom:
         return found
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
-        """Return the first contact of a motion: on a wall, through a wall, or off its own wall.
-
-        Parameters
-        ----------
-        positions : ndarray (n, 3)
-            In the order of time, m; between them the motion is straight.
-        mount : Mount, optional
-            The wall that the end sits in.
-
-        Returns
-        -------
-        Contact or None
-            The first position that is on a wall, off that of the mount, or after which one is walked through.
-        """
+        """Return the first contact: on a wall, through a wall, or off its own wall; see `Room.first_contact`."""
         if mount is None:
             return self._first_met(positions, "; an end in a wall needs flush=")
         off = first_off(self.walls, mount.wall, positions)
@@ -554,18 +493,7 @@ class MeshRoom:
         return Contact(met[0], rule, f"meets the wall {self.faces.names[met[1]]!r}", hint)
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return the walls that a position (3,) is on; walls of one plane are one.
-
-        Parameters
-        ----------
-        position : ndarray (3,)
-            m.
-
-        Returns
-        -------
-        ndarray (k,) of int
-            Indices of walls, one for each plane.
-        """
+        """Return the walls that a position is on; see `Room.walls_at`."""
         found = walls_at(self.walls, position)
         return found[np.unique(self.walls.plane[found], return_index=True)[1]]
 
@@ -593,22 +521,11 @@ class MeshRoom:
         return _edges(self, wall)
 
     def as_mesh(self) -> MeshRoom:
-        """Return the room itself.
-
-        Returns
-        -------
-        MeshRoom
-            The room.
-        """
+        """Return the room itself."""
         return self
 
     def describe(self) -> list[str]:
         r"""Return a description of the mesh, a line each: size, walls, shells, holes, winding, repairs.
-
-        Returns
-        -------
-        list of str
-            The lines.
 
         Examples
         --------
@@ -683,13 +600,3 @@ def by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str,
     if missing and "default" not in materials:
         raise InputError("materials", f"must name the group {missing[0]!r} of {name} or a default")
     return {g: materials[g] if g in materials else materials["default"] for g in groups}
-
-
-def _wall_names(labels: list[str]) -> tuple[str, ...]:
-    """Return a name for each wall: its label, numbered where several have the same."""
-    names, seen, count = [], dict.fromkeys(labels, 0), Counter(labels)
-    for label in labels:
-        seen[label] += 1
-        alone = bool(label) and count[label] == 1
-        names.append(label if alone else f"{label or 'wall'} {seen[label]}")
-    return tuple(names)

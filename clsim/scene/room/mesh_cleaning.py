@@ -33,10 +33,9 @@ def outward_sides(
     """Return the shell of each wall, and the side of the wall on which the outside of this shell lies.
 
     Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); of_triangle (T,); normal (W, 3); crossing (m, 2);
-    level (k, 2); result (W,), (W,).
-
-    outward: 1 if the wall's normal points out of the shell, -1 if into it, and 0 where there is no such side: in a
-    shell that is open, runs through itself, lies on itself the other way round, or whose triangles turn both ways.
+    level (k, 2); result (W,), (W,). outward: 1 if the wall's normal points out of the shell, -1 if into it, and 0 where
+    there is no such side: in a shell that is open, runs through itself, lies on itself the other way round, or whose
+    triangles turn both ways.
     """
     count, of_face = clusters(len(triangles), neighbours)
     shell = np.empty(len(normal), dtype=np.int64)
@@ -272,10 +271,7 @@ def describe_mesh(
     shape: MeshShape,
     notes: tuple[str, ...],
 ) -> list[str]:
-    """Return description of a mesh, a line per fact; see `MeshRoom.describe`.
-
-    Shapes: vertices, triangles (V, 3) m.
-    """
+    """Return description of a mesh, a line per fact; see `MeshRoom.describe`."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low
     lines = [

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.arrays import FARTHEST, LARGEST_ROOM, SMALLEST_ROOM, Floats, as_floats, as_number
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from clsim.arrays import Floats
+    from numpy.typing import ArrayLike
+
 
 Ints = NDArray[np.int64]
 
@@ -22,6 +24,7 @@ _FLAT = 1e-12  # of the size squared, below which an area is rounding
 _GRID = 1e-9  # of the size, on which polygons are compared
 _PARALLEL = 1e-3  # sine of the angle between the planes of a polygon and of one that lies in it
 _MOSTLY = 0.9  # of a polygon's area, from which on it lies in another
+_ON = 1e-9  # of a side's length; what is nearer to it is on it
 
 
 def new_counts() -> dict[str, int]:
@@ -46,11 +49,8 @@ def polygon_notes(counts: dict[str, int]) -> tuple[str, ...]:
 def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
     """Cut a polygon into triangles.
 
-    Shapes: corners (n, 3).
-
-    corners: in order; concave, and touching itself along a seam, as polygons with holes are written.
-
-    result: indices of corners, turning as the polygon does; none for a polygon without area.
+    Shapes: corners (n, 3). corners: in order; concave, and touching itself along a seam, as polygons with holes are
+    written. result: indices of corners, turning as the polygon does; none for a polygon without area.
     """
     from mapbox_earcut import triangulate_float64
 
@@ -79,17 +79,12 @@ def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
 
 def _project(corners: Floats) -> tuple[Floats, float, float]:
     """Return corners (n, 2) in the plane of Newell's normal, turning left, the largest distance from it, the size."""
-    local = corners - corners.mean(axis=0)
+    centre, axes, area = _plane(corners)
+    local = corners - centre
     size = float(np.linalg.norm(np.ptp(local, axis=0)))
-    normal = np.sum(np.cross(local, np.roll(local, -1, axis=0)), axis=0)
-    length = float(np.linalg.norm(normal))
-    if length <= 2.0 * _FLAT * size**2:
+    if area <= _FLAT * size**2:
         return np.zeros((len(corners), 2)), 0.0, size
-    normal = normal / length
-    u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    u /= np.linalg.norm(u)
-    flat = np.ascontiguousarray(local @ np.stack([u, np.cross(normal, u)], axis=1))
-    return flat, float(np.max(np.abs(local @ normal))), size
+    return np.ascontiguousarray(local @ axes[:2].T), float(np.max(np.abs(local @ axes[2]))), size
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
@@ -143,9 +138,8 @@ def triangulated(corners: Floats, polygons: list[Ints], which: list[int], near: 
 def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tuple[list[list[Ints]], list[int]]:
     """Cut out of each polygon the smaller ones that lie in it, within a distance, m.
 
-    Shapes: corners (n, 3) m; polygons of corner numbers (k,).
-
-    result: of each polygon its triangles (T, 3) by part if it was cut, else none; and the polygons that were.
+    Shapes: corners (n, 3) m; polygons of corner numbers (k,). result: of each polygon its triangles (T, 3) by part if
+    it was cut, else none; and the polygons that were.
     """
     from shapely import Polygon
     from shapely.constructive import constrained_delaunay_triangles
@@ -211,3 +205,72 @@ def _plane(corners: Floats) -> tuple[Floats, Floats, float]:
     u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     u /= np.linalg.norm(u)
     return centre, np.stack([u, np.cross(normal, u), normal]), area
+
+
+def extruded_plan(
+    outline: ArrayLike, height: float, pillars: Sequence[ArrayLike]
+) -> tuple[Floats, NDArray[np.int64], list[str]]:
+    """Return triangles of a room over a floor plan, and the label of each.
+
+    Shapes: outline (n, 2) m; pillars (n, 2) m; result (V, 3) m, (T, 3). labels: ``floor``, ``ceiling``, ``wall i`` from
+    corner i of the outline to the next, ``pillar p wall i``.
+    """
+    from mapbox_earcut import triangulate_float64
+
+    height = as_number("height", height, at_least=SMALLEST_ROOM, at_most=LARGEST_ROOM, unit="m")
+    rings = [_ring("outline", outline)] + [_ring(f"pillars[{i}]", p) for i, p in enumerate(pillars)]
+    plan = np.concatenate(rings)
+    ends = np.cumsum([len(ring) for ring in rings])
+    floor = triangulate_float64(plan, ends.astype(np.uint32)).astype(np.int64).reshape(-1, 3)
+    covered = sum(abs(_area(plan[t])) for t in floor)
+    wanted = abs(_area(rings[0])) - sum(abs(_area(ring)) for ring in rings[1:])
+    if not abs(covered - wanted) <= 1e-9 * abs(_area(rings[0])):
+        raise InputError("outline", "must not cross itself or a pillar, and pillars must stand inside, apart")
+    floor = _split_at_corners(plan, floor)
+    count = len(plan)
+    vertices = np.concatenate([np.column_stack([plan, np.full(count, z)]) for z in (0.0, height)])
+    triangles, labels = [*floor, *(floor + count)], ["floor"] * len(floor) + ["ceiling"] * len(floor)
+    first = 0
+    for r, ring in enumerate(rings):
+        for i in range(len(ring)):
+            a, b = first + i, first + (i + 1) % len(ring)
+            triangles += [np.array([a, b, b + count]), np.array([a, b + count, a + count])]
+            labels += [f"wall {i}" if r == 0 else f"pillar {r - 1} wall {i}"] * 2
+        first += len(ring)
+    return vertices, np.array(triangles), labels
+
+
+def _split_at_corners(plan: Floats, floor: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles (T, 3) of the plan (V, 2), none with a corner of another one on its side: else the room is not closed.
+
+    Corners in line, such as those of pillars in a row, are left out of triangles without an area.
+    """
+    whole, parts = floor.tolist(), []
+    while whole:
+        triangle = whole.pop()
+        for a, b, c in (triangle, triangle[1:] + triangle[:1], triangle[2:] + triangle[:2]):
+            side, away = plan[b] - plan[a], plan - plan[a]
+            along, length = away @ side, side @ side
+            off = np.abs(away[:, 0] * side[1] - away[:, 1] * side[0])
+            on = np.flatnonzero((off <= _ON * length) & (along > _ON * length) & (along < (1.0 - _ON) * length))
+            on = on[~np.isin(on, triangle)]
+            if len(on):
+                corner = int(on[0])
+                whole += [[a, corner, c], [corner, b, c]]
+                break
+        else:
+            parts.append(triangle)
+    return np.array(parts[::-1])
+
+
+def _ring(field: str, value: ArrayLike) -> Floats:
+    ring = as_floats(field, value, (None, 2), within=FARTHEST, unit="m")
+    if len(ring) < 3 or not abs(_area(ring)) > 0.0:
+        raise InputError(field, f"must be three corners or more around an area, but is {ring.tolist()!r:.80}")
+    return ring
+
+
+def _area(ring: Floats) -> float:
+    """Return the signed area of a polygon (n, 2)."""
+    x, y = (ring - ring[0]).T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))

@@ -64,7 +64,18 @@ class Room(Protocol):
         ...
 
     def surrounds(self, positions: Floats) -> NDArray[np.bool_]:
-        """Return mask (n,) of positions (n, 3), m, with walls on all sides, inside or not."""
+        """Return mask of positions with walls on all sides, inside or not.
+
+        Parameters
+        ----------
+        positions : ndarray (n, 3)
+            m.
+
+        Returns
+        -------
+        ndarray (n,) of bool
+            Whether walls surround them.
+        """
         ...
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
@@ -102,7 +113,18 @@ class Room(Protocol):
         ...
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return the walls that a position (3,) in m is on, one for each plane, (k,)."""
+        """Return the walls that a position is on.
+
+        Parameters
+        ----------
+        position : ndarray (3,)
+            m.
+
+        Returns
+        -------
+        ndarray (k,) of int
+            Indices of walls, one for each plane.
+        """
         ...
 
     def edges(self) -> Edges:

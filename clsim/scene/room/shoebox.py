@@ -1,4 +1,4 @@
-"""Rectangular rooms with six walls, and lower bounds on path lengths in convex rooms."""
+"""Rectangular rooms with six walls, what convex rooms have in common, and the volume and walls of any room."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ from clsim.scene.room.mesh import MeshRoom
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from clsim.arrays import Floats
     from clsim.scene.room.faces import Mount
+    from clsim.scene.room.protocol import Room
+
+WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
 
 
 class ConvexRoom(ABC):
@@ -70,18 +74,7 @@ class ConvexRoom(ABC):
         return np.asarray(self._heights(positions) > margin)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask (n,) of positions (n, 3) with walls on all sides: those inside.
-
-        Parameters
-        ----------
-        positions : array_like (n, 3)
-            m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            Whether they are inside.
-        """
+        """Return a mask of positions inside; see `Room.surrounds`."""
         return self.contains(positions)
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
@@ -91,20 +84,7 @@ class ConvexRoom(ABC):
         return np.minimum(mount.clearance(positions), self._heights(mount.lifted(positions)))
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
-        """Return the first contact: positions (n, 3) outside the room, or off their own wall.
-
-        Parameters
-        ----------
-        positions : ndarray (n, 3)
-            In the order of time, m.
-        mount : Mount, optional
-            The wall that they sit in.
-
-        Returns
-        -------
-        Contact or None
-            The first position that is in the wrong place.
-        """
+        """Return the first contact: outside the room, or off its own wall; see `Room.first_contact`."""
         seen = positions if mount is None else mount.lifted(positions)
         outside = np.flatnonzero(~(self._heights(seen) > 0.0))
         return first_of(
@@ -118,32 +98,12 @@ class ConvexRoom(ABC):
         return Contact(index, "must stay inside the room", "is", hint)
 
     def edges(self) -> Edges:
-        """Return none: no wall ends in the air, and no corner points inwards.
-
-        Returns
-        -------
-        Edges
-            None of them.
-        """
+        """Return none: no wall ends in the air, and no corner points inwards."""
         return Edges.none()
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return the walls whose planes a position (3,) is on.
-
-        Parameters
-        ----------
-        position : ndarray (3,)
-            m.
-
-        Returns
-        -------
-        ndarray (k,) of int
-            Indices of walls.
-        """
+        """Return the walls whose planes a position is on; see `Room.walls_at`."""
         return np.flatnonzero(np.abs(self.faces.normals @ position - self.faces.offsets) < NEAREST)
-
-
-WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,13 +184,7 @@ class Shoebox(ConvexRoom):
         return self.faces.reflections(frequency)
 
     def as_mesh(self) -> MeshRoom:
-        """Return the box as twelve triangles, turning outwards.
-
-        Returns
-        -------
-        MeshRoom
-            With the same names and materials of walls.
-        """
+        """Return the box as twelve triangles, turning outwards, with the same names and materials of walls."""
         corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * self.size
         sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]  # as in WALLS
         triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
@@ -238,13 +192,7 @@ class Shoebox(ConvexRoom):
         return MeshRoom(corner, np.array(triangles), materials, labels=[name for name in WALLS for _ in range(2)])
 
     def describe(self) -> list[str]:
-        """Return the room's size in a line.
-
-        Returns
-        -------
-        list of str
-            One line.
-        """
+        """Return the room's size in a line."""
         x, y, z = self.size
         return [f"room: a shoebox of {x:.4g} x {y:.4g} x {z:.4g} m"]
 
@@ -276,3 +224,17 @@ def _checked_walls(walls: object) -> tuple[Material, ...]:
 def _check_material(field: str, material: object) -> None:
     if not isinstance(material, Material):
         raise InputError(field, f"must be a Material, but is {material!r:.80}")
+
+
+def enclosure_of(room: Room) -> tuple[float | None, Floats, tuple[Material, ...]]:
+    """Return the enclosed volume, m³, None of a room that is not closed, and areas, m², and materials of its walls."""
+    if isinstance(room, Shoebox):  # every plan asks: no mesh is made
+        x, y, z = room.size.tolist()
+        return x * y * z, np.array([y * z, y * z, x * z, x * z, x * y, x * y]), room.faces.materials
+    mesh = room.as_mesh()
+    corners = mesh.vertices[mesh.triangles]
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    triangles = 0.5 * np.linalg.norm(sides, axis=1)
+    materials = mesh.faces.materials
+    areas: Floats = np.bincount(mesh.walls.of_triangle, triangles, minlength=len(materials)).astype(np.float64)
+    return mesh.volume, areas, materials

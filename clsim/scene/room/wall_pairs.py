@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 
 SAME_PLANE = 1e-7  # of the size; walls nearer than this to each other's plane lie in one plane
 _PARTS = 1e-9  # of the size; what is shorter is no line
+GROUP = 8  # boxes in the next larger one
+_TOP = 64  # boxes that are looked at one by one
+_OCTAVES = 12  # of wall sizes that are told apart
+_BITS = 10  # of a place in each direction
+_PAIRS = 400_000  # of things and boxes looked at at a time
 
 
 def touching_pairs(tree: WallTree, low: Floats, high: Floats, slack: float) -> Ints:
@@ -65,14 +70,19 @@ def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, 
     return clusters(len(offset), both)[1]
 
 
+def inwards(ring: Floats, first: Ints, normal: Floats) -> Floats:
+    """Return unit normals of the sides of convex rings, counterclockwise about normals, each field (n, 3)."""
+    following = np.arange(1, len(ring) + 1)
+    following[first[1:] - 1] = first[:-1]
+    inward = np.cross(normal, ring[following] - ring)
+    return np.asarray(inward / np.linalg.norm(inward, axis=1, keepdims=True))
+
+
 def _widths(normal: Floats, hull: Floats, first_hull: Ints) -> Floats:
     """Return the least widths of convex hulls in their planes, (W,) m: from a side to the corner farthest from it."""
     count = np.diff(first_hull)
     wall = np.repeat(np.arange(len(count)), count)
-    following = np.arange(1, len(hull) + 1)
-    following[first_hull[1:] - 1] = first_hull[:-1]
-    inward = np.cross(normal[wall], hull[following] - hull)
-    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    inward = inwards(hull, first_hull, normal[wall])
     of, corner = spread(first_hull, wall)
     away = np.einsum("ni,ni->n", hull[corner] - hull[of], inward[of])
     across = np.maximum.reduceat(away, firsts_of(of))
@@ -125,13 +135,6 @@ def _span(point: Floats, along: Floats, lines: Floats) -> tuple[float, float]:
         float(np.max(at[slope > 1e-12], initial=-np.inf)),
         float(np.min(at[slope < -1e-12], initial=np.inf)),
     )
-
-
-GROUP = 8  # boxes in the next larger one
-_TOP = 64  # boxes that are looked at one by one
-_OCTAVES = 12  # of wall sizes that are told apart
-_BITS = 10  # of a place in each direction
-_PAIRS = 400_000  # of things and boxes looked at at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,10 +222,7 @@ class WallTree:
         return self._below(top, row, box, meets)
 
     def meeting_segments(self, start: Floats, stop: Floats, slack: float) -> tuple[Ints, Ints]:
-        """Return pairs of a segment and a wall that it may come near to.
-
-        Shapes: start, stop (n, 3) m; result (m,).
-        """
+        """Return pairs of a segment and a wall that it may come near to; start, stop (n, 3) m; result (m,)."""
         centre, along = 0.5 * (start + stop), 0.5 * (stop - start)
         reach = np.abs(along) + slack
 

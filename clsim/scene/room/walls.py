@@ -12,7 +12,7 @@ import numpy as np
 from clsim.arrays import firsts, spread, unique_rows
 from clsim.scene.room.faces import NEAREST
 from clsim.scene.room.mesh_cleaning import clusters, cross_products, outward_sides
-from clsim.scene.room.wall_pairs import WallTree, meeting, same_planes, straddling, touching_pairs
+from clsim.scene.room.wall_pairs import WallTree, inwards, meeting, same_planes, straddling, touching_pairs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     Ints = NDArray[np.int64]
 
 ON_LINE = 1e-9  # of the size; what is nearer to a line lies on it
+FLATNESS = 1e-6  # m; triangles of a wall lie this near to its plane
+INSIDE = 1e-9  # of the size; points this far outside a wall's outline still are on the wall
+TOUCHING = 1e-6  # of the size; walls in one plane that are farther apart hold no point in common
+_RANGE = 64  # positions taken together
 
 
 def plane_of_each(corners: Floats, of_triangle: Ints) -> tuple[Floats, Floats]:
@@ -101,12 +105,9 @@ def pieces(
     first_edge: Ints,
     size: float,
 ) -> tuple[Floats, Ints, Ints]:
-    """Return walls as convex pieces: their hulls where these fill them, else their triangles.
-
-    Shapes: result (L, 4).
-    """
+    """Return walls as convex pieces: their hulls where these fill them, else their triangles; result (L, 4)."""
     sides = np.diff(first_hull)
-    lines = _lines(hull, _following(first_hull), np.repeat(normal, sides, axis=0))
+    lines = _lines(hull, first_hull, np.repeat(normal, sides, axis=0))
     filled = _filled(lines, first_hull, edge, first_edge, size)
     rings = corners.copy()
     turned = np.einsum("ti,ti->t", cross_products(corners), normal[of_triangle]) <= 0.0
@@ -115,7 +116,7 @@ def pieces(
     order = order[np.argsort(of_triangle[order], kind="stable")]
     mine, three = of_triangle[order], firsts(np.full(len(order), 3))
     ring = rings[order].reshape(-1, 3)
-    triangle_lines = _lines(ring, _following(three), np.repeat(normal[mine], 3, axis=0))
+    triangle_lines = _lines(ring, three, np.repeat(normal[mine], 3, axis=0))
     # Hulls and triangles, put in the order of their walls.
     whole = np.flatnonzero(filled)
     owner, length = np.concatenate([whole, mine]), np.concatenate([sides[whole], np.full(len(mine), 3)])
@@ -127,17 +128,9 @@ def pieces(
     return np.concatenate([lines, triangle_lines])[which], first_line, firsts(np.bincount(owner, minlength=len(normal)))
 
 
-def _following(first: Ints) -> Ints:
-    """Return the index of the next corner of each corner of rings that stand in a row."""
-    following = np.arange(1, first[-1] + 1)
-    following[first[1:] - 1] = first[:-1]
-    return following
-
-
-def _lines(ring: Floats, following: Ints, normal: Floats) -> Floats:
+def _lines(ring: Floats, first: Ints, normal: Floats) -> Floats:
     """Return inward unit normals and offsets of the sides of convex rings, counterclockwise about normals, (n, 4)."""
-    inward = np.cross(normal, ring[following] - ring)
-    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    inward = inwards(ring, first, normal)
     return np.concatenate([inward, np.sum(inward * ring, axis=1)[:, None]], axis=1)
 
 
@@ -152,11 +145,6 @@ def _filled(lines: Floats, first_line: Ints, edge: Floats, first_edge: Ints, siz
     filled = np.ones(len(count), dtype=bool)
     filled[wall[~on_line]] = False
     return filled
-
-
-FLATNESS = 1e-6  # m; triangles of a wall lie this near to its plane
-INSIDE = 1e-9  # of the size; points this far outside a wall's outline still are on the wall
-TOUCHING = 1e-6  # of the size; walls in one plane that are farther apart hold no point in common
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,9 +209,8 @@ class Walls:
 def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArray[np.int64], flatness: float) -> Walls:
     """Merge coplanar neighbours of one material into walls.
 
-    Shapes: vertices (V, 3) m; triangles (T, 3); material (T,).
-
-    flatness: neighbours are one wall if the corners of each lie this near to the plane of the other, m.
+    Shapes: vertices (V, 3) m; triangles (T, 3); material (T,). flatness: neighbours are one wall if the corners of each
+    lie this near to the plane of the other, m.
     """
     corners = vertices[triangles]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -311,9 +298,6 @@ def _neighbours(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
         same = np.all(edges[apart:] == edges[:-apart], axis=1)
         pairs.append(np.stack([owner[:-apart][same], owner[apart:][same]], axis=1))
     return np.concatenate(pairs)
-
-
-_RANGE = 64  # positions taken together
 
 
 def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:

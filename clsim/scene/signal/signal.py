@@ -11,8 +11,18 @@ import numpy as np
 from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.files.sound import as_scale, read_sound_file
-from clsim.scene.signal.sequences import SEQUENCES, binary_sequence, most_repeats
-from clsim.scene.signal.waveforms import Chirp, Noise, Pulses, Samples, Sequence, Tone, Waveform
+from clsim.scene.signal.waveforms import (
+    SEQUENCES,
+    Chirp,
+    Noise,
+    Pulses,
+    Samples,
+    Sequence,
+    Tone,
+    Waveform,
+    binary_sequence,
+    most_repeats,
+)
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -31,7 +41,9 @@ _REFERENCE, _LOUD = 20e-6, 160.0  # Pa and dB SPL, above which samples are hardl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
-    """Sound pressure at 1 m on a source's axis in free field, Pa, by sample. Made by one of the constructors below.
+    """Sound pressure at 1 m on a source's axis in free field, Pa, by sample.
+
+    Made by one of the constructors below, which warn of samples above 160 dB SPL.
 
     Parameters
     ----------
@@ -130,16 +142,6 @@ class Signal:
 
     def at_rate(self, sampling_rate: float) -> Signal:
         """Return the signal at another sampling rate: formulae are evaluated anew, samples are resampled.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
-
-        Returns
-        -------
-        Signal
-            The signal.
 
         Raises
         ------
@@ -252,20 +254,10 @@ class Signal:
         fade : float
             Length of a raised-cosine rise and fall, s; at most half the duration.
 
-        Returns
-        -------
-        Signal
-            The signal.
-
         Raises
         ------
         InputError
             If a value is out of these bounds.
-
-        Warns
-        -----
-        ClsimWarning
-            Above 160 dB SPL.
 
         Examples
         --------
@@ -311,20 +303,10 @@ class Signal:
         fade : float
             Length of a raised-cosine rise and fall, s, in place of a window; at most half the duration.
 
-        Returns
-        -------
-        Signal
-            The signal.
-
         Raises
         ------
         InputError
             If a value is out of these bounds.
-
-        Warns
-        -----
-        ClsimWarning
-            Above 160 dB SPL.
 
         Notes
         -----
@@ -363,11 +345,6 @@ class Signal:
             From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
         count : int
             At least 1; the train lasts 1e7 s at most.
-
-        Returns
-        -------
-        Signal
-            The signal.
 
         Raises
         ------
@@ -414,20 +391,10 @@ class Signal:
             Length of a raised-cosine rise and fall, s; at most half the duration. Abrupt ends sound over all
             frequencies, outside of the band too.
 
-        Returns
-        -------
-        Signal
-            The signal.
-
         Raises
         ------
         InputError
             If a value is out of these bounds.
-
-        Warns
-        -----
-        ClsimWarning
-            Above 160 dB SPL.
 
         Notes
         -----
@@ -488,20 +455,10 @@ class Signal:
         amplitude : float
             Level of a chip at its centre, Pa; between chips it overshoots, to 1.5 times at a rolloff of 0.5.
 
-        Returns
-        -------
-        Signal
-            The signal.
-
         Raises
         ------
         InputError
             If a value is out of these bounds, or the band leaves 0 to half the sampling rate.
-
-        Warns
-        -----
-        ClsimWarning
-            Above 160 dB SPL.
 
         Examples
         --------
@@ -526,27 +483,15 @@ class Signal:
         ----------
         samples : array_like (n,)
             Numbers in units of `scale`.
-        sampling_rate : float
-            Hz.
         scale : float, optional
             Of a sample of 1, Pa, or V for a transducer; 1 where left out. Integers need it: they are steps of a
             converter, whose full scale is rarely 32767 Pa.
-
-        Returns
-        -------
-        Signal
-            The signal.
 
         Raises
         ------
         InputError
             If the samples are no finite numbers, louder than any sound, or not (n,), integers have no scale, or the
             rate is out of bounds.
-
-        Warns
-        -----
-        ClsimWarning
-            Above 160 dB SPL.
 
         Examples
         --------
@@ -587,20 +532,10 @@ class Signal:
         truncated : bool
             Whether a file that ends before its header says is taken as far as it goes; else it is refused.
 
-        Returns
-        -------
-        Signal
-            The signal.
-
         Raises
         ------
         InputError
             If the file is missing or no sound file, has no such channel, is too long, or holds what is no finite sound.
-
-        Warns
-        -----
-        ClsimWarning
-            Above 160 dB SPL.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel, truncated)

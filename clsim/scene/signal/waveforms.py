@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from clsim.arrays import short_repr
+from clsim.arrays import Floats, as_count, read_only, short_repr
 from clsim.errors import InputError
-from clsim.numerics.kaiser import band_pass
-from clsim.numerics.resampling import Resampler
-from clsim.scene.signal.sequences import shaped_sequence
+from clsim.numerics.resampling import Resampler, band_pass
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,6 +23,20 @@ _TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
 _NOISE_HALF = 384  # taps on either side of the noise's band filter
 _NOISE_SHAPE = 12.3  # of the window
+SEQUENCES = ("mls", "gold")
+# Feedback taps of preferred pairs of maximum-length sequences (R. Gold, IEEE Trans. Inf. Theory 13, 1967), as in
+# scipy.signal.max_len_seq: the exponents between 0 and the register's length of each polynomial.
+_PREFERRED: dict[int, tuple[tuple[int, ...], tuple[int, ...]]] = {
+    5: ((2,), (2, 3, 4)),
+    6: ((1,), (1, 2, 5)),
+    7: ((3,), (1, 2, 3)),
+    9: ((4,), (3, 4, 6)),
+    10: ((3,), (2, 3, 8)),
+    11: ((2,), (2, 5, 8)),
+}
+_MOST_SAMPLES = 2**26  # of a sequence, which is kept
+_SEQUENCE_BLOCK = 2**16  # samples made at a time
+_HALF_CHIPS = 16  # chips on either side over which a chip's pulse is kept
 
 
 class Waveform(Protocol):
@@ -239,19 +251,14 @@ class Sequence:
         return self.carrier
 
     def count(self, sampling_rate: float) -> int:
-        return len(self._samples(sampling_rate))
+        return len(shaped_sequence(self, sampling_rate))
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        return self.amplitude * self._samples(sampling_rate)[first:last]
+        return self.amplitude * shaped_sequence(self, sampling_rate)[first:last]
 
     def at_rate(self, old: float, new: float) -> Sequence:
         _fits("carrier", self.carrier + 0.5 * self.chip_rate * (1.0 + self.rolloff), new)
         return self
-
-    def _samples(self, sampling_rate: float) -> Floats:
-        return shaped_sequence(
-            self.kind, self.bits, self.code, self.repeats, self.chip_rate, self.carrier, self.rolloff, sampling_rate
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -330,3 +337,77 @@ def _fits(field: str, frequency: float, sampling_rate: float) -> None:
             "sampling_rate",
             f"must be above {2.0 * frequency:g} Hz, twice the signal's {field}, but is {sampling_rate:g} Hz",
         )
+
+
+def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
+    """Return one period of a sequence as +1 and -1, ``2**bits - 1`` chips.
+
+    code: for "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by k.
+    For "mls" the number of chips by which it is rotated.
+    """
+    from scipy.signal import max_len_seq
+
+    bits = as_count("bits", bits, at_least=2, at_most=16)
+    length = 2**bits - 1
+    if kind == "mls":
+        code = as_count("code", code, at_least=0, at_most=length - 1)
+        return np.asarray(np.roll(1.0 - 2.0 * max_len_seq(bits)[0], code))
+    if bits not in _PREFERRED:
+        raise InputError(
+            "bits",
+            f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits}",
+        )
+    code = as_count("code", code, at_least=0, at_most=length + 1)
+    first, second = (1.0 - 2.0 * max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
+    if code < 2:
+        return np.asarray((first, second)[code])
+    return np.asarray(first * np.roll(second, code - 2))
+
+
+def shaped_count(chips: int, chip_rate: float, sampling_rate: float) -> int:
+    """Return the number of samples of a sequence on a carrier."""
+    return math.ceil((chips - 1 + 2 * _HALF_CHIPS) * sampling_rate / chip_rate) + 1
+
+
+def most_repeats(chips: int, chip_rate: float, sampling_rate: float) -> int:
+    """Return number of periods of a sequence that can be kept, at least 1."""
+    if shaped_count(chips, chip_rate, sampling_rate) > _MOST_SAMPLES:
+        raise InputError(
+            "chip_rate",
+            f"must be high enough for a period of {chips} chips to take at most {_MOST_SAMPLES} samples, "
+            f"but is {chip_rate:g} Hz",
+        )
+    return max(1, int((_MOST_SAMPLES * chip_rate / sampling_rate - 2 * _HALF_CHIPS) / chips))
+
+
+@lru_cache(maxsize=4)
+def shaped_sequence(sequence: Sequence, sampling_rate: float) -> Floats:
+    """Return a sequence on a carrier, (n,), its chips of level 1 shaped by a raised cosine.
+
+    The first chip is centred 16 chips after the beginning, so that its pulse begins from nothing. J. G. Proakis,
+    Digital Communications, 4th ed., eq. 9.2-27.
+    """
+    chip_rate = sequence.chip_rate
+    chips = np.tile(binary_sequence(sequence.kind, sequence.bits, sequence.code), sequence.repeats)
+    out = np.empty(shaped_count(len(chips), chip_rate, sampling_rate))
+    for first in range(0, len(out), _SEQUENCE_BLOCK):
+        n = np.arange(first, min(first + _SEQUENCE_BLOCK, len(out)))
+        place = n * (chip_rate / sampling_rate) - _HALF_CHIPS  # in chips
+        base = np.zeros(len(n))
+        nearest = np.floor(place).astype(np.int64)
+        for offset in range(-_HALF_CHIPS, _HALF_CHIPS + 1):
+            k = nearest + offset
+            inside = (k >= 0) & (k < len(chips))
+            base[inside] += chips[k[inside]] * _pulse(place[inside] - k[inside], sequence.rolloff)
+        out[n] = base * np.cos(2.0 * math.pi * np.mod(n * (sequence.carrier / sampling_rate), 1.0))
+    return read_only(out)
+
+
+def _pulse(x: Floats, rolloff: float) -> Floats:
+    """Return the raised-cosine pulse, tapered to nothing at its ends; `x` in chips."""
+    singular = np.abs(np.abs(2.0 * rolloff * x) - 1.0) < 1e-6
+    safe = np.where(singular, 0.0, x)
+    shape = np.sinc(safe) * np.cos(math.pi * rolloff * safe) / (1.0 - (2.0 * rolloff * safe) ** 2)
+    limit = math.pi / 4.0 * math.sin(math.pi / (2.0 * rolloff)) / (math.pi / (2.0 * rolloff))
+    taper = np.cos(0.5 * math.pi * np.clip(x / (_HALF_CHIPS + 1), -1.0, 1.0)) ** 2
+    return np.asarray(np.where(singular, limit, shape) * taper)

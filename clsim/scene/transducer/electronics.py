@@ -91,17 +91,13 @@ class Electronics:
             ("gain_db", -200.0, 200.0, "dB"),
             ("clock_ppm", -_LARGEST_ERROR, _LARGEST_ERROR, "ppm"),
             ("clock_offset", -_LARGEST_OFFSET, _LARGEST_OFFSET, "s"),
+            ("low_cut", SLOWEST, FASTEST, "Hz"),
+            ("high_cut", SLOWEST, FASTEST, "Hz"),
+            ("adc_full_scale", QUIETEST, LOUDEST, ""),
         ):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, as_number(name, value, at_least=low, at_most=high, unit=unit))
-        for name, least, most, unit in (
-            ("low_cut", SLOWEST, FASTEST, "Hz"), ("high_cut", SLOWEST, FASTEST, "Hz"),
-            ("adc_full_scale", QUIETEST, LOUDEST, ""),
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, as_number(name, value, at_least=least, at_most=most, unit=unit))
         as_count("seed", self.seed, at_least=0, at_most=2**64 - 1)
         as_count("order", self.order, at_least=1, at_most=8)
         if self.adc_bits is not None:

@@ -13,8 +13,8 @@ from clsim.acoustics.air import absorption_iso9613
 from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.files.sound import as_scale, read_sound_file
+from clsim.numerics.band_filters import minimum_phase, resonance_response, resonance_taps
 from clsim.numerics.resampling import Resampler
-from clsim.numerics.resonator import minimum_phase, resonance_response, resonance_taps
 from clsim.scene.signal.signal import Signal
 
 if TYPE_CHECKING:
@@ -27,6 +27,22 @@ if TYPE_CHECKING:
 
 _BLOCK = 8192  # samples of a filtered signal that are made at a time
 _CACHED = 64  # blocks kept
+_SHORTEST, _LONGEST = 2**14, 2**20  # points of the spectrum from which taps are made
+_REST = 1e-10  # share of energy in what is cut off behind
+_BEFORE = 1e-3  # share of energy before 0 s that is cut off without complaint
+_NOTHING = 1e-4  # of the peak, what a magnitude falls to where there is nothing
+_EASY = 0.33  # of the sampling rate, up to which a resonance is rendered with its own phase
+_SKIRT = 0.1  # of the last frequency, over which it falls there
+# Murata, "Ultrasonic Sensor Application Manual", Cat. No. S15E: MA40S4S gives 120 dB re 20 µPa at 0.3 m for 10 V rms,
+# MA40S4R -63 dB re 10 V/Pa, both at 40 kHz and within 3 dB. The width is a round value for both: it is no stated
+# figure, and samples differ from each other by more. The 0.7 m from 0.3 m to 1 m are air of 20 °C and 50 %.
+_RESONANCE, _WIDTH = 40e3, 2.4e3  # Hz
+_AT_ONE_METRE = 0.3 * 10 ** (-0.7 * float(absorption_iso9613(40e3, 20.0, 0.5, 101_325.0)) / 20)
+_NAMED_SENSITIVITY = {
+    "MA40S4S": 20e-6 * 10 ** (120 / 20) / 10.0 * _AT_ONE_METRE,  # Pa/V at 1 m
+    "MA40S4R": 10.0 * 10 ** (-63 / 20),  # V/Pa
+}
+TRANSDUCER_NAMES = tuple(_NAMED_SENSITIVITY)
 
 
 class Response(Protocol):
@@ -109,14 +125,6 @@ def _filtered_block(filtered: Filtered, k: int, sampling_rate: float) -> Floats:
         emitted[first - start : last - start] = filtered.waveform.read(first, last, sampling_rate)
     made = irfft(rfft(emitted) * rfft(taps, size), size)
     return np.asarray(made[before : before + _BLOCK], dtype=np.float64)
-
-
-_SHORTEST, _LONGEST = 2**14, 2**20  # points of the spectrum from which taps are made
-_REST = 1e-10  # share of energy in what is cut off behind
-_BEFORE = 1e-3  # share of energy before 0 s that is cut off without complaint
-_NOTHING = 1e-4  # of the peak, what a magnitude falls to where there is nothing
-_EASY = 0.33  # of the sampling rate, up to which a resonance is rendered with its own phase
-_SKIRT = 0.1  # of the last frequency, over which it falls there
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,19 +277,6 @@ def _cut(taps: Floats) -> Floats:
     return taps[: max(1, int(np.count_nonzero(rest > _REST * rest[0])))]
 
 
-# Murata, "Ultrasonic Sensor Application Manual", Cat. No. S15E: MA40S4S gives 120 dB re 20 µPa at 0.3 m for 10 V rms,
-# MA40S4R -63 dB re 10 V/Pa, both at 40 kHz and within 3 dB. The width is a round value for both: it is no stated
-# figure, and samples differ from each other by more. The 0.7 m from 0.3 m to 1 m are air of 20 °C and 50 %.
-_RESONANCE, _WIDTH = 40e3, 2.4e3  # Hz
-_AT_ONE_METRE = 0.3 * 10 ** (-0.7 * float(absorption_iso9613(40e3, 20.0, 0.5, 101_325.0)) / 20)
-_NAMED_SENSITIVITY = {
-    "MA40S4S": 20e-6 * 10 ** (120 / 20) / 10.0 * _AT_ONE_METRE,  # Pa/V at 1 m
-    "MA40S4R": 10.0 * 10 ** (-63 / 20),  # V/Pa
-}
-
-TRANSDUCER_NAMES = tuple(_NAMED_SENSITIVITY)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Transducer:
     """Frequency response on the axis: of a source in Pa at 1 m per V, of a receiver in V per Pa.
@@ -421,13 +416,6 @@ class Transducer:
             Between the -6 dB points (half the magnitude), Hz; less than `frequency`.
         sensitivity : float
             Magnitude at resonance: Pa at 1 m per V, or V per Pa.
-        name : str
-            What to call it.
-
-        Returns
-        -------
-        Transducer
-            The transducer.
 
         Raises
         ------
@@ -460,13 +448,6 @@ class Transducer:
         outside : {None, "zero", "hold"}
             What the response is beyond the table: refused if a signal needs it (None), nothing, or the value at its
             nearer end.
-        name : str
-            What to call it.
-
-        Returns
-        -------
-        Transducer
-            The transducer.
 
         Raises
         ------
@@ -512,13 +493,6 @@ class Transducer:
             Taps at `sampling_rate`: their spectrum ``sum h[n] exp(-2j pi f n / sampling_rate)`` is the response.
         sampling_rate : float
             Hz. At another rate the taps are resampled, flat to 0.9 of the lower Nyquist frequency.
-        name : str
-            What to call it.
-
-        Returns
-        -------
-        Transducer
-            The transducer.
 
         Raises
         ------
@@ -551,15 +525,8 @@ class Transducer:
             From 0.
         scale : float
             Of a sample of 1: Pa at 1 m per V, or V per Pa.
-        name : str
-            What to call it.
         truncated : bool
             Whether a file that ends before its header says is taken as far as it goes; else it is refused.
-
-        Returns
-        -------
-        Transducer
-            The transducer.
 
         Raises
         ------

@@ -3,7 +3,7 @@
 import pytest
 
 from clsim.cli import main
-from clsim.opencl import compiler as compiler_module
+from clsim.opencl import launch as compiler_module
 from clsim.workflow import device_test
 
 pytestmark = pytest.mark.usefixtures("device")

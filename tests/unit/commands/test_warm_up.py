@@ -8,9 +8,9 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.opencl.compiler import compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.kernels import kernel_source
+from clsim.opencl.launch import compiler_of
 from clsim.workflow.console import built_programs
 
 RATE = 192e3

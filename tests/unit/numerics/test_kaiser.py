@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsim.numerics.kaiser import band_pass, length_of, low_pass, low_pass_between, shape_of
+from clsim.numerics.resampling import band_pass, length_of, low_pass, low_pass_between, shape_of
 
 
 @pytest.mark.parametrize("ripple_db", [25.0, 49.0, 51.0, 115.0])

@@ -7,14 +7,14 @@ import pyopencl as cl
 import pytest
 
 import clsim
+from clsim.opencl import launch
 from clsim.opencl.arguments import DOUBLE, FLOAT, INT, Argument, made, structure
-from clsim.opencl.compiler import ALONE, LONG_ALONE, LONG_KERNELS, as_built, compiler_of
 from clsim.opencl.device import find_device
 from clsim.opencl.kernels import DECLARATIONS, PROGRAMS, declarations, kernel_folder, kernel_source
-from clsim.opencl.launch import NUMBERS, Launch, layout, upload
+from clsim.opencl.launch import ALONE, LONG_ALONE, LONG_KERNELS, NUMBERS, Launch, as_built, compiler_of, layout, upload
 from clsim.paths.visibility.device import INTERVAL, SPAN, progress
 from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR
-from clsim.render.opencl.pair_nodes import PAIR_RECEIVER
+from clsim.render.opencl.host_nodes import PAIR_RECEIVER
 from clsim.render.opencl.path_columns import EDGE_VIEW, MIRROR_VIEW, SCATTERER_VIEW
 
 KNOWN = {"CLK_LOCAL_MEM_FENCE", "OPENCL", "FP_CONTRACT", "OFF"}  # of OpenCL C itself
@@ -264,15 +264,14 @@ def test_the_short_header_declares_what_kernels_of_edges_call(
     device: None, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Four nodes of an edge's path are solved in a vector; a function that lacks a declaration costs a second build."""
-    from clsim.opencl import compiler
 
-    monkeypatch.setattr(compiler, "_compilers", {})
+    monkeypatch.setattr(launch, "_compilers", {})
     hard, still = clsim.Material.from_reflection(1.0), clsim.Trajectory.fixed((3.0, 0.4, 1.2))
     sheet = clsim.MeshRoom([(3, 1, 0.2), (3, 3, 0.2), (3, 3, 1.7), (3, 1, 1.7)], [(0, 1, 2), (0, 2, 3)], hard)
     room = clsim.MeshRoom.joined([clsim.Shoebox((6, 6, 6), clsim.Material.from_reflection(0.0)), sheet])
     source = clsim.Source("s", clsim.Signal.tone(20e3, 0.02, 96e3, fade=0.005), still)
     receiver = clsim.Receiver("r", clsim.Trajectory.line((2, 4, 1.3), (2.1, 4, 1.2), 1.0))
-    with caplog.at_level("INFO", logger="clsim.opencl.compiler"):
+    with caplog.at_level("INFO", logger="clsim.opencl.launch"):
         clsim.render(clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], [receiver]), 0, diffraction=1), 96e3)
     assert "coarse_delays: program built" in caplog.text
     assert "tried otherwise" not in caplog.text

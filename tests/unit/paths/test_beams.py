@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 import clsim
 from clsim.paths.trajectory_tables import trajectory_tables
-from clsim.paths.visibility.beams import beam_planes, clip_rings
+from clsim.paths.visibility.occlusion import beam_planes, clip_rings
 
 SQUARE = np.array([[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]], float)  # counterclockwise about +x
 

@@ -10,9 +10,8 @@ import pytest
 from made_meshes import hall, l_room
 
 import clsim
-from clsim.opencl.compiler import Compiler
-from clsim.opencl.device import DeviceInfo, find_device
-from clsim.opencl.limits import operations_in_launch
+from clsim.opencl.device import DeviceInfo, find_device, operations_in_launch
+from clsim.opencl.launch import Compiler
 from clsim.paths.search import mesh as mesh_module
 from clsim.paths.trajectory_tables import TrajectoryTables
 from clsim.paths.visibility.device import GROUP, OPERATIONS_PER_BOX, DeviceSearch

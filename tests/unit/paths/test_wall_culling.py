@@ -8,9 +8,17 @@ from made_meshes import box, hall, joined, l_room, screen
 
 import clsim
 from clsim.opencl.device import find_device
-from clsim.paths.visibility.beams import beam_planes
 from clsim.paths.visibility.device import MOST, DeviceLookup
-from clsim.paths.visibility.occlusion import Beams, Ears, Views, WallLookup, air_sides, crossed_pieces, open_parts
+from clsim.paths.visibility.occlusion import (
+    Beams,
+    Ears,
+    Views,
+    WallLookup,
+    air_sides,
+    beam_planes,
+    crossed_pieces,
+    open_parts,
+)
 from clsim.scene.room.walls import Walls
 
 WALL = clsim.Material.from_reflection(0.9)

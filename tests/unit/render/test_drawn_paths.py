@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.numerics.chebyshev import chebyshev_points
+from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.tracks import sampled
 from clsim.tracks.tracks import SceneTracks, track
@@ -42,8 +42,8 @@ def test_instants_together_are_those_one_by_one(made: dict[str, Any], monkeypatc
     draws = []
     for together in (True, False):
         monkeypatch.setattr("clsim.paths.chain.Chain.one_by_one", property(lambda self, here=together: here))
-        picked = list(sampled.picked_paths(of_scene, 0, 1.0, 400, np.random.default_rng(1)))
-        draws.append((len(picked), sampled.sampled_responses(of_scene.scene, 0, picked, band)))
+        picked = tuple(sampled.picked_paths(of_scene, 0, 1.0, 400, np.random.default_rng(1)))
+        draws.append((len(picked), sampled.Draw(of_scene, 0, 1.0, picked).responses(band)))
     (few, stacked), (many, single) = draws
     assert few < many
     assert np.array_equal(stacked.first, single.first)
@@ -55,7 +55,7 @@ def test_responses_are_those_of_the_paths_at_their_own_instants() -> None:
     of_scene = tracks(3.0)
     band = sampled.Band(20e3, 40e3, np.array([20e3, 30e3, 40e3]), np.ones((1, 3)) / 3)
     (picked,) = sampled.picked_paths(of_scene, 0, 1.0, 400, np.random.default_rng(1))
-    made = sampled.sampled_responses(of_scene.scene, 0, [picked], band).responses / picked.scale
+    made = sampled.Draw(of_scene, 0, 1.0, (picked,)).responses(band).responses / picked.scale
     at = SceneResponse(of_scene.scene, 0, band.frequencies)
     for row in range(0, len(made), 7):
         alone, when = picked.paths.part(np.array([row])), picked.times[row]

@@ -9,12 +9,13 @@ import pytest
 
 import clsim
 from clsim.opencl import device as device_module
-from clsim.opencl.compiler import Compiler
-from clsim.opencl.limits import LONGEST_LAUNCH, check_group
+from clsim.opencl.device import LONGEST_LAUNCH, check_group
+from clsim.opencl.launch import Compiler
+from clsim.render.opencl import batches as batches_module
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.batches import fill_batch
+from clsim.render.opencl.branch_signals import Limits
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
-from clsim.render.opencl.limits import Limits
 from clsim.render.plan import BATCH, NODE_BUDGET, SEGMENT, Plan
 from clsim.render.planning import plan_render
 
@@ -130,7 +131,7 @@ def test_paths_are_parted_where_one_launch_of_all_is_too_long(
     engine = OpenclEngine(made, CPU_LAYOUT)
     assert engine.limits.paths_in_launch == BATCH < made.path_count // 4
     batches = []
-    monkeypatch.setattr(engine_module, "fill_batch", lambda *given: batches.append(fill_batch(*given)) or batches[-1])
+    monkeypatch.setattr(batches_module, "fill_batch", lambda *given: batches.append(fill_batch(*given)) or batches[-1])
     parts = engine.render(0, made.samples)
     assert len(batches) > 4
     assert all(len(set(b.receiver.tolist())) == len(b.receiver) for b in batches), "launches of the same samples race"

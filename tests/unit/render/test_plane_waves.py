@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from clsim.render.opencl.plane_waves import DeviceWaves
-from clsim.tail.interpolation import NODE, Between, HostWaves, Motion
+from clsim.render.diffuse_tail import DeviceWaves
+from clsim.tail.streams import NODE, Between, HostWaves, Motion
 
 RATE, C, START, STOP = 48e3, 343.0, 1000, 5000
 

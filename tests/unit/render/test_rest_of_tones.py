@@ -5,7 +5,7 @@ import pytest
 
 from clsim import Signal
 from clsim.render.baseband import Baseband
-from clsim.render.methods.narrow_band import NarrowBand, Split
+from clsim.render.envelope import NarrowBand, Split
 
 RATE = 192e3
 SPLIT = Split.into((NarrowBand.designed(Baseband(40e3, 4e3, 8e3), 200.0, 1200.0, RATE, -85.0),), -85.0)

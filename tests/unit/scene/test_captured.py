@@ -8,7 +8,7 @@ import pytest
 
 import clsim
 from clsim.numerics.quaternions import rotate
-from clsim.scene.motion.joints import read_joints
+from clsim.scene.captured import read_joints
 
 BVH = """HIERARCHY
 ROOT Hips

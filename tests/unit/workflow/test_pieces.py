@@ -16,7 +16,7 @@ import clsim
 from clsim.output.stores import STORES, SoundStore, StoredSound
 from clsim.render import planning
 from clsim.render.plan import Plan
-from clsim.render.rendering import Rendering
+from clsim.render.render import Rendering
 from clsim.workflow.checkpoint import Pieces
 from clsim.workflow.pieces import Handed, PlanFile, check_worker, device_of, do_piece, versions
 

@@ -8,7 +8,7 @@ from scipy.special import j1
 
 import clsim
 from clsim import AxialDirectivity
-from clsim.acoustics.acoustic_centre import fit_delay
+from clsim.acoustics.directivity import fit_delay
 
 SPEED = 343.0
 FINE = np.linspace(0.0, np.pi, 1025)

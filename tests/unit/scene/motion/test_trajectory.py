@@ -6,7 +6,7 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.spatial.transform import Rotation, Slerp
 
 from clsim.errors import InputError
-from clsim.scene.motion import measured
+from clsim.scene.motion import curves
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.scene.motion.trajectory import Trajectory
 
@@ -303,18 +303,18 @@ def test_smoothing_of_given_strength_is_scipy_s_smoothing_spline(rng):
     y = np.sin(0.2 * t) + 0.1 * rng.normal(size=60)
     step = np.median(np.diff(t))
     for strength in (0.01, 3.0, 500.0):
-        ours = y - measured._system(t).solve(strength, y)[1]
+        ours = y - curves._system(t).solve(strength, y)[1]
         scipys = make_smoothing_spline(t, y, lam=strength * step**3)(t)
         np.testing.assert_allclose(ours, scipys, atol=1e-10)  # their own five-diagonal solution's rounding
 
 
 def test_trace_by_the_determinant_is_the_trace_of_the_full_matrix(rng):
     t = np.cumsum(rng.uniform(0.5, 1.5, 40))
-    system = measured._system(t)
+    system = curves._system(t)
     for strength in (1e-3, 1.0, 1e5):
         trace = np.trace(np.stack([system.solve(strength, e)[1] for e in np.eye(40)], axis=1))
-        logs = np.log(strength) + measured._STEP * np.arange(-3, 4)
-        found = measured._derivative(np.array([system.solve(np.exp(u), t)[0] for u in logs]))
+        logs = np.log(strength) + curves._STEP * np.arange(-3, 4)
+        found = curves._derivative(np.array([system.solve(np.exp(u), t)[0] for u in logs]))
         np.testing.assert_allclose(found, [trace], rtol=1e-5)  # h⁶/140 = 1.7e-6 of the seventh derivative
 
 
@@ -325,8 +325,8 @@ def test_cross_validation_is_nearly_as_good_as_knowing_the_truth(rng):
     t = np.linspace(0.0, 20.0, 2001)
     clean = np.stack([np.sin(t), 1e-3 * np.cos(2 * t)], axis=1)
     noise = np.array([1e-4, 1e-5]) * rng.normal(size=(2001, 2))
-    smoothed = measured.smooth_by_cross_validation(t, clean + noise)
-    system = measured._system(t)
+    smoothed = curves.smooth_by_cross_validation(t, clean + noise)
+    system = curves._system(t)
     tries = [noise - system.solve(strength, clean + noise)[1] for strength in np.geomspace(1e-2, 1e8, 101)]
     best = np.sqrt(np.min([np.sum(left**2, axis=0) for left in tries], axis=0))
     left = np.sqrt(np.sum((smoothed.points - clean) ** 2, axis=0))
@@ -338,26 +338,26 @@ def test_cross_validation_is_nearly_as_good_as_knowing_the_truth(rng):
 def test_cross_validation_does_not_depend_on_the_units(rng):
     t = np.linspace(0.0, 3.0, 301)
     y = np.sin(t)[:, None] + 1e-3 * rng.normal(size=(301, 1))
-    base = measured.smooth_by_cross_validation(t, y)
-    other = measured.smooth_by_cross_validation(t * 1e9 + 5.0, y * 1e3)
+    base = curves.smooth_by_cross_validation(t, y)
+    other = curves.smooth_by_cross_validation(t * 1e9 + 5.0, y * 1e3)
     np.testing.assert_allclose(other.points, base.points * 1e3, rtol=1e-6, atol=1e-6)
 
 
 def test_cross_validation_leaves_exact_data_and_flattens_pure_noise(rng):
     t = np.linspace(0.0, 2.0, 401)
-    exact = measured.smooth_by_cross_validation(t, circle_positions(t))
+    exact = curves.smooth_by_cross_validation(t, circle_positions(t))
     # At the least strength λ = 1e-6 the residual is λ times the fourth difference, (2 π / 200)⁴ = 1e-6, but
     # λ times the second, 1e-3, at both ends, where the spline may not bend: 1e-9 sqrt(2 / 401) in all.
     assert np.all(exact.residual < 1.5e-10)
     noise = 1e-4 * rng.normal(size=(401, 1))
-    flat = measured.smooth_by_cross_validation(t, noise)
+    flat = curves.smooth_by_cross_validation(t, noise)
     assert flat.residual[0] == pytest.approx(np.std(noise), rel=0.03)
 
 
 def test_residual_asked_for_is_residual_given(rng):
     t = np.cumsum(rng.uniform(0.009, 0.011, 500))
     y = np.stack([np.sin(5 * t), np.cos(3 * t), t], axis=1)
-    smoothed = measured.smooth_by_residual(t, y, 2e-3)
+    smoothed = curves.smooth_by_residual(t, y, 2e-3)
     np.testing.assert_allclose(smoothed.residual[:2], 2e-3, rtol=1e-5)
     assert smoothed.residual[2] < 1e-9  # a straight line has no residual to give
 
@@ -366,6 +366,6 @@ def test_smoothing_bears_times_that_nearly_coincide(rng):
     t = np.linspace(0.0, 5.0, 501)
     t[200] = t[199] + 1.1e-5  # a thousandth of a step
     y = np.sin(t)[:, None] + 1e-3 * rng.normal(size=(501, 1))
-    smoothed = measured.smooth_by_cross_validation(t, y)
+    smoothed = curves.smooth_by_cross_validation(t, y)
     assert smoothed.residual[0] == pytest.approx(1e-3, rel=0.1)
     assert np.abs(smoothed.points[150:250, 0] - np.sin(t[150:250])).max() < 5e-4

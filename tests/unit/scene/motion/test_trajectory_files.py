@@ -62,6 +62,20 @@ def test_comments_blank_lines_byte_order_mark_and_crlf_are_no_rows(tmp_path, row
     np.testing.assert_allclose(by_points(path, "csv").position(motion()[0]), motion()[1], atol=1e-12)
 
 
+def test_columns_have_other_names_and_time_another_unit(tmp_path, rows):
+    own = by_points(write(tmp_path / "a.csv", rows), "csv")
+    alias = by_points(write(tmp_path / "b.csv", rows, "Time,pos_x,PY,position_z,q_x,quat_y,orientation_z,qw"), "csv")
+    milli = [[1e3 * row[0], *row[1:]] for row in rows]
+    path = write(tmp_path / "c.csv", milli, "t (ms),x,y,z,qx,qy,qz,qw")
+    given = by_points(path, "csv", columns={"t": "t (ms)"}, time_scale=1e-3)
+    swapped = by_points(path, "csv", columns={"t": "t (ms)", "x": "y", "y": "x"}, time_scale=1e-3)
+    times = np.linspace(0.0, 5.9, 60)
+    for other in (alias, given):
+        np.testing.assert_allclose(other.position(times), own.position(times), atol=1e-9)
+        np.testing.assert_allclose(other.orientation(times), own.orientation(times), atol=1e-9)
+    np.testing.assert_allclose(swapped.position(times)[:, [1, 0, 2]], own.position(times), atol=1e-9)
+
+
 def test_nanoseconds_since_1970_lose_nothing(tmp_path, euroc_rows):
     # float64 would round 1.4e18 ns to 256 ns; the third row stands out by 3 ns, which must be seen.
     euroc_rows[2][0] += 3

@@ -14,7 +14,7 @@ from scipy.signal.windows import hann, tukey
 
 from clsim import ClsimWarning, InputError, Signal
 from clsim.scene.signal.occupied_bandwidth import spectra
-from clsim.scene.signal.sequences import binary_sequence
+from clsim.scene.signal.waveforms import binary_sequence
 
 RATE = 192e3
 PULSE = Signal.chirp(39e3, 41e3, 1e-3, RATE, window="hann")

@@ -7,7 +7,7 @@ from scipy.signal import butter
 import clsim
 from clsim import Electronics, InputError, Transducer
 from clsim.render.plan import SEGMENT
-from clsim.render.receiver_chain import ReceiverEnd
+from clsim.render.render import ReceiverEnd
 from clsim.scene.transducer.transducer import StreamFilter
 
 RATE = 192e3

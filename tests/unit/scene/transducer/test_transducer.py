@@ -8,7 +8,7 @@ import soundfile
 
 import clsim
 from clsim import InputError, Signal, Transducer
-from clsim.numerics.resonator import minimum_phase, resonance_response
+from clsim.numerics.band_filters import minimum_phase, resonance_response
 
 RATE = 192e3
 BURST = Signal.tone(40e3, 0.4e-3, RATE)
