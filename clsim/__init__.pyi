@@ -1,8 +1,7 @@
 from clsim import score as score
 from clsim.decoding import decode_binaural
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
-from clsim.exchange.mcap_files import write_mcap
-from clsim.exchange.sound_files import write_flac, write_mat
+from clsim.exchange import write_flac, write_mat, write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store

@@ -16,10 +16,9 @@ from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_r
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import check_band_coverage
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.bands import DiffuseField
 from clsim.tail.design import SCATTERINGS, ULTRASOUND, NoTailError, TailOptions, find_tail, searched_order
 from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves, static_gains
-from clsim.tail.zones import Zones
+from clsim.tail.zones import DiffuseField, Zones
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Room-acoustic measures of impulse responses, simulated or measured, by frequency band."""
+"""Room-acoustic and lateral measures of impulse responses, simulated or measured, by frequency band."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.decay import (
+from clsim.acoustics.room_acoustics import (
     SPEECH_BANDS,
     SPEECH_DB,
     before_noise,
@@ -35,7 +35,7 @@ from clsim.impulse_responses import ImpulseResponses, as_response_band
 from clsim.numerics.convolution import band_taper
 from clsim.paths.path_table import labelled_dataset
 from clsim.scene.directivity.head_related import EARS
-from clsim.tail.bands import DiffuseField
+from clsim.tail.zones import DiffuseField
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.decay import before_noise, decay_curve, is_clipped
+from clsim.acoustics.room_acoustics import before_noise, decay_curve, is_clipped
 from clsim.arrays import as_index
 from clsim.commands.arguments import add_force, as_path, as_whole
 from clsim.errors import InputError, warn

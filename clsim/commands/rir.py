@@ -8,7 +8,7 @@ from clsim.commands.arguments import add_force, add_scene, as_path
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.impulse_responses import TAILS, as_response_band, impulse_responses
-from clsim.output.response_files import response_names, write_response_sounds, write_responses
+from clsim.output.result_files import response_names, write_response_sounds, write_responses
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import find_scene_paths, input_files, shares

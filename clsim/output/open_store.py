@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clsim.errors import InputError
-from clsim.output.hdf5_file import check_attributes, missing_chunks
+from clsim.output.raw_files import check_attributes, missing_chunks
 from clsim.output.stores import STORE_FORMAT, STORES
 from clsim.output.zarr_files import arrays_with_missing_chunks
 from clsim.packages import check_packages

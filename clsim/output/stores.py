@@ -18,7 +18,7 @@ from clsim.arrays import row_name
 from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
-from clsim.output.hdf5_file import CHECKSUM_BYTES, LARGEST_CHUNK, RawRows, chunk_places, create_file, fletcher32
+from clsim.output.raw_files import CHECKSUM_BYTES, LARGEST_CHUNK, RawRows, chunk_places, create_file, fletcher32
 from clsim.output.zarr_files import ALL_CHUNKS
 from clsim.packages import check_packages
 from clsim.plugins import STORES as STORE_PLUGINS
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.pictures.spectrogram import Readable
+    from clsim.pictures.plots import Readable
 
 STORE_FORMAT = 1
 

@@ -12,7 +12,6 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.family import DIFFRACTION, TRANSMISSION, PathFamily, ends_at
-from clsim.paths.propagation import delay_bounds
 from clsim.paths.support import program_of
 
 if TYPE_CHECKING:
@@ -204,7 +203,7 @@ class Chain(PathFamily):
         emitting = speeds.source[source] + 2.0 * self.speeds[rows]
         slack = half * (emitting + speeds.receiver[receiver]) + spare
         length = links.lengths(*places, middle) - spare
-        return delay_bounds(self.speed_range, length, slack, emitting)
+        return self.speed_range.delay_bounds(length, slack, emitting)
 
     def max_rate(self, source_speed: float, receiver_speed: float) -> float:
         """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsim.errors import InputError
 from clsim.paths.arrivals import RETARDED
-from clsim.paths.propagation import SpeedRange, delay_bounds, max_delay_rate, medium_of
+from clsim.paths.propagation import SpeedRange, medium_of
 from clsim.paths.response import SceneResponse, is_complex, to_transducer_frame
 from clsim.scene.directivity.directivity import ChannelDirectivity
 
@@ -94,7 +94,7 @@ class PathFamily(ABC):
         middle, half = 0.5 * (start + end), 0.5 * (end - start)
         length = self.lengths(rows, ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle))
         source_speed, receiver_speed = speeds.source[source], speeds.receiver[receiver]
-        return delay_bounds(self.speed_range, length, half * (source_speed + receiver_speed), source_speed)
+        return self.speed_range.delay_bounds(length, half * (source_speed + receiver_speed), source_speed)
 
     def gain_bound(self, rows: Rows, at: SceneResponse) -> Floats:
         """Return bounds (P, F) of responses without directivities and motion, relative to free air of the same length.
@@ -105,7 +105,7 @@ class PathFamily(ABC):
 
     def max_rate(self, source_speed: float, receiver_speed: float) -> float:
         """Return a bound on how fast delays change with the time of reception, s/s, from the ends' speeds, m/s."""
-        return max_delay_rate(self.speed_range, source_speed, receiver_speed)
+        return self.speed_range.max_delay_rate(source_speed, receiver_speed)
 
     def medium(self, source: int) -> Medium:
         """Medium of a source's sound: its delays are those of the centre frequency's phase."""
@@ -165,6 +165,11 @@ class PathFamily(ABC):
     def walls(self) -> NDArray[np.signedinteger[Any]]:
         """Walls of specular reflections (paths, N) from the source's side, -1 elsewhere."""
         return np.where(self.interactions == SPECULAR, self.objects, -1)
+
+    def ends(self, rows: Rows) -> tuple[Source, Receiver]:
+        """Return the source and the receiver of paths of one pair."""
+        source, receiver = self.source[rows], self.receiver[rows]
+        return self.scene.sources[source[0]], self.scene.receivers[receiver[0]]
 
     def digest(self) -> str:
         """Return a hash of all fields but the scene."""

@@ -123,7 +123,7 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
     order, limit = search.scattering_order, search.path_limit
     found: list[PathFamily] = [scattered_paths(scene, before, after, order, limit) for before, after in both]
     first, second = by_walls
-    several = hidden_by_several(scene)
+    several = hidden_by_several(scene.sources, scene.receivers, scene.scatterers)
     if several:
         warn(f'{several}: their shadows add up, and too much is heard behind them; model="outline" of spheres mends it')
     if search.scatterers_in_row > 1:

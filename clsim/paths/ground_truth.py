@@ -1,4 +1,4 @@
-"""Ground truth of the direct sound: what a location system is compared with, by time of reception or of emission."""
+"""Ground truth: the direct sound for location systems, and ranges, speeds and bearings of targets for sonars."""
 
 from __future__ import annotations
 

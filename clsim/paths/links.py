@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from clsim.arrays import read_only
 from clsim.paths.arrivals import Arrivals
-from clsim.paths.family import BODY, DIFFRACTION, NONE, SPECULAR
+from clsim.paths.family import BODY, NONE, SPECULAR
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from clsim.paths.family import Instant, Rows
     from clsim.paths.propagation import Medium, UniformAir
     from clsim.paths.response import SceneResponse
-    from clsim.scene.scene import Scene
 
     Integers = NDArray[np.signedinteger[Any]]
     Columns = dict[str, Floats]
@@ -210,17 +208,16 @@ def in_chunks(links: Links, times: Floats, nodes: int, solve: Callable[[Links, F
 
 
 def met_in_order(
-    scene: Scene, before: Integers, vertex: Any, after: Integers | None, of_bodies: bool = True
-) -> tuple[Any, Any]:
-    """Make interactions and objects (P, N) of paths from their surfaces, of walls and bodies, and their vertices."""
-    walls = len(scene.room.faces)
-    faces = walls + sum(len(body.faces) for body in scene.bodies if of_bodies)
-    things = before
+    counts: tuple[int, int], before: Integers, vertex: tuple[int, Integers] | None, after: Integers | None
+) -> tuple[Integers, Integers]:
+    """Make interactions and objects (P, N) of paths from their surfaces, and from interaction and objects of vertices.
+
+    Counts are those of walls, and of these and the faces of bodies.
+    """
+    walls, faces = counts
+    things, at_vertex = before, NONE if vertex is None else vertex[0]
     if vertex is not None and after is not None:
-        things = np.concatenate([before, faces + np.atleast_2d(vertex.objects.T).T, after], axis=1)
+        things = np.concatenate([before, faces + np.atleast_2d(vertex[1].T).T, after], axis=1)
     things = np.take_along_axis(things, np.argsort(things < 0, axis=1, kind="stable"), axis=1)
-    at_vertex = NONE if vertex is None else vertex.interaction
     kinds = np.select([things < 0, things < walls, things < faces], [NONE, SPECULAR, BODY], at_vertex)
-    objects = np.where(things >= walls, things - walls, things)
-    wide = np.int64 if of_bodies and at_vertex != DIFFRACTION else np.int32  # as they are hashed
-    return read_only(kinds.astype(np.int8)), read_only(objects.astype(wide))
+    return kinds.astype(np.int8), np.where(things >= walls, things - walls, things)

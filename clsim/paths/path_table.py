@@ -1,4 +1,4 @@
-"""The ground truth beside the sound: what every path does over time."""
+"""Table of what every path does over time, and its columns and dimensions as pandas and xarray take them."""
 
 from __future__ import annotations
 

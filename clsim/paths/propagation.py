@@ -45,19 +45,14 @@ _UPRIGHT = 1e-12  # vertical component of a wall's normal below which it leaves 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Passage:
-    """What a medium makes of ways of sound, of any shape (...), from places to others.
-
-    Attributes
-    ----------
-    speed : float or ndarray (...)
-        By how many metres a way gets longer while its time grows by a second, with both ends as far apart, m/s.
-    carried : ndarray (..., 3) or None
-        By how much the time grows as the receiver goes on from the source, with the way as long, s/m; None for not.
-    """
+    """What a medium makes of ways of sound, of any shape (...), from places to others."""
 
     length: Floats  # (...) of the ways, m, and travel time, s
     time: Floats  # likewise
+    # (...) by how many metres a way gets longer while its time grows by a second, with both ends as far apart, m/s.
     speed: float | Floats
+    # (..., 3) by how much the time grows as the receiver goes on from the source, with the way as long, s/m; None for
+    # not.
     carried: Floats | None
     through: Floats  # (...) length of the air that sound passes, m
 
@@ -111,8 +106,8 @@ class Ways(Protocol):
         ...
 
 
-class SpeedBounds(Protocol):
-    """How fast sound can be."""
+class Medium(Protocol):
+    """What sound travels in."""
 
     @property
     def slowest(self) -> float:
@@ -128,10 +123,6 @@ class SpeedBounds(Protocol):
     def fluctuation(self) -> Fluctuation | None:
         """Noise of delays."""
         ...
-
-
-class Medium(SpeedBounds, Protocol):
-    """What sound travels in."""
 
     def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats | None:
         """Return means (..., terms) of what it depends on along ways, arguments as for `Ways.leave`; or None."""
@@ -229,6 +220,33 @@ class SpeedRange:
     slowest: float
     fastest: float
     fluctuation: Fluctuation | None
+
+    def delay_bounds(
+        self, length: Floats, slack: Floats | float, source_speed: Floats | float
+    ) -> tuple[Floats, Floats]:
+        """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
+
+        Shapes: source_speed (n,) m/s.
+
+        length: of the ways at some instant of reception, with source and receiver where they are then, m.
+
+        slack: by how much both ends may be off, together, at the times of reception that matter, m.
+
+        source_speed: largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
+        """
+        low = np.maximum(length - slack, 0.0) / (self.fastest + source_speed)
+        high = (length + slack) / (self.slowest - source_speed)
+        if self.fluctuation is None:
+            return low, high
+        noise = self.fluctuation.most / (1.0 - source_speed / self.slowest)
+        return np.maximum(low - noise, 0.0), high + noise
+
+    def max_delay_rate(self, source_speed: float, receiver_speed: float) -> float:
+        """Return a bound on how fast a delay changes with the time of reception, s/s, from the largest speeds, m/s."""
+        rate = (source_speed + receiver_speed) / (self.slowest - source_speed)
+        if self.fluctuation is None:
+            return rate
+        return rate + self.fluctuation.most_rate(source_speed, receiver_speed) / (1.0 - source_speed / self.slowest)
 
 
 @lru_cache(maxsize=256)
@@ -388,35 +406,6 @@ def contract_delay(
         if not np.any(np.abs(step) > _CONTRACTED):
             break
     return delay
-
-
-def delay_bounds(
-    speeds: SpeedBounds, length: Floats, slack: Floats | float, source_speed: Floats | float
-) -> tuple[Floats, Floats]:
-    """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
-
-    Shapes: source_speed (n,) m/s.
-
-    length: of the ways at some instant of reception, with source and receiver where they are then, m.
-
-    slack: by how much both ends may be off, together, at the times of reception that matter, m.
-
-    source_speed: largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
-    """
-    low = np.maximum(length - slack, 0.0) / (speeds.fastest + source_speed)
-    high = (length + slack) / (speeds.slowest - source_speed)
-    if speeds.fluctuation is None:
-        return low, high
-    noise = speeds.fluctuation.most / (1.0 - source_speed / speeds.slowest)
-    return np.maximum(low - noise, 0.0), high + noise
-
-
-def max_delay_rate(speeds: SpeedBounds, source_speed: float, receiver_speed: float) -> float:
-    """Return a bound on how fast a delay changes with the time of reception, s/s, from the largest speeds, m/s."""
-    rate = (source_speed + receiver_speed) / (speeds.slowest - source_speed)
-    if speeds.fluctuation is None:
-        return rate
-    return rate + speeds.fluctuation.most_rate(source_speed, receiver_speed) / (1.0 - source_speed / speeds.slowest)
 
 
 class Folds:

@@ -45,19 +45,14 @@ class BoundingSpheres:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryTables:
-    """Trajectories of one source (row 0) and of receivers (rows 1, 2, …).
-
-    Attributes
-    ----------
-    mounts : ndarray (rows, 4)
-        Unit normal of the wall that each sits in, and offset of the plane a step in front of it, m; zero in the
-        open.
-    """
+    """Trajectories of one source (row 0) and of receivers (rows 1, 2, …)."""
 
     places: NDArray[np.int64]  # (rows, 3) first knot, first speed and number of knots of each
     scales: Floats  # (rows, 3) time of the first knot (s), knots per second, largest speed (m/s)
     knots: Floats  # (knots, 12) coefficients [power][xyz] of the cubic from each knot to the next, m
     speeds: Floats  # (speeds,) bounds of the speed from each knot to the next, of pairs of them, and so on, m/s
+    # (rows, 4) unit normal of the wall that each sits in, and offset of the plane a step in front of it, m; zero in the
+    # open.
     mounts: Floats
 
     def position(self, row: NDArray[np.int64], time: Floats) -> Floats:

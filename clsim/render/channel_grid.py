@@ -53,10 +53,7 @@ def window_spectrum(frequencies: Floats) -> Floats:
 
 @cache
 def window_table() -> Floats:
-    """Return values of the window at the points about a path, and their changes to the next phase.
-
-    Shapes: result (PHASES + 3, 2, TAPS), from one phase before the first to one behind the last.
-    """
+    """Return the window at the points about a path, and its changes to the next phase, (PHASES + 3, 2, TAPS)."""
     phases = np.arange(-1, PHASES + 3) / PHASES
     values = window_at(np.arange(1 - TAPS // 2, TAPS // 2 + 1) - phases[:, None])
     return read_only(np.stack([values[:-1], np.diff(values, axis=0)], axis=1))
@@ -88,24 +85,12 @@ def node_window(spacing: int) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class ChannelGrid:
-    """Where responses lie over delay, and how long transforms are.
+    """Where responses lie over delay, and how long transforms are."""
 
-    Attributes
-    ----------
-    first : int
-        Delay of the first point, samples.
-    span : int
-        Samples from there to the end of the longest response.
-    spacing : int
-        Samples from node to node.
-    size : int
-        Samples of a transform; of the grid there are 5 / 4 as many points.
-    """
-
-    first: int
-    span: int
-    spacing: int
-    size: int
+    first: int  # delay of the first point, samples
+    span: int  # samples from there to the end of the longest response
+    spacing: int  # samples from node to node
+    size: int  # samples of a transform; of the grid there are 5 / 4 as many points
 
     @classmethod
     def between(cls, shortest: float, longest: float, ringing: int, spacing: int) -> ChannelGrid:

@@ -159,10 +159,7 @@ class EnvelopeFilters(SourceFilters):
 
 
 def design_envelope(emission: Emission) -> EnvelopeFilters:
-    """Return a source's complex envelope, with filters for its band and for how its paths move.
-
-    The options' interpolator is `Bandlimited`.
-    """
+    """Return a source's complex envelope with filters for its band and motion; the interpolator is `Bandlimited`."""
     signal, options = emission.signal, emission.options
     assert options.baseband is not None
     baseband = Baseband(*options.baseband)
@@ -177,10 +174,7 @@ def design_envelope(emission: Emission) -> EnvelopeFilters:
 
 
 def envelope_filters(emission: Emission, half: float, low_pass: Floats, removed_db: float) -> EnvelopeFilters:
-    """Return the filters for the envelope of a source's signal through a low-pass about the options' carrier.
-
-    Shapes: low_pass (n,).
-    """
+    """Return filters for the envelope of a source's signal through a low-pass (n,) about the options' carrier."""
     options = emission.options
     assert options.baseband is not None
     baseband, interpolator = Baseband(*options.baseband), options.interpolator

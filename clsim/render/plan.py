@@ -441,13 +441,18 @@ def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Flo
     return (start + block * np.arange(-1, blocks + 2, dtype=np.float64)) / sampling_rate
 
 
-def chunk_of(tracks: Tracks, options: RenderOptions, samples: int, rate: float, segment: int) -> int:
-    """Return the chunk's length in whole segments: as requested, or long against the delays and small in memory."""
+def chunk_of(
+    options: RenderOptions, samples: int, rate: float, segment: int, rows: int, longest: Callable[[float, float], float]
+) -> int:
+    """Return the chunk's length in whole segments: as requested, or long against the delays and small in memory.
+
+    The longest delay, s, is that between two times of reception, s.
+    """
     whole = math.ceil(samples / segment)
     if options.chunk is not None:
         return segment * min(whole, math.ceil(options.chunk / segment))
-    span = tracks.longest_delay(0.0, samples / rate) * rate
+    span = longest(0.0, samples / rate) * rate
     wanted = min(math.ceil(4.0 * span / segment), _LONG_CHUNK)
-    affordable = _PRESSURE_BUDGET // (4 * segment * sum(map(len, tracks.channels)))
+    affordable = _PRESSURE_BUDGET // (4 * segment * rows)
     least = 8 if options.baseband is None else _LONG_CHUNK
     return segment * max(1, min(whole, max(least, wanted), affordable))

@@ -33,9 +33,8 @@ from clsim.render.plan import (
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.scene.signal.occupied_bandwidth import spectra
-from clsim.tail.bands import DiffuseField
 from clsim.tail.design import ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
-from clsim.tail.zones import Zones
+from clsim.tail.zones import DiffuseField, Zones
 from clsim.tracks.pruning import pruned
 from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
@@ -138,7 +137,7 @@ def plan_tracks(
     filters, allocation = allocate(emissions, tracks, options, samples)
     carrier = None if options.baseband is None else options.baseband[0]
     segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, heard_at, carrier)
-    chunk = chunk_of(tracks, options, samples, heard_at, segment)
+    chunk = chunk_of(options, samples, heard_at, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
     allocation = allocation.with_tails(tails.of_sources, tails.told)
     return Plan(
         options, tracks, allocation, filters, heard_at, samples, chunk, segment, blocks, _builders(), left_out=left_out
@@ -306,7 +305,7 @@ def _narrow_part(
     others = claimed.convolved | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
     blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
     count, segment = math.ceil(samples / upsampler.every) + upsampler.reach, segment_of(blocks)
-    chunk = chunk_of(tracks, within, count, carrier[1], segment)
+    chunk = chunk_of(within, count, carrier[1], segment, sum(map(len, tracks.channels)), tracks.longest_delay)
     alone, builders = Allocation(frozenset(others)), [PER_SAMPLE]
     plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
     return NarrowPart(plan, tuple(mine), upsampler)
@@ -322,7 +321,9 @@ def _channel_part(
     """Return the pairs of a source whose impulse responses are sampled, with a plan of their own for their tracks."""
     pairs, tracks = frozenset(offer.pairs), offer.tracks
     alone = Allocation(frozenset(range(len(tracks.pairs))) - pairs)
-    chunk = chunk_of(tracks, options, samples, options.sampling_rate, SEGMENT)
+    chunk = chunk_of(
+        options, samples, options.sampling_rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay
+    )
     plan = Plan(
         options, tracks, alone, filters, options.sampling_rate, samples, chunk, SEGMENT, LONG_BLOCKS, [PER_SAMPLE]
     )

@@ -1,4 +1,4 @@
-"""From paths or tracks to sound."""
+"""From paths or tracks to sound: a plan is made and carried out chunk by chunk, and receivers record its pressure."""
 
 from __future__ import annotations
 

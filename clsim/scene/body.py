@@ -123,7 +123,7 @@ class Body:
 
         Examples
         --------
-        >>> from clsim import Body, Material, Trajectory
+        >>> from clsim import Material
         >>> wood = Material.from_reflection(0.9)
         >>> hinge = Trajectory.swing((2, 0, 0), (0, 0, 1), [0.0, 1.5], [0.0, 2.0])
         >>> door = Body.box("door", (0.9, 0.0, 2.0), wood, hinge, centre=(0.5, 0.0, 1.0))

@@ -101,15 +101,7 @@ class Gait:
 
 
 def cycle_duration(relative_speed: Floats) -> Floats:
-    """Return duration of two steps, ``1.346 / sqrt(v)`` s at v leg lengths a second.
-
-    Shapes: relative_speed (n,).
-
-    Examples
-    --------
-    >>> cycle_duration(np.array([1.0, 4.0])).tolist()
-    [1.346, 0.673]
-    """
+    """Return the duration of two steps, ``1.346 / sqrt(v)`` s, at v leg lengths a second (n,)."""
     return np.asarray(1.346 / np.sqrt(relative_speed))
 
 
@@ -238,7 +230,6 @@ def walking_person(name: str, height: float, trajectory: Trajectory, shadow: boo
 
     Examples
     --------
-    >>> from clsim import Trajectory, walking_person
     >>> parts = walking_person("Ada", 1.75, Trajectory.line((1, 2, 0), (4, 2, 0), 3.0))
     >>> len(parts), parts[0].name
     (13, 'Ada head')
@@ -382,7 +373,6 @@ def hand(
 
     Examples
     --------
-    >>> from clsim import Trajectory, hand
     >>> wave = hand("hand", Trajectory.fixed((2.0, 1.0, 1.0)), opening=[(0.0, 1.0), (0.4, 0.0), (0.8, 1.0)])
     >>> len(wave), wave[1].name, wave[1].trajectory.end
     (11, 'hand thumb', 0.8)

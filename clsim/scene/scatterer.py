@@ -331,11 +331,6 @@ class Scatterer:
         trajectory : Trajectory
             Where it is.
 
-        Returns
-        -------
-        Scatterer
-            A point.
-
         Raises
         ------
         InputError
@@ -343,7 +338,6 @@ class Scatterer:
 
         Examples
         --------
-        >>> from clsim import Scatterer, Trajectory
         >>> Scatterer.point("bat", -40.0, Trajectory.fixed((2.0, 1.0, 1.0))).shape.strongest
         0.01
         """
@@ -370,11 +364,6 @@ class Scatterer:
             The series over its modes, exact at every frequency, distance and angle, shadow included; geometrical
             optics, which cast no shadow; or these with the shadow of its outline, as ellipsoids have.
 
-        Returns
-        -------
-        Scatterer
-            A sphere.
-
         Raises
         ------
         InputError
@@ -382,7 +371,6 @@ class Scatterer:
 
         Examples
         --------
-        >>> from clsim import Scatterer, Trajectory
         >>> Scatterer.sphere("ball", 0.05, Trajectory.fixed((2.0, 1.0, 1.0))).shape
         SphereShape(radius=0.05)
         """
@@ -412,11 +400,6 @@ class Scatterer:
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
 
-        Returns
-        -------
-        Scatterer
-            An ellipsoid.
-
         Raises
         ------
         InputError
@@ -424,7 +407,6 @@ class Scatterer:
 
         Examples
         --------
-        >>> from clsim import Scatterer, Trajectory
         >>> hand = Scatterer.ellipsoid("hand", (0.09, 0.05, 0.02), Trajectory.fixed((2.0, 1.0, 1.0)))
         >>> hand.shape.radius
         0.09
@@ -463,11 +445,6 @@ class Scatterer:
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
 
-        Returns
-        -------
-        Scatterer
-            A capsule.
-
         Raises
         ------
         InputError
@@ -475,7 +452,6 @@ class Scatterer:
 
         Examples
         --------
-        >>> from clsim import Scatterer, Trajectory
         >>> finger = Scatterer.capsule("finger", 0.009, 0.07, Trajectory.fixed((2.0, 1.0, 1.0)))
         >>> round(finger.shape.radius, 3)
         0.044

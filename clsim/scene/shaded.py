@@ -9,6 +9,8 @@ import numpy as np
 from clsim.scene.motion.motion import seen_by
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -41,17 +43,19 @@ def shaded_pairs(scene: Scene, duration: float) -> list[str]:
     return lines
 
 
-def hidden_by_several(scene: Scene) -> str | None:
+def hidden_by_several(
+    sources: Sequence[Source], receivers: Sequence[Receiver], scatterers: Sequence[Scatterer]
+) -> str | None:
     """Words for the first line of sight in which a sphere by its series and another thing with a shadow stand at once.
 
     None for no such. Their shadows add up: the second takes the sound away that the first has taken already. Those of
     outlines multiply. The first eight pairs are looked at.
     """
-    casting = [scatterer for scatterer in scene.scatterers if scatterer.shape.shadows]
+    casting = [scatterer for scatterer in scatterers if scatterer.shape.shadows]
     series = np.array([not one.shape.outlined for one in casting])
     if len(casting) < 2 or not series.any():
         return None
-    for source, receiver in [(s, r) for s in scene.sources for r in scene.receivers][:_PAIRS]:
+    for source, receiver in [(s, r) for s in sources for r in receivers][:_PAIRS]:
         last = min(source.end, receiver.trajectory.end, *(one.trajectory.end for one in casting))
         times = np.linspace(max(source.start, 0.0), max(last, source.start, 0.0), _LOOKS)
         cut = np.array([_cut(source, receiver, one, times) for one in casting])

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationError
 
 from clsim.errors import InputError, not_one_of
@@ -19,7 +18,6 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.room.walls import FLATNESS
 from clsim.scene_file.model import Hold, Model, Numbers, Table, Vector, built, explain, table, within
 
-R = TypeVar("R", Shoebox, MeshRoom)
 Corners = list[Annotated[list[float], Field(min_length=2, max_length=2)]]
 # How many there are is checked in our own words; editors read it here.
 Pair = Annotated[list[float], Field(json_schema_extra={"minItems": 2, "maxItems": 2})]
@@ -209,9 +207,7 @@ class PlanModel(Table):
     materials: Materials
     pillars: list[Corners] = []
 
-    def build(self, base: Path = Path()) -> MeshRoom:
-        materials = built("materials", self.materials, base)
-        return MeshRoom.from_plan(self.outline, self.height, materials, [np.array(p) for p in self.pillars])
+    constructor = staticmethod(MeshRoom.from_plan)
 
 
 class PolygonsFile(Model):
@@ -282,11 +278,13 @@ ObstacleModel = Annotated[
 class _WithObstacles(Table):
     obstacles: list[ObstacleModel] = []
 
-    def with_obstacles(self, room: R, base: Path) -> R | MeshRoom:
-        """Return the room joined with its obstacles."""
-        if not self.obstacles:
-            return room
-        return MeshRoom.joined([room, *(built(f"obstacles[{i}]", one, base) for i, one in enumerate(self.obstacles))])
+    def build(self, base: Path = Path()) -> Any:
+        room = super().build(base)
+        obstacles = [built(f"obstacles[{i}]", one, base) for i, one in enumerate(self.obstacles)]
+        return MeshRoom.joined([room, *obstacles]) if obstacles else room
+
+    def parts(self, base: Path) -> dict[str, Any]:
+        return {name: value for name, value in super().parts(base).items() if name != "obstacles"}
 
 
 class ShoeboxRoomModel(_WithObstacles):
@@ -298,8 +296,7 @@ class ShoeboxRoomModel(_WithObstacles):
         Annotated[MaterialModel, Tag("material")] | Annotated[WallsModel, Tag("walls")], Discriminator(_walls_kind)
     ]
 
-    def build(self, base: Path = Path()) -> Shoebox | MeshRoom:
-        return self.with_obstacles(Shoebox(np.array(self.size), built("walls", self.walls, base)), base)
+    constructor = Shoebox
 
 
 class MeshRoomModel(_WithObstacles, MeshModel):
@@ -307,24 +304,15 @@ class MeshRoomModel(_WithObstacles, MeshModel):
 
     kind: Literal["mesh"]
 
-    def build(self, base: Path = Path()) -> MeshRoom:
-        return self.with_obstacles(super().build(base), base)
-
 
 class PlanRoomModel(_WithObstacles, PlanModel):
     """A room over a floor plan."""
 
     kind: Literal["plan"]
 
-    def build(self, base: Path = Path()) -> MeshRoom:
-        return self.with_obstacles(super().build(base), base)
-
 
 class PolygonsRoomModel(_WithObstacles, PolygonsModel):
     """A room of polygons from a file."""
-
-    def build(self, base: Path = Path()) -> MeshRoom:
-        return self.with_obstacles(super().build(base), base)
 
 
 RoomModel = Annotated[ShoeboxRoomModel | MeshRoomModel | PlanRoomModel | PolygonsRoomModel, Field(discriminator="kind")]

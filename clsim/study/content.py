@@ -15,7 +15,7 @@ import numpy as np
 from clsim.arrays import texts
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
-from clsim.output.hdf5_file import SampleFile
+from clsim.output.raw_files import SampleFile
 from clsim.output.stores import member_store
 from clsim.paths.ground_truth import SCALARS, VECTORS
 from clsim.paths.path_table import ATTRIBUTES

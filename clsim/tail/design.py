@@ -15,11 +15,11 @@ from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
-from clsim.tail.bands import traced_bands
 from clsim.tail.device_rays import ray_engine
 from clsim.tail.host_rays import FLOOR
 from clsim.tail.ray_room import ANGLES, WallEnergies, has_free_edges, ray_room
 from clsim.tail.rays import OF_TIME, STEP, Spheres, Tracer, volume_within
+from clsim.tail.zones import traced_bands
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,7 +12,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.paths.response import covered
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
-from clsim.tail.bands import band_shares, joined_bands
+from clsim.tail.zones import band_shares, joined_bands
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

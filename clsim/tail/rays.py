@@ -44,27 +44,13 @@ _BYTES = 2**28  # of energies on a device at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heard:
-    """Energies in zones, of sources of 1 Pa at 1 m for 1 s, without the absorption of the air.
+    """Energies in zones, of sources of 1 Pa at 1 m for 1 s, without the absorption of the air."""
 
-    Attributes
-    ----------
-    early : ndarray (Z, T0, M, B)
-        By bin of time, direction of arrival and band.
-    late : ndarray (rows, T - T0, M, B)
-        The same after `RAIN`, in the mean over the zones of a row.
-    images : ndarray (Z, T, B)
-        What images hold.
-    departed : ndarray (Z, Q)
-        By direction of departure.
-    row : ndarray (Z,)
-        Row of each zone.
-    """
-
-    early: Floats
-    late: Floats
-    images: Floats
-    departed: Floats
-    row: Ints
+    early: Floats  # (Z, T0, M, B) by bin of time, direction of arrival and band
+    late: Floats  # (rows, T - T0, M, B) the same after `RAIN`, in the mean over the zones of a row
+    images: Floats  # (Z, T, B) what images hold
+    departed: Floats  # (Z, Q) by direction of departure
+    row: Ints  # (Z,) row of each zone
     rays: int
     error_db: float
 

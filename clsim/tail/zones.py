@@ -1,22 +1,164 @@
-"""Zones of places that share a tail, and how a moving end goes from one to the next."""
+"""Zones of places that share a tail, its bands, and energies in a diffuse field."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.numerics.quaternions import rotate
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.room.shoebox import enclosure_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from clsim.arrays import Floats
     from clsim.scene.ends import End
     from clsim.scene.room.protocol import Room
+    from clsim.scene.scene import Scene
+
+_LOWEST = 31.25  # Hz, of a band's centre
+_SILENT = 1e-30  # energy, whose logarithm is still a number
+_BENT = 0.015  # of the rate of decay in a middle between thirds, by which interpolation may miss it
+_STEEP = 0.12  # difference of decay times of neighbours, above which there are bands between them: 0.3 dB in 35 dB
+_DECAYED = 1e-3  # of the energy, that is left after a decay time
+
+
+def band_centres(low: float, high: float) -> Floats:
+    """Return centres (B,) of thirds of octaves that hold a band, Hz."""
+    low = max(low, _LOWEST)
+    high = max(high, low)
+    first, last = (round(3.0 * math.log2(f / 1000.0)) for f in (low, high))
+    return np.asarray(1000.0 * 2.0 ** (np.arange(first, last + 1) / 3.0))
+
+
+def traced_bands(scene: Scene, low: float, high: float) -> Floats:
+    """Centres (B,) of bands in which rays are traced, Hz.
+
+    They are thirds of octaves, and the middles between them where the walls' absorption bends so much that the rate of
+    decay of a diffuse field there is not what `at_middles` makes of its neighbours.
+    """
+    thirds = band_centres(low, high)
+    both = with_middles(thirds)
+    field = DiffuseField.of(scene, both)
+    if field is None or len(thirds) < 2:
+        return thirds
+    kept = np.maximum(1.0 - field.absorption_area / field.surface, _SILENT)
+    rate = 4.0 * field.air * field.volume / field.surface - np.log(kept)
+    guessed = -np.log(at_middles(np.exp(-rate[::2])))
+    traced = np.abs(guessed - rate) > _BENT * rate
+    traced[::2] = True
+    return both[traced]
+
+
+def band_shares(frequencies: NDArray[Any], centres: Floats) -> Floats:
+    """Return the amplitude (B, F) of each band's part at frequencies (F,), Hz: together 1 everywhere.
+
+    At a centre a band is alone; between two of them one fades into the other over the logarithm of frequency, so that
+    the amplitude of noise shaped in bands goes smoothly from one centre's to the next; it is held beyond the ends.
+    """
+    at = np.interp(np.log(np.maximum(frequencies, 1e-3)), np.log(centres), np.arange(len(centres), dtype=np.float64))
+    away = np.abs(at - np.arange(len(centres))[:, None])
+    return np.asarray(np.where(away < 1.0, np.cos(0.5 * np.pi * np.minimum(away, 1.0)) ** 2, 0.0))
+
+
+def with_middles(centres: Floats) -> Floats:
+    """Return the centres (2B - 1,) of bands and the geometric middles between them, Hz."""
+    return np.exp(np.interp(np.arange(2 * len(centres) - 1) / 2.0, np.arange(len(centres)), np.log(centres)))
+
+
+def at_middles(energy: NDArray[Any]) -> Floats:
+    """Return energies (..., 2B - 1) at the centres of bands and the middles between, of those at centres (..., B).
+
+    Decays are exponential, so the logarithm goes smoothly over frequency: it is cubic through four centres, and stays
+    between the two about a middle. Where two amplitudes fade into each other, the slower decay wins; over half a third
+    of an octave that is little.
+    """
+    level = np.log(np.maximum(energy, _SILENT))
+    out = np.repeat(level, 2, axis=-1)[..., :-1]
+    if level.shape[-1] > 1:
+        before, after = level[..., :-1], level[..., 1:]
+        ends = 2.0 * level[..., :1] - level[..., 1:2], 2.0 * level[..., -1:] - level[..., -2:-1]
+        outer = np.concatenate([ends[0], level[..., :-2]], axis=-1) + np.concatenate([level[..., 2:], ends[1]], axis=-1)
+        middle = (9.0 * (before + after) - outer) / 16.0
+        out[..., 1::2] = np.clip(middle, np.minimum(before, after), np.maximum(before, after))
+    return np.asarray(np.exp(out))
+
+
+def joined_bands(centres: Floats, energy: NDArray[Any]) -> tuple[Floats, Floats]:
+    """Return the bands (J,) in Hz in which noise is shaped, and their energies (T, K, J) of energies (T, K, B).
+
+    They are the bands of rays, the middles between thirds, and those between sixths that decay differently.
+    """
+    is_third = np.isclose(3.0 * np.log2(centres / 1000.0) % 1.0, [[0.0], [1.0]], atol=1e-6).any(axis=0)
+    sixths = with_middles(centres[is_third])
+    found = at_middles(energy[..., is_third])
+    traced = np.isclose(sixths[:, None], centres, rtol=1e-6).any(axis=1)
+    found[..., traced] = energy
+    steep = _steep(found.sum(axis=1))
+    if not steep.any():
+        return sixths, found
+    kept = np.ones(2 * len(sixths) - 1, np.bool_)
+    kept[1::2] = steep
+    return with_middles(sixths)[kept], at_middles(found)[..., kept]
+
+
+def _steep(energy: Floats) -> NDArray[np.bool_]:
+    """Mask (B - 1,) of neighbouring bands of energies (T, B) whose decay times differ."""
+    left = np.cumsum(energy[::-1], axis=0)[::-1]
+    times = np.maximum(np.count_nonzero(left > _DECAYED * left[:1], axis=0), 1)
+    return np.asarray(np.abs(np.diff(np.log(times))) > _STEEP)
+
+
+_ANGLES = 32  # over which absorption is averaged
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiffuseField:
+    """A closed room in which energy arrives from all directions alike, at F frequencies."""
+
+    volume: float  # m³
+    surface: float  # m²
+    absorption_area: Floats  # (F,) m²
+    scattered: Floats  # (F,) share of what is reflected that leaves the mirror's direction
+    air: Floats  # (F,) absorption of energy, 1/m
+
+    @classmethod
+    def of(cls, scene: Scene, frequencies: Floats) -> DiffuseField | None:
+        """Average a scene's walls over angles of incidence; None in a room that is not closed."""
+        volume, area, materials = enclosure_of(scene.room)
+        if volume is None:
+            return None
+        c, surface = scene.air.speed_of_sound, float(area.sum())
+        # Gauss's rule over the squared sine of the angle of incidence, as which a diffuse field is spread.
+        places, weights = np.polynomial.legendre.leggauss(_ANGLES)
+        cosine, weights = np.sqrt(0.5 * (1.0 - places))[:, None], 0.5 * weights
+        absorbed, scattered = np.zeros((2, len(frequencies)))
+        for material in dict.fromkeys(materials):
+            mine = float(area[[m is material for m in materials]].sum())
+            at = np.clip(frequencies, *material.band)
+            shape = len(cosine), len(frequencies)
+            met = cosine if material.depends_on_angle else 1.0
+            absorbed += mine * (weights @ np.broadcast_to(1.0 - material.energy_at(at, met, c), shape))
+            scattered += mine / surface * (weights @ np.broadcast_to(material.scattered_share(at, cosine, c), shape))
+        air = scene.air.absorption_at(frequencies) * (math.log(10.0) / 10.0)
+        return cls(volume, surface, absorbed, scattered, air)
+
+    def left_db(self, max_order: int) -> Floats:
+        """Energy that images up to an order leave, dB re all but the direct sound's (F,): a geometric series."""
+        path = 4.0 * self.volume / self.surface
+        kept = (1.0 - np.minimum(self.absorption_area / self.surface, 1.0)) * np.exp(-self.air * path)
+        mirrored = kept * (1.0 - self.scattered)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            of_images = (1.0 - mirrored**max_order) * mirrored / (1.0 - mirrored)
+            left = 1.0 - of_images * (1.0 - kept) / kept
+        return np.asarray(10.0 * np.log10(np.clip(np.nan_to_num(left), 1e-30, 1.0)))
+
 
 _OF_FREE_PATH = 0.25  # a zone's radius over the mean free path of rays
 _LEAST, _MOST = 0.1, 4.0  # m, of the radius

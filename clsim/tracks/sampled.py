@@ -1,4 +1,4 @@
-"""Responses of a source's paths, sampled over a run, and the errors of received signals that follow from theirs."""
+"""Responses of a source's paths, sampled over a run, errors of received signals from theirs, and longer tracks."""
 
 from __future__ import annotations
 

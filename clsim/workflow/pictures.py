@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.output.stores import SoundStore
     from clsim.paths.path_table import PathTable
-    from clsim.pictures.spectrogram import Readable
+    from clsim.pictures.plots import Readable
     from clsim.render.plan import Plan
     from clsim.workflow.outputs import RunOutputs
     from clsim.workflow.pipeline import PlannedScene

@@ -1,4 +1,4 @@
-// Boxes around walls and around groups of them, depth first. The twin of scene/room/wall_tree.py.
+// Boxes around walls and around groups of them, depth first. The twin of scene/room/wall_pairs.py.
 
 typedef struct {
     int count;                       // of boxes

@@ -8,7 +8,7 @@ import pytest
 import soundfile
 
 import clsim
-from clsim.acoustics.decay import before_noise, centre_time, decay_curve, lateral_fractions, reverberation_time
+from clsim.acoustics.room_acoustics import before_noise, centre_time, decay_curve, lateral_fractions, reverberation_time
 
 RATE = 48e3
 

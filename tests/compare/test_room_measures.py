@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.acoustics.decay import clarity, decay_curve, definition, eyring_time, reverberation_time, sabine_time
+from clsim.acoustics.room_acoustics import (
+    clarity,
+    decay_curve,
+    definition,
+    eyring_time,
+    reverberation_time,
+    sabine_time,
+)
 
 RATE = 16e3
 

@@ -12,7 +12,7 @@ import pytest
 from late import installed
 
 import clsim
-from clsim.output.response_files import write_responses
+from clsim.output.result_files import write_responses
 
 sofar = installed("sofar", "sofar is not installed, with which clsim writes SOFA")
 

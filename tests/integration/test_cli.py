@@ -12,7 +12,7 @@ import pytest
 import soundfile
 
 from clsim.cli import main
-from clsim.output.table import read_table
+from clsim.output.result_files import read_table
 
 SCENE = """
 format = 1

@@ -10,7 +10,7 @@ from made_sonar import RATE, SCENE, level_db, sonar, sonar_paths
 
 import clsim
 from clsim.cli import main
-from clsim.output.table import read_table, write_table
+from clsim.output.result_files import read_table, write_table
 from clsim.paths.path_set import PathSet
 from clsim.paths.view import viewed
 from clsim.render import planning

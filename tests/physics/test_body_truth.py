@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.output.table import write_ground_truth
+from clsim.output.result_files import write_ground_truth
 
 C = 343.0
 WOOD = clsim.Material.from_reflection(0.9)

@@ -10,7 +10,7 @@ import pytest
 import soundfile
 
 import clsim
-from clsim.acoustics.decay import (
+from clsim.acoustics.room_acoustics import (
     centre_time,
     decay_curve,
     interaural_correlation,

@@ -308,7 +308,7 @@ def test_shadows_in_a_row_are_told() -> None:
             clsim.find_paths(scene, 0, scattering_order=0)
         several = [str(w.message) for w in found if "shadows add up" in str(w.message)]
         assert len(several) == told
-    moved = hidden_by_several(scene)
+    moved = hidden_by_several(scene.sources, scene.receivers, scene.scatterers)
     assert moved is not None
     named, time = re.fullmatch(
         r"('chest' and 'arm') stand in the line of sight from 's' to 'r' at (.*) s", moved

@@ -14,7 +14,7 @@ from scipy.signal import firwin
 from scipy.signal.windows import tukey
 
 import clsim
-from clsim.acoustics.decay import eyring_time, reverberation_time
+from clsim.acoustics.room_acoustics import eyring_time, reverberation_time
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
 from clsim.render import diffuse_tail
@@ -24,10 +24,9 @@ from clsim.render.methods import static
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import PER_SAMPLE
 from clsim.render.render import Rendering
-from clsim.tail.bands import at_middles, band_centres, band_shares, with_middles
 from clsim.tail.design import DEPARTURES, SourceTail, TailEnergy, TailOptions, find_tail
 from clsim.tail.noise import combined, plane_waves
-from clsim.tail.zones import Zones, zone_radius
+from clsim.tail.zones import Zones, at_middles, band_centres, band_shares, with_middles, zone_radius
 
 SIZE, PLACE, HEARD = np.array([8.0, 6.0, 3.0]), np.array([2.0, 1.5, 1.2]), np.array([5.0, 4.0, 1.8])
 RATE, C = 24e3, 343.0

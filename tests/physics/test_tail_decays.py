@@ -11,8 +11,8 @@ from exhaustive import exhaustive
 from test_tail import tail_of
 
 import clsim
-from clsim.tail.bands import band_shares, joined_bands, traced_bands
 from clsim.tail.noise import plane_waves
+from clsim.tail.zones import band_shares, joined_bands, traced_bands
 
 HERE, THERE, RATE = np.array([1.3, 1.1, 1.2]), np.array([4.4, 3.2, 1.7]), 24e3
 Table = tuple[float, ...]

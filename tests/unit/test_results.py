@@ -12,7 +12,7 @@ import soundfile
 
 import clsim
 from clsim.cli import main
-from clsim.output.table import write_table
+from clsim.output.result_files import write_table
 
 TIMES = np.array([0.0, 0.004, 0.009])
 

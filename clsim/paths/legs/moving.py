@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from clsim.arrays import read_only
 from clsim.paths.chain import Chain
+from clsim.paths.family import DIFFRACTION
 from clsim.paths.legs.events import find_events
 from clsim.paths.links import Links, in_chunks, met_in_order
 from clsim.paths.propagation import UniformAir
@@ -139,7 +141,12 @@ def moving_paths(
 ) -> Chain:
     """Make paths of moving legs from columns, of which some are the surfaces of legs."""
     surfaces = tuple(columns[name] for name in legs)
-    kinds, objects = met_in_order(scene, surfaces[0], vertex, surfaces[-1])
+    each: Any = vertex
+    walls, at = len(scene.room.faces), None if vertex is None else (each.interaction, each.objects)
+    counts = walls, walls + sum(len(body.faces) for body in scene.bodies)
+    kinds, objects = met_in_order(counts, surfaces[0], at, surfaces[-1])
+    wide = np.int32 if at is not None and at[0] == DIFFRACTION else np.int64  # as they are hashed
+    kinds, objects = read_only(kinds), read_only(objects.astype(wide))
     always: dict[str, Any] = {name: columns[name] for name in ("source", "receiver", "order", "start", "end")}
-    each = tuple(MovingLeg(met, mirrors) for met in surfaces)
-    return Chain(scene=scene, **always, interactions=kinds, objects=objects, legs=each, vertex=vertex)
+    moving = tuple(MovingLeg(met, mirrors) for met in surfaces)
+    return Chain(scene=scene, **always, interactions=kinds, objects=objects, legs=moving, vertex=vertex)

@@ -160,6 +160,7 @@ class BodySearch:
         self, source: int, pairs: list[PairQuery], progress: Progress
     ) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
         """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""
+        look_at = self.mirror_look(pairs)
         found, runs, first = self._sequences(source, pairs), [], 0
         for pair, (sequence, cell, bounds) in zip(pairs, found, strict=True):
             which, begin, end = _runs(sequence, cell, np.minimum(bounds, pair.last))
@@ -167,24 +168,22 @@ class BodySearch:
             first += len(sequence)
         surfaces = np.concatenate([sequence for sequence, _, _ in found])
         receiver = np.repeat(np.arange(len(pairs)), [len(sequence) for sequence, _, _ in found])
-        looks = self.mirror_look(pairs, surfaces, receiver)
+        looks = look_at(surfaces, receiver)
         which, begin, end = (np.concatenate([run[i] for run in runs]) for i in range(3))
         path, begin, end = certified(looks.look, looks.status, (which, begin, end), pairs[0].resolution, progress)
         for ear, pair in enumerate(pairs):
             mine = np.flatnonzero(receiver[path] == ear)
             yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
 
-    def mirror_look(
-        self, pairs: Sequence[PairQuery], surfaces: NDArray[np.int32], receiver: NDArray[np.int64]
-    ) -> MirrorLook:
-        """Return the evaluation of paths by mirrors (P, N) of pairs (P,) of one source."""
+    def mirror_look(self, pairs: Sequence[PairQuery]) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorLook]:
+        """Return a function that makes the evaluation of paths by mirrors (P, N) of pairs (P,) of one source."""
         widest = max((pair.rates for pair in pairs), key=lambda rates: rates.bodies.last)
         rates = EndRates(
             widest.bodies, widest.source, tuple(pair.rates.receivers[0] for pair in pairs),
             np.concatenate([pair.rates.held for pair in pairs]),
         )  # fmt: skip
         source, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
-        return MirrorLook(self.obstacles, source, ears, medium, rates, surfaces, receiver, self.search.body_step)
+        return partial(MirrorLook, self.obstacles, source, ears, medium, rates, step=self.search.body_step)
 
     def _sequences(
         self, source: int, pairs: list[PairQuery]

@@ -208,10 +208,7 @@ def _met(found: list[FoundPaths]) -> dict[str, Any]:
 
 
 def image_isometries(walls: Walls, sequence: NDArray[np.int32]) -> tuple[Floats, Floats]:
-    """Return matrices (n, 3, 3) and offsets (n, 3) of the images by sequences of walls (n, N), filled up with -1.
-
-    The image of x is at ``matrix @ x + offset``.
-    """
+    """Return matrices A (n, 3, 3) and offsets b (n, 3) of images ``A x + b`` by walls (n, N), -1 behind the last."""
     matrix, offset = np.tile(np.eye(3), (len(sequence), 1, 1)), np.zeros((len(sequence), 3))
     for wall in sequence.T:
         rows = np.flatnonzero(wall >= 0)

@@ -1,4 +1,4 @@
-"""Wall sequences that rays meet: quick in very large meshes, but small walls can be missed."""
+"""Wall sequences that rays meet, some of which miss small walls, and when paths go straight through thin panels."""
 
 from __future__ import annotations
 

@@ -51,23 +51,15 @@ _MOVING_STEPS, _MOVING_FOUND = 30, 1e-12  # the same by mirrors that move
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Side:
-    """Paths between endpoints and scatterers, n of them.
-
-    Attributes
-    ----------
-    leg : StaticLeg or None
-        Their images; None where bodies are among their surfaces.
-    by_body : ndarray (n,) bool
-        Whether any surface is a face of a body.
-    """
+    """Paths between endpoints and scatterers, n of them."""
 
     surfaces: NDArray[np.int32]  # (n, N) from where sound comes, -1 behind the last
     source: NDArray[np.int32]  # (n,) between which
     receiver: NDArray[np.int32]  # likewise
     start: Floats  # (n,) interval of reception, s
     end: Floats  # likewise
-    by_body: NDArray[np.bool_]
-    leg: StaticLeg | None
+    by_body: NDArray[np.bool_]  # (n,) whether any surface is a face of a body
+    leg: StaticLeg | None  # their images; None where bodies are among their surfaces
 
     @staticmethod
     def of(walls: Chain, faces: Chain | None = None) -> Side:
@@ -112,7 +104,9 @@ def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: 
     if before.leg is None:
         family = moving_paths(scene, Mirrors.of(scene), columns, ("before", "after"), vertex)
         return replace(family, vertex=replace(vertex, nearest=read_only(_nearest_moving(family))))
-    kinds, objects = met_in_order(scene, columns["before"], vertex, columns["after"], of_bodies=False)
+    walls, at = len(scene.room.faces), (vertex.interaction, vertex.objects)
+    kinds, objects = met_in_order((walls, walls), columns["before"], at, columns["after"])
+    kinds, objects = read_only(kinds), read_only(objects.astype(np.int32))
     always: dict[str, Any] = {name: columns[name] for name in ("source", "receiver", "order", "start", "end")}
     legs = tuple(StaticLeg(columns[f"{side}_matrix"], columns[f"{side}_offset"]) for side in ("before", "after"))
     family = Chain(scene=scene, **always, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
@@ -201,10 +195,7 @@ def heard_after(
 
 
 def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
-    """Travel times (n,) to a receiver that moves on meanwhile, s.
-
-    It is sent from places (n, 3) at times (n,), and comes from images (n, 3) of these, m.
-    """
+    """Travel times (n,) from places (n, 3), seen at images (n, 3), to a receiver that moves on meanwhile, s."""
     flight = np.zeros(len(times))
     for _ in range(_STEPS):  # each by the Mach number of the receiver
         at = receiver.position(times + flight)

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
 
+EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of time was met before it, and more
 _MOST_DILATION = 2.0  # of a second of emission to one of reception that is taken first, and checked
 _MOST_SLIDE = 0.5  # of the speed of sound, at which places on mirrors that turn move on, the same
 _ROUNDS = 2  # in which bounds are made narrower
@@ -56,19 +57,14 @@ _TAME = 1e-4  # m, by which events may lie off the line for the bounds to hold o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """The straight lines of n paths of N mirrors at one time of reception each.
-
-    Attributes
-    ----------
-    place, time : ndarray (n, N + 2, 3), (n, N + 2)
-        In the room, m, and after the reception, s: emission, where mirrors are met, reception.
-    """
+    """The straight lines of n paths of N mirrors at one time of reception each."""
 
     share: Floats  # (n, N) at which mirrors are met, from 0 at the source to 1 at the receiver if they are met in order
     rise: Floats  # (n, N) how much the height over each mirror changes along the whole line, m
     length: Floats  # (n,) of the line, m
+    # (n, N + 2, 3) in the room, m, and after the reception, s: emission, where mirrors are met, reception.
     place: Floats
-    time: Floats
+    time: Floats  # (n, N + 2) likewise
     start: Floats  # (n, N, 3) what mirror k reflects, S_{k-1}, and where it is reflected to, R_k, in the room, m
     stop: Floats  # likewise
     tame: Bools  # (n, N) whether events lie where mirrors are taken from their motion
@@ -155,12 +151,7 @@ class _Mirrored:
 
 
 def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium: UniformAir, there: Bools) -> Drift:
-    """Rates of the lines of paths.
-
-    Shapes: there (n,).
-
-    there: paths that meet all faces: until they do no more, their mirrors are no faster than bodies.
-    """
+    """Bound the rates of lines of paths; those `there` (n,) meet all faces: their mirrors are as fast as bodies."""
     c = medium.speed_of_sound
     wind = float(np.linalg.norm(medium.wind or (0.0, 0.0, 0.0)))
     moves = _motions(mirrors, walls, line, pace, there, c, wind)
@@ -279,3 +270,32 @@ def absent(line: Line, change: Drift, holds: Bools, beside: Floats) -> Floats:
     late = line.share[:, :-1] - line.share[:, 1:]
     wrong = np.where(late > 0.0, lasts(np.maximum(late, 0.0), change.share[:, :-1] + change.share[:, 1:]), 0.0)
     return np.asarray(np.maximum(sure, wrong.max(axis=1, initial=0.0)))
+
+
+def behind(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium: UniformAir, delay: Floats) -> Floats:
+    """Return for how long a face that moves surely has source and receiver on both its sides, (n,) s.
+
+    That is asked of paths that one moving face alone reflects: all images by walls rest as the ends do, and
+    whenever sound may meet the face, it is in a pose that differs from one of these by no more than it moves.
+    """
+    sure = np.zeros(len(walls))
+    moving = np.append([not body.is_static for body in mirrors.bodies], False)[mirrors.owner[walls]]
+    if medium.wind is not None:
+        return sure
+    rows = np.flatnonzero(np.sum(moving, axis=1) == 1)
+    k = np.argmax(moving[rows], axis=1)
+    surface = walls[rows, k]
+    for face in np.unique(surface).tolist():
+        p = np.flatnonzero(surface == face)
+        n, body = rows[p], int(mirrors.owner[face])
+        when = line.now[n] - 0.5 * delay[n]
+        own = [mirrors.bodies[body].seen(x[n, k[p]], when) for x in (line.start, line.stop)]
+        heights = [x @ mirrors.normal[face] - mirrors.offset[face] for x in own]
+        found = np.full(len(n), FAR)
+        for height, place, end in zip(heights, own, (pace.source[n], pace.receiver[n]), strict=True):
+            away = np.linalg.norm(place - middle_of(mirrors.bodies[body]).place, axis=1) + pace.half[n] * end
+            faced = pace.speed[n, body] + pace.turn[n, body] * away
+            off = np.abs(height) - EARLIER * delay[n] * (faced + end)
+            found = np.minimum(found, lasts(np.maximum(off, 0.0), EARLIER * (faced + end)))
+        sure[n] = np.where(heights[0] * heights[1] < 0.0, found, 0.0)
+    return sure

@@ -49,18 +49,13 @@ PARALLEL = 1e-14  # square of the sine of an angle below which segments are para
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach:
-    """How far the ends of n paths may move.
-
-    Attributes
-    ----------
-    source_facing, receiver_facing : ndarray (n, 3)
-        Unit normals of the walls that they sit in and slide along; zero for ends in the open.
-    """
+    """How far the ends of n paths may move."""
 
     source: Floats  # (n,) m
     receiver: Floats  # likewise
+    # (n, 3) unit normals of the walls that they sit in and slide along; zero for ends in the open.
     source_facing: Floats
-    receiver_facing: Floats
+    receiver_facing: Floats  # (n, 3) likewise
 
     @property
     def most(self) -> Floats:
@@ -70,18 +65,13 @@ class Reach:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unfolded:
-    """The straight line of n paths of N reflections in the real space of each leg.
-
-    Attributes
-    ----------
-    tau, slack : ndarray (n, N + 2)
-        Shares at which it meets source, walls and receiver, NaN where it does not, and how far these can move.
-    """
+    """The straight line of n paths of N reflections in the real space of each leg."""
 
     start: Floats  # (n, N + 1, 3) its ends: mirrored source and mirrored receiver, m
     stop: Floats  # likewise
+    # (n, N + 2) shares at which it meets source, walls and receiver, NaN where it does not, and how far these can move.
     tau: Floats
-    slack: Floats
+    slack: Floats  # (n, N + 2) likewise
     inverse: Floats  # (n, N) 1 / (change of the distance to each wall along the line), 1/m
     crosses: Bools  # (n, N) whether the ends lie on both sides of each wall
     reach: Reach  # how far both may move
@@ -107,10 +97,7 @@ class Unfolded:
 
 
 def unfold(walls: Walls, sequence: Ints, source: Floats, receiver: Floats, reach: Reach) -> Unfolded:
-    """Return the straight lines of paths.
-
-    Shapes: sequence (n, N); source, receiver (n, 3) m.
-    """
+    """Return the straight lines of paths by sequences (n, N) of walls between places (n, 3), m."""
     count, order = sequence.shape
     start, stop, start_facing, stop_facing = (np.empty((count, order + 1, 3)) for _ in range(4))
     start[:, 0], stop[:, order] = source, receiver

@@ -58,10 +58,7 @@ def progress(depth: int) -> np.dtype[np.void]:
 
 
 class DeviceSearch:
-    """Answers one query on a device with float64.
-
-    Shapes: device (DeviceInfo, pyopencl.Device).
-    """
+    """Answers one query on a device (DeviceInfo, pyopencl.Device) with float64."""
 
     def __init__(self, query: VisibilityQuery, device: tuple[DeviceInfo, Any] | None = None) -> None:
         import pyopencl as cl
@@ -219,10 +216,7 @@ def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, An
 
 
 class DeviceLookup:
-    """What `WallLookup` does, on a device with float64: the host side of ``meetings.cl`` and ``crossings.cl``.
-
-    Shapes: device (DeviceInfo, pyopencl.Device).
-    """
+    """What `WallLookup` does, on a device with float64, by ``meetings.cl`` and ``crossings.cl``."""
 
     def __init__(self, walls: Walls, device: tuple[DeviceInfo, Any]) -> None:
         import pyopencl as cl

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from clsim.paths.legs.mirrors import Mirrors
     from clsim.paths.search.bodies import BodySearch, PairQuery
     from clsim.paths.visibility.obstacles import Obstacles
-    from clsim.paths.visibility.rates import Pace
     from clsim.paths.visibility.subdivision import Status
 
     Progress = Callable[[float], None]
@@ -144,41 +143,37 @@ class _Look:
         medium = self.query.medium
         c, wind = medium.speed_of_sound, float(np.linalg.norm(medium.wind or (0.0, 0.0, 0.0)))
         late = 1.0 + (pace.source + pace.receiver) / np.maximum(c - wind - pace.source, 1e-3)
-        most = np.maximum(late * pace.source, pace.receiver)
-        way = np.diff(place, axis=1)
-        way /= np.maximum(np.linalg.norm(way, axis=2), 1e-300)[..., None]
-        with np.errstate(divide="ignore"):
-            bends = 1.0 + 2.0 / np.linalg.norm(np.diff(way, axis=1), axis=2)
-            slides = np.multiply(most[:, None], bends, out=np.zeros_like(bends), where=most[:, None] > 0.0)
-        slides = np.where(most[:, None] > 0.0, slides, 0.0)
-        return self._free(place, when, slides, (late, pace))
-
-    def _free(
-        self, place: Floats, when: Floats, slides: Floats, moving: tuple[Floats, Pace]
-    ) -> tuple[NDArray[np.bool_], Floats, Floats]:
-        """Return the same from corners (n, V, 3), when sound is there (n, V), and how fast corners (n, V - 2) move."""
-        late, pace = moving
-        count, legs = len(place), when.shape[1] - 1
-        free, sure = np.ones(count, dtype=bool), np.full(count, FAR)
+        slides = _slides(place, np.maximum(late * pace.source, pace.receiver))
+        free, sure = np.ones(len(rows), dtype=bool), np.full(len(rows), FAR)
         order = np.sum(np.isfinite(when), axis=1) - 2
-        speed = np.column_stack([pace.source * late, slides, np.zeros(count)])
-        speed[np.arange(count), order + 1] = pace.receiver
-        for leg in range(legs):
+        speed = np.column_stack([pace.source * late, slides, np.zeros(len(rows))])
+        speed[np.arange(len(rows)), order + 1] = pace.receiver
+        for leg in range(when.shape[1] - 1):
             for body, thing in enumerate(self.obstacles.mirrors.bodies):
-                rows = np.flatnonzero(free & (order >= leg))
-                at = np.stack([np.full(len(rows), leg == 0), order[rows] == leg], axis=1)
-                held = pace.held[rows] & at[:, None]
-                ends = speed[rows, leg], speed[rows, leg + 1]
-                sooner = late[rows] + np.maximum(*ends) / self.query.medium.speed_of_sound
-                changes = LegDrift(*ends, sooner, held, pace.part(rows))
-                some = Legs(place[rows, leg], place[rows, leg + 1], when[rows, leg], when[rows, leg + 1])
-                none = np.full(len(rows), -1)
-                blocked, certain = hidden_by(thing, some, none, none, (body, changes))
-                free[rows] = ~blocked
-                sure[rows] = np.where(blocked, certain, np.minimum(sure[rows], certain))
+                some = np.flatnonzero(free & (order >= leg))
+                at = np.stack([np.full(len(some), leg == 0), order[some] == leg], axis=1)
+                held = pace.held[some] & at[:, None]
+                ends = speed[some, leg], speed[some, leg + 1]
+                sooner = late[some] + np.maximum(*ends) / c
+                changes = LegDrift(*ends, sooner, held, pace.part(some))
+                legs = Legs(place[some, leg], place[some, leg + 1], when[some, leg], when[some, leg + 1])
+                none = np.full(len(some), -1)
+                blocked, certain = hidden_by(thing, legs, none, none, (body, changes))
+                free[some] = ~blocked
+                sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
         jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
         sure = np.where(jumps & (sure < pace.half), 0.0, sure)
         return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_ways)
+
+
+def _slides(place: Floats, most: Floats) -> Floats:
+    """Speeds of corners of paths (n, V, 3) along their walls, (n, V - 2) m/s, whose ends go at most so fast, (n,)."""
+    way = np.diff(place, axis=1)
+    way /= np.maximum(np.linalg.norm(way, axis=2), 1e-300)[..., None]
+    with np.errstate(divide="ignore"):
+        bends = 1.0 + 2.0 / np.linalg.norm(np.diff(way, axis=1), axis=2)
+        slides = np.multiply(most[:, None], bends, out=np.zeros_like(bends), where=most[:, None] > 0.0)
+    return np.where(most[:, None] > 0.0, slides, 0.0)
 
 
 def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -> tuple[Floats, Floats]:

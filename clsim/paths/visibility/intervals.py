@@ -40,19 +40,14 @@ _CHUNK = 20_000  # intervals looked at at a time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisibilityQuery:
-    """What is asked of a search: the room, its ends, and how finely.
-
-    Attributes
-    ----------
-    first, last : ndarray (receivers,)
-        Times from and up to which each receiver's paths are looked at, s; nowhere if not first < last.
-    """
+    """What is asked of a search: the room, its ends, and how finely."""
 
     walls: Walls  # the room
     trajectory_tables: TrajectoryTables  # the source and the receivers
     medium: UniformAir  # what sound travels in
+    # (receivers,) times from and up to which each receiver's paths are looked at, s; nowhere if not first < last.
     first: Floats
-    last: Floats
+    last: Floats  # (receivers,) likewise
     resolution: float  # to which ends of intervals are found, s
 
     def during(self, begin: float, end: float) -> VisibilityQuery:

@@ -9,9 +9,9 @@ import numpy as np
 
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import ROOM
-from clsim.paths.visibility.certainty import absent, drift, straightened
+from clsim.paths.visibility.certainty import EARLIER, absent, behind, drift, straightened
 from clsim.paths.visibility.obstacles import LegDrift, Legs
-from clsim.paths.visibility.rates import FAR, lasts, middle_of, taken_for
+from clsim.paths.visibility.rates import FAR, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
     Rows = NDArray[np.int64]
-
-_EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of time was met before it, and more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +68,7 @@ class MirrorLook:
         events = self._events(walls, ears, times)
         line = straightened(self.obstacles.mirrors, walls, events, times, self.medium)
         delay = events.delay[:, 0]
-        pace = self.rates.over(ears, times - _EARLIER * (half + delay), times, half)
+        pace = self.rates.over(ears, times - EARLIER * (half + delay), times, half)
         met = np.array(np.all((events.share[:, 0] > 0.0) & (events.share[:, 0] < 1.0), axis=1))
         holds, apart, far = self._on_faces(walls, line.place, line.now[:, None] + line.time)
         met &= np.all(holds, axis=1)
@@ -79,7 +77,7 @@ class MirrorLook:
         sure = np.zeros(len(walls))
         gone = np.flatnonzero(~met)
         not_met = np.minimum(absent(line, change, holds, lasts(apart, slide)), change.holds)
-        sure[gone] = np.maximum(not_met, self._behind(walls, line, pace, delay))[gone]
+        sure[gone] = np.maximum(not_met, behind(self.obstacles.mirrors, walls, line, pace, self.medium, delay))[gone]
         there, some = met, np.flatnonzero(met)
         if len(some):
             ways = np.linalg.norm(np.diff(line.place[some], axis=1), axis=2)
@@ -103,34 +101,6 @@ class MirrorLook:
                 hits = place[p, k + 1], when[p, k + 1]
                 holds[p, k], apart[p, k], far[p, k] = self.obstacles.border(surface, *hits)
         return holds, apart, far
-
-    def _behind(self, walls: NDArray[np.int32], line: Line, pace: Pace, delay: Floats) -> Floats:
-        """Return for how long a face that moves surely has source and receiver on both its sides, (n,) s.
-
-        That is asked of paths that one moving face alone reflects: all images by walls rest as the ends do, and
-        whenever sound may meet the face, it is in a pose that differs from one of these by no more than it moves.
-        """
-        mirrors, sure = self.obstacles.mirrors, np.zeros(len(walls))
-        moving = np.append([not body.is_static for body in mirrors.bodies], False)[mirrors.owner[walls]]
-        if self.medium.wind is not None:
-            return sure
-        rows = np.flatnonzero(np.sum(moving, axis=1) == 1)
-        k = np.argmax(moving[rows], axis=1)
-        surface = walls[rows, k]
-        for face in np.unique(surface).tolist():
-            p = np.flatnonzero(surface == face)
-            n, body = rows[p], int(mirrors.owner[face])
-            when = line.now[n] - 0.5 * delay[n]
-            own = [mirrors.bodies[body].seen(x[n, k[p]], when) for x in (line.start, line.stop)]
-            heights = [x @ mirrors.normal[face] - mirrors.offset[face] for x in own]
-            found = np.full(len(n), FAR)
-            for height, place, end in zip(heights, own, (pace.source[n], pace.receiver[n]), strict=True):
-                away = np.linalg.norm(place - middle_of(mirrors.bodies[body]).place, axis=1) + pace.half[n] * end
-                faced = pace.speed[n, body] + pace.turn[n, body] * away
-                off = np.abs(height) - _EARLIER * delay[n] * (faced + end)
-                found = np.minimum(found, lasts(np.maximum(off, 0.0), _EARLIER * (faced + end)))
-            sure[n] = np.where(heights[0] * heights[1] < 0.0, found, 0.0)
-        return sure
 
     def _slides(
         self,

@@ -75,10 +75,7 @@ def beam_planes(
 
 
 def clip_rings(ring: Floats, corners: NDArray[np.int64], planes: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Return convex polygons cut by half-spaces (Sutherland and Hodgman), many at a time.
-
-    Shapes: ring (n, m, 3); corners (n,); planes (n, p, 4); result (n, m', 3), (n,).
-    """
+    """Return convex polygons (n, m, 3) cut by half-spaces (n, p, 4), many at a time (Sutherland and Hodgman)."""
     for p in range(planes.shape[1]):
         plane = planes[:, p]
         height = np.einsum("nmi,ni->nm", ring, plane[:, :3]) - plane[:, 3:]
@@ -146,20 +143,14 @@ class Beams:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ears:
-    """Spheres that hold R receivers, and what each sees.
-
-    Attributes
-    ----------
-    plane : ndarray (P, 4)
-        Half-spaces of the beams from each receiver through what it sees of each wall; see `beam_planes`.
-    first_plane : ndarray (R * W + 1,) int
-        Where those of receiver r and wall w begin, in row ``r * W + w``; none where it cannot see the wall.
-    """
+    """Spheres that hold R receivers, and what each sees."""
 
     centre: Floats  # (R, 3) of the spheres, m
     radius: Floats  # likewise
     seen: NDArray[np.bool_]  # (R, W) which walls each may see
+    # (P, 4) half-spaces of the beams from each receiver through what it sees of each wall; see `beam_planes`.
     plane: Floats
+    # (R * W + 1,) where those of receiver r and wall w begin, in row ``r * W + w``; none where it cannot see the wall.
     first_plane: Ints
 
 
@@ -182,19 +173,11 @@ class WallLookup:
         self._walls = walls
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Crossings of segments and walls strictly between their endpoints; see `crossed_pieces`.
-
-        Shapes: start, stop (n, 3) m; result (m,).
-        """
+        """Crossings (m,) of segments (n, 3) and walls strictly between their endpoints; see `crossed_pieces`."""
         return crossed_pieces(self._walls, start, stop)
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
-        """Return pairs of a beam and a wall that it may meet, in another plane than its last.
-
-        Shapes: sides (W,); result (m,).
-
-        ears: where given, only walls by which a beam may reach a receiver that sees them.
-        """
+        """Return pairs (m,) of a beam and a wall off its last plane; with `ears` those that a receiver sees."""
         walls = self._walls
         beam, wall = walls.tree.meeting_planes(beams.planes, beams.slack)
         height = np.einsum("ni,ni->n", beams.centre[beam], walls.normal[wall]) - walls.offset[wall]
@@ -232,10 +215,7 @@ class WallLookup:
 
 
 def crossed_pieces(walls: Walls, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-    """Crossings of segments and walls strictly between their endpoints.
-
-    Shapes: start, stop (n, 3) m; result (m,).
-    """
+    """Crossings (m,) of segments between places (n, 3), m, and walls strictly between their endpoints."""
     tolerance = INSIDE * walls.size
     row, wall = walls.tree.meeting_segments(start, stop, tolerance)
     normal, offset = walls.normal[wall], walls.offset[wall]
@@ -286,16 +266,11 @@ def in_air(walls: Walls, sides: Ints, sequence: NDArray[np.int32], end: Floats) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
-    """n apertures as seen from balls, some through windows.
-
-    Attributes
-    ----------
-    window : ndarray (n, m, 3)
-        Corners of convex windows through which the balls are seen, m; their centres where there are none.
-    """
+    """n apertures as seen from balls, some through windows."""
 
     centre: Floats  # (n, 3) of the balls, m
     radius: float  # of all balls, m
+    # (n, m, 3) corners of convex windows through which the balls are seen, m; their centres where there are none.
     window: Floats
     last: Ints  # (n,) walls that the windows are on, -1 for none
     ring: Floats  # (n, k, 3) corners of convex apertures; those beyond `corners` repeat the last one

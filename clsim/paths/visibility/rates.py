@@ -57,17 +57,12 @@ def taken_for(sure: Floats, fastest: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Middle:
-    """The middle of a body, from which its motion is bounded.
-
-    Attributes
-    ----------
-    radius, lever : float
-        How far points of the body are from it at most, and from axes through it about which the body turns, m.
-    """
+    """The middle of a body, from which its motion is bounded."""
 
     place: Floats  # (3,) in the body's own coordinates, m
+    # How far points of the body are from it at most, and from axes through it about which the body turns, m.
     radius: float
-    lever: float
+    lever: float  # likewise
     limit: float  # the same of places at which mirrors are taken from the body's motion, m
     fastest: float  # bound of the speed of any point of the body, m/s
 
@@ -116,25 +111,19 @@ class Peaks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pace:
-    """Bounds over n stretches of time, of B bodies and two ends.
-
-    Attributes
-    ----------
-    gain, lift : ndarray (n, B)
-        Accelerations of the middles, m/s², and by how much those of other points may differ for each metre, 1/s².
-    jolt, twist : ndarray (n, B)
-        By how much velocities of the middles, m/s, and angular velocities, rad/s, jump within them in all.
-    """
+    """Bounds over n stretches of time, of B bodies and two ends."""
 
     half: Floats  # (n,) half of each stretch of times of reception, s
     source: Floats  # (n,) speeds of the ends, m/s
     receiver: Floats  # likewise
     speed: Floats  # (n, B) speeds of the middles of bodies, m/s, and angular velocities, rad/s
     turn: Floats  # likewise
+    # (n, B) accelerations of the middles, m/s², and by how much those of other points may differ for each metre, 1/s².
     gain: Floats
-    lift: Floats
+    lift: Floats  # (n, B) likewise
+    # (n, B) by how much velocities of the middles, m/s, and angular velocities, rad/s, jump within them in all.
     jolt: Floats
-    twist: Floats
+    twist: Floats  # (n, B) likewise
     held: NDArray[np.bool_]  # (n, B, 2) whether bodies hold source and receiver where they are
 
     def part(self, rows: NDArray[np.int64]) -> Pace:

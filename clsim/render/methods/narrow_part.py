@@ -173,10 +173,7 @@ class _Upsampled:
         return np.concatenate([self._chunks[k] for k in wanted], axis=1)[:, first - begin : last - begin]
 
     def rendered(self, chunk: int, *, alone: bool = False) -> Complexes:
-        """Return a chunk of envelopes; whichever asks for it, from whatever beginning, it is the same.
-
-        Nothing is prepared for the next one if it is wanted alone.
-        """
+        """Return a chunk of envelopes, the same from any beginning; `alone` if the next one need not be prepared."""
         if self._engine is None:
             self._engine = BasebandEngine(self._plan)
         start = chunk * self._plan.chunk - _AHEAD
@@ -375,10 +372,7 @@ def _obstacle(
 
 
 def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
-    """Estimate the level of a carrier tone outside the envelope's band, relative to the tone, from a sample.
-
-    The sample is some paths in some segments of the run in which the signal is received.
-    """
+    """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
     carrier, max_rate = narrow.baseband.carrier, tracks.max_rate(tracks.pairs[pair].source)
     rate = 2.0 * (narrow.baseband.sampling_rate or 0.0)
     count, rng = math.ceil(_STRETCH * rate), np.random.default_rng(pair)

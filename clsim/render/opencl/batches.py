@@ -79,18 +79,14 @@ class ActivePaths:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boundaries:
-    """Active intervals of the paths of a batch.
-
-    Attributes
-    ----------
-    first, last : ndarray (slots,) int64
-        First sample with a weight, and the one after the last; of slots that fill up a batch the last is the lower.
-    """
+    """Active intervals of the paths of a batch."""
 
     start: Floats  # (slots,) boundaries in samples from time 0; infinite where there is none
     end: Floats  # likewise
+    # (slots,) first sample with a weight, and the one after the last; of slots that fill up a batch the last is the
+    # lower.
     first: NDArray[np.int64]
-    last: NDArray[np.int64]
+    last: NDArray[np.int64]  # (slots,) likewise
     ramp: float  # length of a transition, samples; 0 where paths begin and end at once
 
     def samples_from(self, start: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -205,10 +201,7 @@ def in_batches(
 
 
 def fill_batch(plan: Plan, active: list[ActivePaths], apart: int = 1) -> PathBatch:
-    """Return the slots of some pairs' active paths, sorted by the middle of their delays.
-
-    apart: slots side by side that are dealt from so many equal stretches of that order.
-    """
+    """Return the slots of pairs' active paths by their middle delays, dealt from `apart` stretches of that order."""
     path, padding, first = [], [], [0]
     for pair in active:
         order = pair.rows[np.argsort(pair.low + pair.high, kind="stable")]

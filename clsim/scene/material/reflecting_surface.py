@@ -89,10 +89,7 @@ def as_transmission(
 
 @dataclass(frozen=True, eq=False)
 class Scattering:
-    """Shares of the energy sent back that are scattered, at increasing frequencies; held beyond the ends.
-
-    Shapes: frequencies (n,) Hz; values (n,).
-    """
+    """Shares (n,) of the energy sent back that are scattered, at increasing frequencies (n,), Hz; held beyond."""
 
     frequencies: Floats
     values: Floats

@@ -84,12 +84,7 @@ class Straight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circular:
-    """A point on a circle at constant speed.
-
-    ``x(t) = center + radius (e1 cos φ + e2 sin φ)`` with ``φ = phase + rate t``.
-
-    Shapes: center, e1, e2 (3,) m.
-    """
+    """A point on a circle at constant speed: ``center + radius (e1 cos φ + e2 sin φ)``, m, ``φ = phase + rate t``."""
 
     center: Floats
     e1: Floats
@@ -112,10 +107,7 @@ class Circular:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piecewise:
-    """Cubics, one after the other; at a kink the velocity is the one after it.
-
-    polynomial, derivative: positions, m, and velocities, m/s, (3,) for each time, on the same range of times.
-    """
+    """Cubics for the position (3,), m, one after the other, and their derivative, m/s, at a kink that after it."""
 
     polynomial: PPoly
     derivative: PPoly
@@ -165,10 +157,10 @@ def is_static(curve: Curve) -> bool:
 
 
 def frame_about(axis: Floats) -> tuple[Floats, Floats]:
-    """Return the unit vectors from which and towards which a circle about `axis` turns at angle 0.
+    """Return the unit vectors (3,) from which and towards which a circle about `axis` (3,) turns at angle 0.
 
-    Shapes: axis (3,); result (3,). e1, e2: e1 is +x projected on the plane across the axis (+y where the axis lies
-    along x); e1, e2 and the axis are a right-handed frame.
+    The first is +x projected on the plane across the axis (+y where the axis lies along x); both and the axis are a
+    right-handed frame.
     """
     largest = np.abs(axis).max()
     if largest == 0.0:
@@ -183,11 +175,11 @@ def frame_about(axis: Floats) -> tuple[Floats, Floats]:
 
 
 def spline_through(times: Floats, positions: Floats, ends: Literal["not-a-knot", "natural"]) -> Piecewise:
-    """Return the C2 cubic spline through points, continued at its ends by `CONTINUATION`.
+    """Return the C2 cubic spline through points (n, 3), m, at times (n,), s, continued at its ends by `CONTINUATION`.
 
-    Shapes: times (n,) s; positions (n, 3) m. ends: condition at both ends. With "not-a-knot" the error of a smooth
-    motion stays of fourth order up to the ends; "natural" (second derivative zero) is what a smoothing spline has.
-    result: continued by ``x0 + v0 u + a0 u²/2`` with the position, velocity and acceleration of the end.
+    With the ends "not-a-knot" the error of a smooth motion stays of fourth order up to them; "natural" is what a
+    smoothing spline has. It is continued by ``x0 + v0 u + a0 u²/2`` with position, velocity and acceleration of the
+    end.
     """
     from scipy.interpolate import CubicSpline
 
@@ -281,10 +273,10 @@ def as_smooth(value: Any) -> bool | float:
 
 
 def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: Placement) -> Fit:
-    """Return the spline of measured points, smoothed in the axes in which they were measured.
+    """Return the spline of points (n, 3), m, measured at times (n,), s, smoothed in the axes of the measurement.
 
-    Shapes: times (n,) s; positions (n, 3) m. smooth: true removes white noise (generalised cross-validation), a number
-    leaves that rms residual per axis, m, and False goes through the points.
+    smooth: true removes white noise (generalised cross-validation), a number leaves that rms residual per axis, m, and
+    False goes through the points.
     """
     if smooth is False:
         speed = speed_noise(times, positions)
@@ -320,7 +312,6 @@ def speed_noise(times: Floats, positions: Floats) -> float:
 
     Examples
     --------
-    >>> import numpy as np
     >>> t = np.linspace(0.0, 10.0, 1001)
     >>> noise = np.random.default_rng(1).normal(scale=1e-4, size=(1001, 3))
     >>> round(speed_noise(t, noise + np.sin(t)[:, None]), 3)  # 1.573 * 1e-4 / 0.01
@@ -343,20 +334,14 @@ def _warn_if_rough(curve: Piecewise, times: Floats) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoothed:
-    """Points without their noise.
-
-    Shapes: points (n, k); residual (k,). points: values of the smoothing splines at their times; the natural cubic
-    spline through them is the smoothing spline.
-    """
+    """Values (n, k) of smoothing splines at their times, and rms residuals (k,); they are the splines through these."""
 
     points: Floats
     residual: Floats
 
 
 def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
-    """Smooth each column by the λ that generalised cross-validation chooses.
-
-    Shapes: times (n,); values (n, k).
+    """Smooth each column of values (n, k) at times (n,) by the λ that generalised cross-validation chooses.
 
     λ minimises ``GCV(λ) = n Σ (y − f)² / tr(I − A)²``, A the matrix that turns y into f. The trace needs no inverse:
     ``tr(I − A) = tr(λ QᵀQ (R + λ QᵀQ)⁻¹) = d ln det(R + λ QᵀQ) / d ln λ``.
@@ -375,11 +360,10 @@ def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
 
 
 def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smoothed:
-    """Smooth each column until the root mean square of its residual is the one given.
+    """Smooth each column of values (n, k) at times (n,) until the root mean square of its residual is that given.
 
-    Shapes: times (n,); values (n, k). residual: in the unit of the values, above 0. A column that is nearer to a
-    straight line than that becomes the straight line (or what is slower than 7000 steps), with the smaller residual it
-    has.
+    A column that is nearer to a straight line than that becomes the line (or what is slower than 7000 steps), with the
+    smaller residual it has.
     """
     from scipy.optimize import brentq
 

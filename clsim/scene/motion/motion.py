@@ -56,9 +56,8 @@ class Instants:
     def first(self, probe: Probe) -> int | None:
         """Return the first instant for which `probe` reports a hit, the same as by evaluating every instant.
 
-        probe: takes the first, the middle and the last instants of ranges (n,), in the order of time. Returns the first
-        that is surely met in each, or -1, and whether others of the range may be: then its halves before and behind the
-        middle are evaluated as well.
+        It takes the first, middle and last instants of ranges (n,), in the order of time. It returns the first that is
+        surely met in each, or -1, and whether others of the range may be met: its halves are then evaluated as well.
         """
         met, waiting = None, [np.array([[0, self.count - 1]])]
         while waiting:
@@ -195,7 +194,6 @@ class Motion:
 
         Examples
         --------
-        >>> import numpy as np
         >>> from clsim import Trajectory
         >>> push = Trajectory.line((0, 0, 1), (2, 0, 1), duration=4.0)
         >>> push.speed_over(np.array([1.0, 9.0]), np.array([1e6, 1e6]))
@@ -244,7 +242,6 @@ class Motion:
 
         Examples
         --------
-        >>> import numpy as np
         >>> from clsim import Trajectory
         >>> turn = [[0, 0, 0, 1], [0, 0, np.sin(0.5), np.cos(0.5)]]
         >>> Trajectory.waypoints([0, 2], [[1, 1, 1], [2, 1, 1]], turn).angular_velocity(1.0).round(9)
@@ -316,10 +313,9 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swung:
-    """A point that swings about an axis.
+    """A point that swings about an axis, whose nearest point is `foot` (3,) m.
 
-    Shapes: foot, along, across (3,) m. foot, along, across: the nearest point of the axis, m; from there to where it is
-    at angle 0, and at a quarter turn, m.
+    `along` and `across` (3,) m lead from there to the point at angle 0, and at a quarter turn.
     """
 
     foot: Floats
@@ -437,9 +433,9 @@ def seen_by(frame: Motion, point: Motion) -> Motion:
 
 
 def even_ways(speed: Floats, rate: float, step: float) -> Floats:
-    """Return times (n,), s, between which objects move at most a step; first and last instants are included.
+    """Return times (n,), s, between which objects move at most a step, m; first and last instants are included.
 
-    Shapes: speed (m,) m/s. speed: bounds of how fast they go about instants so many per second from 0 s on, m/s.
+    speed: bounds (m,) of how fast they go about instants so many per second from 0 s on, m/s.
     """
     pace = np.maximum(speed[1:], speed[:-1]) / (rate * step)  # steps from one instant to the next
     way = np.concatenate([[0.0], np.cumsum(pace)])

@@ -52,16 +52,10 @@ class Turning(Protocol):
 class GreatArcs:
     """Spherical linear interpolation between orientations, held before the first and after the last.
 
-    On each piece ``q(u) = q0 cos(u Ω) + e sin(u Ω)`` with u from 0 to 1, Ω the angle between the quaternions and e the
-    unit quaternion at a right angle to q0 on the arc to q1. The sign never jumps.
-
-    Shapes: times (n,) s; base, side (n, 4); angle (n,) rad.
-
-    base, side: q0 and e of the piece that begins at each time; the last piece does not turn.
-
-    References
-    ----------
-    K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH Computer Graphics 19(3), 1985.
+    On each piece ``q(u) = base cos(u Ω) + side sin(u Ω)``, u from 0 to 1, with the angle Ω between both quaternions and
+    the unit quaternion `side` at a right angle to `base`; the last piece does not turn. The sign never jumps. Shapes:
+    times (n,) s; base, side (n, 4); angle (n,) rad. K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH
+    Computer Graphics 19(3), 1985.
     """
 
     times: Floats

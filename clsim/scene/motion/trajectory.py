@@ -77,7 +77,7 @@ class Trajectory(Motion):
 
     @staticmethod
     def fixed(position: ArrayLike, orientation: ArrayLike | None = None) -> Trajectory:
-        """Return a point that never moves.
+        """Return a point that never moves, from -inf to inf.
 
         Parameters
         ----------
@@ -85,11 +85,6 @@ class Trajectory(Motion):
             m.
         orientation : array_like (4,), optional
             Unit quaternion x y z w.
-
-        Returns
-        -------
-        Trajectory
-            From -inf to inf.
 
         Raises
         ------
@@ -108,7 +103,7 @@ class Trajectory(Motion):
 
     @staticmethod
     def line(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:
-        """Return a straight motion at constant speed, from time 0.
+        """Return a straight motion at constant speed, from time 0 to `duration`.
 
         Parameters
         ----------
@@ -116,11 +111,6 @@ class Trajectory(Motion):
             First and last position, m.
         duration : float
             s, above 0.
-
-        Returns
-        -------
-        Trajectory
-            From 0 to `duration`.
 
         Raises
         ------
@@ -145,7 +135,7 @@ class Trajectory(Motion):
         axis: ArrayLike = (0.0, 0.0, 1.0),
         phase: float = 0.0,
     ) -> Trajectory:
-        """Return a circle at constant speed, counterclockwise about its axis, from time 0.
+        """Return a circle at constant speed, counterclockwise about its axis, from time 0 to `duration`.
 
         Parameters
         ----------
@@ -163,11 +153,6 @@ class Trajectory(Motion):
             Angle at time 0, rad, from e1: the +x direction turned into the circle's plane (its projection),
             or +y where the axis lies along x. With the axis +z, phase 0 begins
             at ``center + (radius, 0, 0)``.
-
-        Returns
-        -------
-        Trajectory
-            From 0 to `duration`.
 
         Raises
         ------
@@ -308,7 +293,7 @@ class Trajectory(Motion):
 
     @staticmethod
     def sampled(function: Callable[[Floats], ArrayLike], duration: float, rate: float) -> Trajectory:
-        """Return the motion that a function describes, as a C2 cubic spline through samples of it.
+        """Return the motion that a function describes from 0 to `duration`, a C2 cubic spline through samples of it.
 
         The spline is wrong by at most about ``x⁗ / (384 rate⁴)``: 2.6e-9 m for a circle of 1 m at one turn
         per second and 200 Hz.
@@ -322,11 +307,6 @@ class Trajectory(Motion):
         rate : float
             Samples per second, at least (raised so that the last sample falls on `duration`).
 
-        Returns
-        -------
-        Trajectory
-            From 0 to `duration`.
-
         Raises
         ------
         InputError
@@ -334,7 +314,6 @@ class Trajectory(Motion):
 
         Examples
         --------
-        >>> import numpy as np
         >>> sway = Trajectory.sampled(lambda t: np.stack([np.sin(t), 0 * t, 0 * t], axis=1), 2.0, rate=100.0)
         >>> bool(abs(sway.velocity(1.0)[0] - np.cos(1.0)) < 1e-8)
         True

@@ -30,25 +30,16 @@ _WHOLE = 1e-5  # by which a half turn over the angle of air of an inner corner m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """Straight edges, E of them, each between two faces with air from one round to the other.
-
-    Attributes
-    ----------
-    along, across, out : ndarray (E, 3)
-        Right-handed unit vectors: along the edge is ``across x out``, with `across` in its 0-face away from the
-        edge, and `out` off this face into the air.
-    free : ndarray (E, 2) bool
-        Whether each edge has an end in the air at its start and stop, and does not end at a wall.
-    """
+    """Straight edges, E of them, each between two faces with air from one round to the other."""
 
     start: Floats  # (E, 3) where each begins, m
-    along: Floats
-    across: Floats
-    out: Floats
+    along: Floats  # (E, 3) unit vectors ``across x out``
+    across: Floats  # (E, 3) unit vectors in the 0-face, away from the edge
+    out: Floats  # (E, 3) unit vectors off this face into the air
     length: Floats  # (E,) m
     n: Floats  # (E,) exterior angle over π: 2 of the edge of a screen, 1 where the material of a plane changes
     faces: NDArray[np.int64]  # (E, 2) walls of the 0-face and the n-face; the same at the edge of a screen
-    free: NDArray[np.bool_]
+    free: NDArray[np.bool_]  # (E, 2) whether start and stop end in the air, and not at a wall
     names: tuple[str, ...]  # of each
 
     @staticmethod
@@ -163,11 +154,10 @@ class _Piece:
 
 
 def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | None = None) -> Edges:
-    """Return the edges of walls at which sound is diffracted.
+    """Return the edges of walls at which sound is diffracted; `inside` masks positions (n, 3) in the air of a room.
 
-    inside: mask (n,) of positions (n, 3) in the air of a room; all when left out. result: those between two
-    neighbouring faces, with 360 degrees about a single one, and with 180 degrees between faces of different materials.
-    Inner corners of 180/m degrees are left out: their reflections are the whole field.
+    Those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between faces of
+    different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
     """
     found: list[_Piece] = []
     for line in _lines(walls):

@@ -70,14 +70,10 @@ class Shells:
         """Return a mask of the points (n, 3) that a shell, which may have holes, surrounds more than half.
 
         The generalised winding number: the share of all directions in which rays leave through the shell, those that
-        enter it counted off. It is 1 inside a closed shell and 0 outside; a hole takes its solid angle off the inside,
-        and gives it to the outside with the other sign, less than half on either side of a flat one.
-
-        References
-        ----------
-        A. Jacobson, L. Kavan, O. Sorkine-Hornung, "Robust inside-outside segmentation using generalized winding
-        numbers", ACM Transactions on Graphics 32(4), 2013. Solid angles: A. van Oosterom, J. Strackee, "The solid
-        angle of a plane triangle", IEEE Transactions on Biomedical Engineering 30(2), 1983.
+        enter it counted off; 1 inside a closed shell and 0 outside. A. Jacobson, L. Kavan, O. Sorkine-Hornung, "Robust
+        inside-outside segmentation using generalized winding numbers", ACM Transactions on Graphics 32(4), 2013; solid
+        angles: A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on Biomedical
+        Engineering 30(2), 1983.
         """
         corners = self.corners[self.shell == shell]
         step = max(1, _PAIRS // len(corners))
@@ -110,10 +106,9 @@ def enclosed_volume(
 ) -> float | None:
     """Return the volume in an odd number of shells of a watertight mesh, m³; None where there is none.
 
-    Shapes: vertices, triangles (V, 3) m. crossing: whether walls run through each other, as bent ones seem to:
-    `contains` is then evaluated on a lattice in the box around the largest shell, so that what is sunk into the floor
-    does not count below it. The shells' own volumes are taken where they agree with it within its error, 0.4 %, and of
-    a single shell.
+    crossing: whether walls run through each other, as bent ones seem to: `contains` is then evaluated on a lattice in
+    the box around the largest shell, so that what is sunk into the floor does not count below it. The volumes of the
+    shells are taken where they agree with it within its error, 0.4 %, and of a single shell.
     """
     shells = Shells.of(vertices, triangles)
     between = None if shells is None or np.any(shells.holes) else shells.volume_between()

@@ -23,10 +23,9 @@ _FINEST = 1e-8  # of the room's size: less could not be distinguished from round
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faces:
-    """The walls of a room, F of them: a wall's index is its row here.
+    """The F walls of a room, in the order of their indices: unit normals (F, 3) and offsets (F,), m.
 
-    Shapes: normals (F, 3); offsets (F,) m. normals: unit normals. They point inwards in a room that `Room.is_convex`;
-    elsewhere their sign means nothing.
+    Normals point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
     """
 
     normals: Floats

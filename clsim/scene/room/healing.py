@@ -38,14 +38,12 @@ class Healed:
 
 
 def heal_mesh(vertices: Floats, triangles: Ints, heal: str | float) -> Healed:
-    """Join what nearly meets.
-
-    Shapes: vertices (V, 3) m; triangles (T, 3). heal: "auto", "off", or a tolerance, m.
+    """Join what nearly meets in triangles (T, 3) of vertices (V, 3) m, by "auto", "off" or a tolerance, m.
 
     Corners nearer than the tolerance become one. A triangle with a corner of another one on its side is cut there, so
-    that no slit without an area is left. Triangles without area and copies are dropped. No corner moves by more than
-    the tolerance. "auto" tries tolerances from 0.1 to 12 mm, 2 per mille of the mesh's size at most, and takes the
-    first of those that leave the fewest open edges. A mesh that is closed, or that gains nothing, is left as it is.
+    that no slit without an area is left. "auto" tries tolerances from 0.1 to 12 mm, 2 per mille of the size of the mesh
+    at most, and takes the first of those that leave the fewest open edges. A mesh that is closed, or that gains
+    nothing, is left as it is.
     """
     as_it_is = Healed(vertices, triangles, np.arange(len(triangles)), (), np.empty((0, 3)))
     if heal == "off":

@@ -30,12 +30,11 @@ _HOLES_LISTED = 5
 def outward_sides(
     corners: Floats, triangles: Ints, neighbours: Ints, of_triangle: Ints, normal: Floats, crossing: Ints, level: Ints
 ) -> tuple[Ints, Ints]:
-    """Return the shell of each wall, and the side of the wall on which the outside of this shell lies.
+    """Return the shell (W,) of each wall, and the side (W,) of the wall on which the outside of this shell lies.
 
-    Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); of_triangle (T,); normal (W, 3); crossing (m, 2);
-    level (k, 2); result (W,), (W,). outward: 1 if the wall's normal points out of the shell, -1 if into it, and 0 where
-    there is no such side: in a shell that is open, runs through itself, lies on itself the other way round, or whose
-    triangles turn both ways.
+    The side is 1 if the normal of the wall points out of the shell, -1 if into it, and 0 where there is no such side:
+    in a shell that is open, runs through itself, lies on itself the other way round, or whose triangles turn both ways.
+    Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); crossing (m, 2); level (k, 2).
     """
     count, of_face = clusters(len(triangles), neighbours)
     shell = np.empty(len(normal), dtype=np.int64)
@@ -65,12 +64,10 @@ def outward_sides(
 def thin_panels(
     vertices: Floats, triangles: NDArray[np.int64], labels: Sequence[str], thinner_than: float
 ) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], list[str]]:
-    """Return a mesh with one layer for every separate shell that is a flat panel and thin.
-
-    Shapes: vertices, triangles (V, 3) m; result (V + X, 3) m, (U, 3), (U,).
+    """Return a mesh with one layer for every separate shell that is a flat panel and thin, and the origin of triangles.
 
     A panel is a shell all of whose corners lie in one of two planes along its largest triangle. Its layer is the one of
-    its two sides that faces along that triangle's normal, moved half-way to the other.
+    its two sides that faces along the normal of that triangle, moved half-way to the other.
     """
     made, moved, origin, notes = [], [vertices], [], []
     count = len(vertices)
@@ -139,10 +136,7 @@ class CleanMesh:
 
 
 def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
-    """Weld vertices by position and drop triangles without area and copies of others.
-
-    Shapes: vertices (V, 3) m; triangles (T, 3).
-    """
+    """Weld vertices (V, 3), m, by position, and drop triangles (T, 3) without area and copies of others."""
     unique, _, which = unique_rows(vertices)
     vertex, welded = _weld(unique)
     corners = vertex[which][triangles]

@@ -110,10 +110,9 @@ def _beside(file: Path) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshFile:
-    """Content of a mesh file, neither welded nor cleaned.
+    """Content of a mesh file, not welded or cleaned: vertices (V, 3) m, triangles (T, 3), and the group (T,) of each.
 
-    Shapes: vertices (V, 3) m; triangles (T, 3); group (T,). groups: materials (OBJ: ``usemtl``), or objects where a
-    file names no material; ``("",)`` where it names nothing.
+    Groups are materials (OBJ: ``usemtl``), or objects where a file names no material; ``("",)`` where it names nothing.
     """
 
     vertices: Floats

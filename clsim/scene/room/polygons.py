@@ -47,10 +47,9 @@ def polygon_notes(counts: dict[str, int]) -> tuple[str, ...]:
 
 
 def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
-    """Cut a polygon into triangles.
+    """Cut a polygon, corners (n, 3) in order, into triangles (T, 3) of their indices, which turn as it does.
 
-    Shapes: corners (n, 3). corners: in order; concave, and touching itself along a seam, as polygons with holes are
-    written. result: indices of corners, turning as the polygon does; none for a polygon without area.
+    It may be concave, and touch itself along a seam, as polygons with holes are written; one without area gives none.
     """
     from mapbox_earcut import triangulate_float64
 
@@ -136,10 +135,9 @@ def triangulated(corners: Floats, polygons: list[Ints], which: list[int], near: 
 
 
 def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tuple[list[list[Ints]], list[int]]:
-    """Cut out of each polygon the smaller ones that lie in it, within a distance, m.
+    """Cut out of each polygon, corner numbers (k,), the smaller ones that lie in it, within a distance, m.
 
-    Shapes: corners (n, 3) m; polygons of corner numbers (k,). result: of each polygon its triangles (T, 3) by part if
-    it was cut, else none; and the polygons that were.
+    Returns for each polygon its triangles (T, 3) by part if it was cut, else none, and the polygons that were.
     """
     from shapely import Polygon
     from shapely.constructive import constrained_delaunay_triangles
@@ -210,11 +208,7 @@ def _plane(corners: Floats) -> tuple[Floats, Floats, float]:
 def extruded_plan(
     outline: ArrayLike, height: float, pillars: Sequence[ArrayLike]
 ) -> tuple[Floats, NDArray[np.int64], list[str]]:
-    """Return triangles of a room over a floor plan, and the label of each.
-
-    Shapes: outline (n, 2) m; pillars (n, 2) m; result (V, 3) m, (T, 3). labels: ``floor``, ``ceiling``, ``wall i`` from
-    corner i of the outline to the next, ``pillar p wall i``.
-    """
+    """Return vertices (V, 3), m, and triangles (T, 3) of a room over a floor plan (n, 2), m, and the label of each."""
     from mapbox_earcut import triangulate_float64
 
     height = as_number("height", height, at_least=SMALLEST_ROOM, at_most=LARGEST_ROOM, unit="m")

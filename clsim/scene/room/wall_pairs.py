@@ -199,10 +199,7 @@ class WallTree:
         return found
 
     def meeting_planes(self, planes: Floats, slack: float) -> tuple[Ints, Ints]:
-        """Return pairs of an intersection of half-spaces and a wall whose box no half-space surely excludes.
-
-        Shapes: planes (n, p, 4); result (m,).
-        """
+        """Return pairs (m,) of an intersection of half-spaces (n, p, 4) and a wall whose box none of them excludes."""
 
         def meets(row: Ints, middle: Floats, half: Floats) -> NDArray[np.bool_]:
             """Return mask of boxes that reach to the inner side of all planes of their row."""

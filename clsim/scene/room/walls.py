@@ -29,10 +29,7 @@ _RANGE = 64  # positions taken together
 
 
 def plane_of_each(corners: Floats, of_triangle: Ints) -> tuple[Floats, Floats]:
-    """Return unit normals (W, 3) and offsets (W,) of the planes of the largest triangle of each wall.
-
-    Shapes: corners (T, 3, 3) m; of_triangle (T,).
-    """
+    """Return unit normals (W, 3) and offsets (W,), m, of the planes of the largest triangle (T, 3, 3) of each wall."""
     cross = cross_products(corners)
     area = np.linalg.norm(cross, axis=1)
     order = np.lexsort((np.arange(len(area)), -area, of_triangle))
@@ -151,18 +148,8 @@ def _filled(lines: Floats, first_line: Ints, edge: Floats, first_edge: Ints, siz
 class Walls:
     """W flat walls. What a wall has several of stands in a row, from ``first_…[w]`` to ``first_…[w + 1]``.
 
-    Attributes
-    ----------
-    line, first_line, first_piece : ndarray (L, 4), (P + 1,), (W + 1,)
-        A wall is the union of convex pieces; x lies on a piece if ``line[:, :3] @ x >= line[:, 3]`` for all its
-        lines.
-    edge, first_edge : ndarray (E, 2, 3), (W + 1,)
-        Ends of the segments that bound the wall, and of those along which other walls run through it.
-    twin, first_twin : ndarray (X,), (W + 1,)
-        Walls of lower index in the same plane that touch it: they own the points that both hold.
-    shell, outward : ndarray (W,) int
-        Which shell the wall is of, and whether its normal points out of this shell, 1, into it, -1, or neither, 0;
-        see `outward_sides`.
+    A wall is the union of convex pieces (P,), each bounded by lines (L, 4): x lies on a piece if ``line[:, :3] @ x >=
+    line[:, 3]`` for all of its lines.
     """
 
     size: float  # diagonal of the bounding box, m
@@ -174,15 +161,15 @@ class Walls:
     of_triangle: NDArray[np.int64]  # (T,) wall of each triangle
     hull: Floats  # (H, 3) corners of the convex hull, in order around the normal
     first_hull: NDArray[np.int64]  # likewise
-    line: Floats
-    first_line: NDArray[np.int64]
-    first_piece: NDArray[np.int64]
-    edge: Floats
+    line: Floats  # (L, 4)
+    first_line: NDArray[np.int64]  # (P + 1,)
+    first_piece: NDArray[np.int64]  # (W + 1,)
+    edge: Floats  # (E, 2, 3) segments that bound the wall, and those along which other walls run through it
     first_edge: NDArray[np.int64]
-    twin: NDArray[np.int64]
+    twin: NDArray[np.int64]  # (X,) walls of lower index in the plane that touch it and own the points that both hold
     first_twin: NDArray[np.int64]
-    shell: NDArray[np.int64]
-    outward: NDArray[np.int64]
+    shell: NDArray[np.int64]  # (W,) which shell each wall is of
+    outward: NDArray[np.int64]  # (W,) 1 if its normal points out of this shell, -1 into it, 0 neither: `outward_sides`
     tree: WallTree  # boxes around walls and groups of them
     crossing: bool  # whether some walls run through each other
 
@@ -207,10 +194,9 @@ class Walls:
 
 
 def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArray[np.int64], flatness: float) -> Walls:
-    """Merge coplanar neighbours of one material into walls.
+    """Merge coplanar neighbours of one material (T,), triangles (T, 3) of vertices (V, 3) m, into walls.
 
-    Shapes: vertices (V, 3) m; triangles (T, 3); material (T,). flatness: neighbours are one wall if the corners of each
-    lie this near to the plane of the other, m.
+    Neighbours are one wall if the corners of each lie within `flatness`, m, of the plane of the other.
     """
     corners = vertices[triangles]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -301,10 +287,7 @@ def _neighbours(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:
-    """Return the first position that is on a wall, or after which a wall is walked through, and that wall.
-
-    Shapes: positions (n, 3) m.
-    """
+    """Return the first of positions (n, 3), m, on a wall or after which a wall is walked through, and that wall."""
     starts = np.arange(0, len(positions), _RANGE)
     low = np.minimum.reduceat(positions, starts)
     high = np.maximum.reduceat(positions, starts)

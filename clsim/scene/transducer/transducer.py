@@ -74,16 +74,10 @@ class Filtered:
 
 
 class StreamFilter:
-    """Filters what comes in blocks of a fixed length, the last one perhaps shorter, and remembers what rings on.
+    """Filters what comes in blocks of a fixed length by taps (n,), the last one perhaps shorter.
 
-    Shapes: taps (n,).
-
-    block: samples that are filtered at a time, whatever the length of the pieces: the rounding is the same.
-
-    Attributes
-    ----------
-    ringing : ndarray (n - 1,)
-        What it remembers: the part of its output so far that is still to come.
+    `ringing` (n - 1,) is what it remembers: the part of its output so far that is still to come. The rounding is the
+    same whatever the length of the pieces that it is given.
     """
 
     def __init__(self, taps: Floats, block: int) -> None:

@@ -1,4 +1,4 @@
-// Fields at ends of edges: the transitions of both at once, twin of acoustics/edge_end.py.
+// Fields at ends of edges: the transitions of both at once, twin of acoustics/diffraction.py.
 
 #if VERTEX == EDGE
 // By how much a leg to a place `off` from the apex is longer than to it, less what cancels over both: see `end_detour`.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clsim.cli import main
-from clsim.output.table import read_table
+from clsim.output.result_files import read_table
 
 CORNER_SCENE = """
 format = 1

@@ -11,7 +11,7 @@ from made_meshes import box
 
 import clsim
 from clsim.cli import main
-from clsim.output.table import read_table
+from clsim.output.result_files import read_table
 from clsim.paths.view import viewed
 from clsim.render.planning import plan_render
 from clsim.scene_file import load_scene

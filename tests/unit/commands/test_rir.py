@@ -10,7 +10,7 @@ import soundfile
 
 import clsim
 from clsim.cli import main
-from clsim.output.response_files import write_responses
+from clsim.output.result_files import write_responses
 from clsim.scene_file import load_scene
 
 SCENE = """

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clsim.output.hdf5_file import fletcher32
+from clsim.output.raw_files import fletcher32
 
 h5py = pytest.importorskip("h5py")
 

@@ -14,7 +14,7 @@ import soundfile
 import clsim
 from clsim.files.atomic import atomic_path
 from clsim.files.sound import WavWriter
-from clsim.output.table import read_table, write_table
+from clsim.output.result_files import read_table, write_table
 from clsim.paths.path_table import PathTable
 from clsim.pictures.plots import envelope_picture, spectrogram_picture
 from clsim.workflow.pictures import echogram_picture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsim.pictures.spectrogram import spectrogram
+from clsim.pictures.plots import spectrogram
 
 RATE = 192e3
 

@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from clsim.output.table import write_table
+from clsim.output.result_files import write_table
 from clsim.paths.path_table import PathTable
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")

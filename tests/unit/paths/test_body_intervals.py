@@ -195,7 +195,7 @@ def assert_certain(scene: clsim.Scene, family: Any) -> None:
     """Assert that what looks near changes say is certain holds, and that some of it fails for 30 times as long."""
     search = searched(scene, 2)
     pair = search.pair(0, 0)
-    look = search.mirror_look([pair], family.legs[0].surfaces, np.zeros(len(family), dtype=int))
+    look = search.mirror_look([pair])(family.legs[0].surfaces, np.zeros(len(family), dtype=int))
     rng, changes = np.random.default_rng(0), np.stack([family.start, family.end], axis=1)
     row, side = np.nonzero(np.isfinite(changes))
     rows = np.repeat(row, 40)

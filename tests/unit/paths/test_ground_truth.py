@@ -8,7 +8,7 @@ import pytest
 
 import clsim
 from clsim.cli import main
-from clsim.output.table import read_table, write_ground_truth, write_table
+from clsim.output.result_files import read_table, write_ground_truth, write_table
 from clsim.paths.view import viewed
 from clsim.study.content import _add_ground_truth, _add_paths
 

@@ -8,7 +8,7 @@ import pytest
 
 import clsim
 from clsim.paths.arrivals import RETARDED, Arrivals
-from clsim.paths.propagation import UniformAir, arrivals_by, contract_delay, delay_bounds, max_delay_rate, straight
+from clsim.paths.propagation import SpeedRange, UniformAir, arrivals_by, contract_delay, straight
 
 C, WIND = 340.0, (30.0, -8.0, 5.0)
 FLYING = clsim.Trajectory.circle((0.0, 0.0, 1.0), 2.0, 0.25, 1.0)  # 50 m/s
@@ -93,12 +93,13 @@ def test_bounds_hold_and_are_close(air: UniformAir) -> None:
     speed = 16.0 * np.pi
     assert np.linalg.norm(FLYING.velocity(times), axis=1).max() == pytest.approx(speed)
     length = np.linalg.norm(FLYING.position(np.array([0.5])) - place.position(np.zeros(1)), axis=1)
-    low, high = delay_bounds(air, length, 0.1 * speed, speed)
+    bounds = SpeedRange(air.slowest, air.fastest, air.fluctuation)
+    low, high = bounds.delay_bounds(length, 0.1 * speed, speed)
     assert low[0] <= delay.min()
     assert delay.max() <= high[0]
     wind = 0.0 if air.wind is None else np.linalg.norm(WIND)
     assert high[0] - low[0] < 0.2 * speed / (C - wind) + 2.5 * length[0] * (speed + wind) / (C - wind - speed) ** 2 * 2
-    assert np.abs(np.diff(delay)).max() / 1e-3 <= max_delay_rate(air, speed, 0.0)
+    assert np.abs(np.diff(delay)).max() / 1e-3 <= bounds.max_delay_rate(speed, 0.0)
 
 
 def test_two_ways_cancel_a_wind_to_first_order() -> None:

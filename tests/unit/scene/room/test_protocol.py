@@ -7,7 +7,7 @@ import pytest
 from clsim_barn.half_space import HalfSpace
 
 import clsim
-from clsim.output.response_files import _is_box
+from clsim.output.result_files import _is_box
 from clsim.paths.find_paths import ROOM_FINDERS
 from clsim.paths.view import viewed
 from clsim.scene.flush import find_mount

@@ -29,8 +29,7 @@ _LANES = np.uint64(0x0000FFFF0000FFFF)  # every other word
 class RawRows:
     """Writes pieces of rows where they belong: written again they change nothing, and nothing else moves.
 
-    Shapes: places (path, int). sample_type: numPy's code of the samples: ``"<f4"``, or ``"<c8"``, real before imaginary
-    parts.
+    sample_type: code of NumPy, ``"<f4"``, or ``"<c8"``, real before imaginary parts.
     """
 
     def __init__(self, places: Sequence[tuple[Path, int]], sample_type: str = "<f4") -> None:
