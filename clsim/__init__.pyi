@@ -1,7 +1,7 @@
 from clsim import score as score
 from clsim.decoding import decode_binaural
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
-from clsim.exchange import write_flac, write_mat, write_mcap
+from clsim.exchange import array_signals, write_acoular, write_flac, write_mat, write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices
 from clsim.output.open_store import open_store
@@ -94,6 +94,7 @@ __all__ = [
     "Trajectory",
     "Transducer",
     "TruncatedLagrange",
+    "array_signals",
     "body_truth",
     "captured_person",
     "decode_binaural",
@@ -120,6 +121,7 @@ __all__ = [
     "speech_transmission",
     "track",
     "walking_person",
+    "write_acoular",
     "write_flac",
     "write_mat",
     "write_mcap",

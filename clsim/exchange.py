@@ -1,4 +1,4 @@
-"""Recordings as other programs take them: FLAC, .mat files of MATLAB and GNU Octave, MCAP files of ROS 2 messages."""
+"""Recordings as other programs take them: FLAC, .mat files of MATLAB and GNU Octave, MCAP files, signals of arrays."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from clsim.files.sound import as_frames
 from clsim.packages import check_packages
 from clsim.paths.ground_truth import direct_path
 from clsim.recording import as_recording
+from clsim.scene.receiver_array import array_elements
 from clsim.version import __version__
 
 if TYPE_CHECKING:
@@ -381,3 +382,81 @@ def truth_times(recording: Recording, scene: Scene, rate: float) -> Floats:
     times = np.arange(int(duration * rate) + 1) / rate
     last = min(end.trajectory.end for _, end in scene.named_ends())
     return np.asarray(times[times <= last])
+
+
+def array_signals(recording: Recording, array: str | None = None) -> tuple[NDArray[np.float32], Floats]:
+    """Return the samples of an array's elements and their positions, as pyroomacoustics and others take them.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of sound, with its paths.
+    array : str, optional
+        Name of the array, from `receiver_array`; the only one when left out.
+
+    Returns
+    -------
+    signals : ndarray (n, samples)
+        Pa or V.
+    positions : ndarray (n, 3)
+        In the array's own frame, m; pyroomacoustics takes the transpose.
+
+    Raises
+    ------
+    InputError
+        If the recording is of envelopes or has no such array.
+    """
+    if as_recording(recording).carrier is not None:
+        raise InputError("recording", f"must be sound, but is the envelope about {recording.carrier:g} Hz")
+    receivers = () if recording.paths is None else recording.paths.scene.receivers
+    elements = [receivers[i].element for i in array_elements(receivers, array)]
+    known = [element for element in elements if element is not None]
+    samples = recording.samples[recording.rows_of(known[0].array)]
+    return samples, np.array([element.position for element in known])
+
+
+def write_acoular(recording: Recording, path: str | PathLike[str], array: str | None = None) -> tuple[Path, Path]:
+    """Write the samples and the geometry of an array as Acoular reads them.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of sound, with its paths.
+    path : path-like
+        Of the samples, ending in ``.h5``; the geometry stands beside it, with the ending ``.xml``.
+    array : str, optional
+        Name of the array, from `receiver_array`; the only one when left out.
+
+    Returns
+    -------
+    samples, geometry : Path
+        For ``acoular.TimeSamples(file=samples)`` and ``acoular.MicGeom(file=geometry)``.
+
+    Raises
+    ------
+    InputError
+        If the ending is another one, h5py is missing, or the recording is of envelopes or has no such array.
+    OSError
+        If a file cannot be written; nothing is left of that one then.
+
+    Notes
+    -----
+    The dataset ``time_data`` (samples, n) has the attribute ``sample_freq``, Hz; ``<pos x= y= z=>`` are positions in
+    the array's own frame, m.
+    """
+    samples, geometry = Path(path), Path(path).with_suffix(".xml")
+    if samples.suffix != ".h5":
+        raise InputError("path", f"must end in .h5, but is {str(path)!r:.80}")
+    signals, positions = array_signals(recording, array)
+    check_packages("write_acoular", "an HDF5 file", "store", "h5py")
+    import h5py
+
+    with atomic_path(samples) as partial, h5py.File(partial, "w") as file:
+        file.create_dataset("time_data", data=signals.T).attrs["sample_freq"] = float(recording.sampling_rate)
+    points = [
+        f'  <pos Name="Point {i}" x="{x!r}" y="{y!r}" z="{z!r}"/>' for i, (x, y, z) in enumerate(positions.tolist(), 1)
+    ]
+    lines = ['<?xml version="1.0" encoding="utf-8"?>', '<MicArray name="array">', *points, "</MicArray>", ""]
+    with atomic_path(geometry) as partial:
+        partial.write_text("\n".join(lines), "utf-8")
+    return samples, geometry

@@ -58,7 +58,7 @@ class Recording:
         That of complex envelopes, Hz; None for sound as it is.
     channels : tuple of (str, str)
         Names of the receiver and of its channel, one per row: ``"ACN0"`` and so on for ambisonics, ``"left"`` and
-        ``"right"`` for heads, and "" for receivers of one channel.
+        ``"right"`` for heads, ``"0"`` and so on for the elements of arrays, and "" for receivers of one channel.
     """
 
     samples: NDArray[Any]
@@ -148,8 +148,8 @@ class Recording:
     def _ends(self) -> list[Receiver]:
         """The receiver of each row."""
         assert self.paths is not None
-        by_name = {end.name: end for end in self.paths.scene.receivers}
-        return [by_name[name] for name, _ in self.channels]
+        by_row = {row: end for end in self.paths.scene.receivers for row in end.rows}
+        return [by_row[row] for row in self.channels]
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a WAV file of 32-bit floats in Pa or V, one channel per receiver, whole or not at all.

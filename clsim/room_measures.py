@@ -408,8 +408,9 @@ class LateralMeasures:
         Centres of the bands, Hz.
     lf, lfc : ndarray (sources, bands)
         Early lateral energy fractions; NaN without microphones.
-    iacc, iacc_early : ndarray (sources, bands)
-        Interaural cross-correlation coefficients of all sound, and of the first 80 ms, 0 to 1; NaN without ears.
+    iacc, iacc_early, iacc_late : ndarray (sources, bands)
+        Interaural cross-correlation coefficients of all sound, of the first 80 ms, and of what follows, 0 to 1; NaN
+        without ears.
     source_names : tuple of str
         Along the first axis.
     """
@@ -419,6 +420,7 @@ class LateralMeasures:
     lfc: Floats
     iacc: Floats
     iacc_early: Floats
+    iacc_late: Floats
     source_names: tuple[str, ...]
 
     __repr__ = short_repr
@@ -464,7 +466,7 @@ def lateral_measures(
     share, rate = 2.0 ** (0.5 / BANDS[bands]), responses.sampling_rate
     found = {
         name: np.full((len(responses.source_names), len(centres)), math.nan)
-        for name in ("lf", "lfc", "iacc", "iacc_early")
+        for name in ("lf", "lfc", "iacc", "iacc_early", "iacc_late")
     }
     for field, pair in (("microphones", microphones), ("ears", ears)):
         if pair is None:
@@ -483,6 +485,7 @@ def lateral_measures(
                     early = begin + round(_EARLY * rate)
                     found["iacc"][s, b] = interaural_correlation(one, other, rate)
                     found["iacc_early"][s, b] = interaural_correlation(one[:early], other[:early], rate)
+                    found["iacc_late"][s, b] = interaural_correlation(one[early:], other[early:], rate)
     values = {name: read_only(one) for name, one in found.items()}
     return LateralMeasures(read_only(centres), **values, source_names=responses.source_names)
 

@@ -30,8 +30,8 @@ _HEAD = """# Measured rooms
 Rooms whose impulse responses somebody measured, and what clsim finds from the published inputs: images of order 2 and
 the diffuse tail. Nothing was fitted to these rooms. `clsim validate` writes this page, also for [rooms of your
 own](validate.md). Differences are in just noticeable ones (JND; ISO 3382-1:2009, table A.1): 5 % of times, 5 points of
-D50, 1 dB of C80 and G, 10 ms of Ts. Values of clsim are parameters averaged over the seeds: the noise of a single one
-has a decay of its own. Lines are means over all pairs.
+D50, LF and LFC, 0.075 of IACC, 1 dB of C80 and G, 10 ms of Ts. Values of clsim are parameters
+averaged over the seeds: the noise of a single one has a decay of its own. Lines are means over all pairs.
 """
 
 
@@ -116,7 +116,7 @@ def _room(one: Validated, seeds: int) -> list[str]:
         missing = [_word(p) for p in state.mean if p not in found.values[0]]
         if missing:
             what = "was measured too, and is" if len(missing) == 1 else "were measured too, and are"
-            lines += [f"{', '.join(missing)} {what} not compared yet: they need receivers of several channels.", ""]
+            lines += [f"{', '.join(missing)} {what} not compared: only means over all pairs are known.", ""]
     if len(picture_names(room)) > len(room.states):
         lines += [f"![Mean differences of all programs](pictures/{picture_names(room)[-1]})", ""]
     return lines

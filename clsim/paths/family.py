@@ -277,6 +277,10 @@ class PairPaths:
         towards = to_transducer_frame(receiver.orientation, times, found.arrival)
         return np.asarray(receiver.directivity.lateness(towards, self.family.scene.air.speed_of_sound))
 
+    def emission_lateness(self, found: Arrivals, times: Floats) -> Floats:
+        """Return the same by the source's clock, which is that of delays: more for a source that comes nearer."""
+        return np.asarray(self.lateness(found, times) * (1.0 - found.delay_rate)[..., None])
+
     @property
     def only_channel(self) -> int:
         """The channel whose delay the paths have."""

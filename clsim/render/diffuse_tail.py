@@ -10,39 +10,40 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import DeviceError, InputError
+from clsim.errors import DeviceError
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, compiler_of, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT
 from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.tail.ears import ears_among
 from clsim.tail.noise import (
     at_one_place,
     channel_gains,
     combined,
     gains_of,
+    own_directions,
     plane_waves,
     receiver_gains,
     static_gains,
 )
 from clsim.tail.streams import NEIGHBOURS, NODE, Between, HostWaves, Motion, Streams
-from clsim.tail.zones import is_static
+from clsim.tail.zones import fastest, is_static
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.render.plan import Plan
-    from clsim.scene.motion.motion import Motion as Way
+    from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
     from clsim.tail.noise import Responses
     from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
-_RECEIVERS = 16  # of them at a time
-_MOST_HELD = 2**29  # bytes of streams that are kept from chunk to chunk; those of more zones are made again
+_RECEIVERS = 16  # of them, or filters of ears, at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,10 +95,8 @@ class _Tail(Stateless):
         held = 0
         for heard in self._heard:
             heard.add(pressure, start)
-            held += heard.held_bytes
-            if held > _MOST_HELD:
-                held -= heard.held_bytes
-                heard.forget()
+            for streams in heard.streams.values():
+                held = streams.kept_within(held)
 
 
 class _ZoneHeard:
@@ -118,8 +117,8 @@ class _ZoneHeard:
         self._combined = still if not self._alone and not self._signals.moves else []
         self._moving = [r for r in there if r not in (*self._alone, *self._combined)]
         self._rows = {r: range(plan.row_count)[plan.rows_of(r)] for r in there}
-        self._streams: dict[bool, Streams] = {}
-        self._check_moving()
+        self.streams: dict[bool, Streams] = {}
+        self._ears = ears_among(self._scene, self._moving, self._rate, self._signals.highest)
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add it from sample `start` on to the pressure (receivers, n)."""
@@ -128,51 +127,76 @@ class _ZoneHeard:
             heard = self._of(waves=False).read(start, start + pressure.shape[1])
             if heard is not None:
                 pressure[[row for r in still for row in self._rows[r]]] += heard
+        plain = [r for r in self._moving if r not in self._ears]
         for first in range(0, pressure.shape[1] if self._moving else 0, _TOGETHER):
-            for group in range(0, len(self._moving), _RECEIVERS):
-                self._add_moving(
-                    pressure[:, first : first + _TOGETHER], self._moving[group : group + _RECEIVERS], start + first
-                )
-
-    @property
-    def held_bytes(self) -> int:
-        """Memory of streams that are kept between calls."""
-        return sum(streams.held_bytes for streams in self._streams.values())
-
-    def forget(self) -> None:
-        """Drop streams that are kept between calls."""
-        for streams in self._streams.values():
-            streams.forget()
+            some = pressure[:, first : first + _TOGETHER]
+            for group in range(0, len(plain), _RECEIVERS):
+                self._add_moving(some, plain[group : group + _RECEIVERS], start + first)
+            for head in self._ears:
+                self._add_ears(some, head, start + first)
 
     def _add_moving(self, pressure: NDArray[Any], receivers: list[int], start: int) -> None:
         """Add all streams at moving receivers from sample `start` on to the pressure (receivers, n)."""
         stop = start + pressure.shape[1]
-        grid = np.arange(start // NODE, -(-stop // NODE) + 1) * NODE
         found = {
-            row: motion for r in receivers for row, motion in zip(self._rows[r], self._motions(r, grid), strict=False)
+            row: motion
+            for r in receivers
+            for row, motion in zip(self._rows[r], self._motions(r, _grid(start, stop)), strict=False)
         }
-        if not found:
-            return
-        ahead, gains = zip(*found.values(), strict=True)
+        heard = self._heard(list(found.values()), start, stop)
+        if heard is not None:
+            pressure[list(found)] += heard
+
+    def _add_ears(self, pressure: NDArray[Any], receiver: int, start: int) -> None:
+        """Add all streams at a head from sample `start` on to the pressure (receivers, n)."""
+        filters = self._ears[receiver]
+        first = start + filters.lead + 1 - filters.taps.shape[1]
+        last = start + pressure.shape[1] + filters.lead
+        motions = self._motions(receiver, _grid(first, last))
+        parts = [
+            self._heard(motions[group : group + _RECEIVERS], first, last)
+            for group in range(0, len(motions), _RECEIVERS)
+        ]
+        given = [part for part in parts if part is not None]
+        if given:
+            pressure[self._rows[receiver]] += filters.through(np.concatenate(given))
+
+    def _heard(self, motions: list[tuple[Floats, Floats]], start: int, stop: int) -> NDArray[np.float32] | None:
+        """Return the sum (rows, n) of all streams by motions from sample `start` to `stop`; None where it is silent."""
+        if not motions:
+            return None
+        ahead, gains = zip(*motions, strict=True)
         motion = Motion(np.stack(ahead), np.stack(gains))
         (least, most), half = motion.reach, self._signals.between.half + 1
         first = start - NODE + least - half
         streams = self._of(waves=True).read(first, stop + NODE + most + half)
-        if streams is not None:
-            pressure[list(found)] += self._signals.waves.heard(streams, first, motion, start, stop)
+        return None if streams is None else self._signals.waves.heard(streams, first, motion, start, stop)
 
     def _motions(self, receiver: int, grid: NDArray[np.int64]) -> list[tuple[Floats, Floats]]:
-        """Return the advance of streams at a receiver, samples, and gains (N, M) by channel; none out of the zone."""
-        end, clock = self._scene.receivers[receiver], grid / self._rate
+        """Return the advance of streams, samples, and gains (N, M) by row of a receiver; none out of the zone.
+
+        A head has a row for each filter of each ear.
+        """
+        end, zones, c = self._scene.receivers[receiver], self._tail.receiver_zones, self._scene.air.speed_of_sound
+        # Filters reach beyond both ends of the run, where a trajectory may have ended.
+        clock = np.clip(grid, 0, self._samples + NODE) / self._rate
         times = clock + end.clock_error(clock)
-        zones, c = self._tail.receiver_zones, self._scene.air.speed_of_sound
         weight = zones.weights(end, times)[self._zone]
         if not np.any(weight):
             return []
         ahead = (end.trajectory.position(times) - zones.centres[self._zone]) @ self._tail.arrivals.T / c
         # Where the zone is not heard it does not matter where in it the receiver were.
         ahead = np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None]
+        if receiver in self._ears:
+            own = partial(self._own_directions, end)
+            motions = self._ears[receiver].motions(own, grid, self._rate)
+            return [((ahead - late) * self._rate, gains * weight[:, None]) for late, gains in motions]
         return [(ahead * self._rate, gains * weight[:, None]) for gains in self._gains(receiver, times)]
+
+    def _own_directions(self, end: Receiver, samples: NDArray[np.int64]) -> Floats:
+        """Return the streams' directions (N, M, 3) in a receiver's own frame at samples (N,)."""
+        clock = np.clip(samples, 0, self._samples + NODE) / self._rate
+        return own_directions(end, self._tail.arrivals, clock + end.clock_error(clock))
 
     def _gains(self, receiver: int, times: Floats) -> list[Floats]:
         """Return gains (T, M) of each channel by direction of arrival at times (T,), at the signal's centre."""
@@ -183,7 +207,7 @@ class _ZoneHeard:
 
     def _of(self, *, waves: bool) -> Streams:
         """Return the streams of plane waves, or of what stands still."""
-        if waves not in self._streams:
+        if waves not in self.streams:
             count = (
                 len(self._tail.arrivals) if waves else sum(len(self._rows[r]) for r in self._alone or self._combined)
             )
@@ -193,18 +217,19 @@ class _ZoneHeard:
             elif not waves:
                 made = self._combined_responses()
                 longest, lead, make = made.taps.shape[1], made.lead, partial(_same, made)
-            self._streams[waves] = Streams(
+            self.streams[waves] = Streams(
                 self._signals, make, len(self._tail.zones), count, longest, self._samples, lead
             )
-        return self._streams[waves]
+        return self.streams[waves]
 
     def _waves(self, zone: int) -> Responses:
         return plane_waves(self._tail, (zone, self._zone), self._source, self._rate, moves=self._signals.moves)
 
     def _at_one_place(self, zone: int) -> Responses:
         weights = np.square(gains_of(self._scene, self._alone, self._tail, 0.0)[0])
-        key = zone, self._zone
-        return at_one_place(self._tail, key, self._source, self._rate, weights, moves=self._signals.moves)
+        return at_one_place(
+            self._tail, (zone, self._zone), self._source, self._rate, weights, moves=self._signals.moves
+        )
 
     def _combined_responses(self) -> Responses:
         places = [self._scene.receivers[r].trajectory.position(0.0) for r in self._combined for _ in self._rows[r]]
@@ -218,23 +243,17 @@ class _ZoneHeard:
         steps = max(len(pair.energy) for key, pair in self._tail.pairs.items() if key[1] == self._zone)
         return int(np.ceil(steps * self._tail.time_step * self._rate))
 
-    def _check_moving(self) -> None:
-        """Refuse ears that hear plane waves while they or the source move: their phases are not followed."""
-        for r in self._moving:
-            directivity = self._scene.receivers[r].directivity
-            if isinstance(directivity, ChannelDirectivity) and directivity.is_complex:
-                raise InputError(
-                    f"receivers[{r}].directivity",
-                    "must be without phases where the receiver or a source moves or turns and a tail is rendered; take "
-                    'Receiver.ambisonic and decode_binaural, or tail="off"',
-                )
-
     def _is_still(self, receiver: int) -> bool:
         end = self._scene.receivers[receiver]
         return is_static(end, turning=True) and end.clock_rate == 1.0 and not np.any(end.clock_error(np.zeros(1)))
 
     def _is_here(self, receiver: int) -> bool:
         return bool(self._tail.receiver_zones.weights(self._scene.receivers[receiver], np.zeros(1))[self._zone, 0])
+
+
+def _grid(start: int, stop: int) -> NDArray[np.int64]:
+    """Return the samples of the nodes from that of `start` to the one that is not before `stop`."""
+    return np.arange(start // NODE, -(-stop // NODE) + 1) * NODE
 
 
 def _same(responses: Responses, zone: int) -> Responses:
@@ -260,10 +279,10 @@ class SourceSignals:
         self._exponent = MACH_EXPONENT[plan.options.amplitude]
         self._rate = plan.sampling_rate
         self.moves = not is_static(self._end, turning=tail.zones.beams)
-        highest = min(_SPARE * self._end.emitted.band()[1], _HIGHEST * self._rate)
+        highest = self.highest = min(_SPARE * self._end.emitted.band()[1], _HIGHEST * self._rate)
         ways = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.paths.scene.receivers)]
-        fastest = max(map(_fastest, ways)) / self._air.speed_of_sound
-        self.between = Between.up_to(highest, self._rate, min(fastest, _FASTEST))
+        speed = max(map(fastest, ways)) / self._air.speed_of_sound
+        self.between = Between.up_to(highest, self._rate, min(speed, _FASTEST))
         self._options = plan.options
         self._waves: Waves | None = None
         self._sent_before: dict[int, tuple[int, NDArray[Any]]] = {}
@@ -327,11 +346,6 @@ class SourceSignals:
     def _emitted(self, first: int, last: int) -> NDArray[Any]:
         begin = round(self._filters.start * self._rate)
         return self._filters.signal.read(first - begin, last - begin)
-
-
-def _fastest(way: Way) -> float:
-    """Return a bound of the speed, m/s."""
-    return 0.0 if way.is_static else float(way.speed_over(np.array([-1e9]), np.array([1e9]))[0])
 
 
 assert CPU_LAYOUT.lanes <= NEIGHBOURS

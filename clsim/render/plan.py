@@ -349,6 +349,11 @@ class Plan:
         return tuple((receiver, channel) for receiver, all_of_it in named for channel in all_of_it)
 
     @property
+    def recorded(self) -> tuple[tuple[str, str], ...]:
+        """The same as `channels`, but of an array's elements the array's name and theirs in it."""
+        return tuple(row for receiver in self.receivers for row in receiver.rows) or self.channels
+
+    @property
     def row_names(self) -> tuple[str, ...]:
         """Name of each row: that of the receiver, and of its channel where it has several."""
         return tuple(map(row_name, self.channels))

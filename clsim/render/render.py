@@ -100,7 +100,7 @@ def record(plan: Plan) -> Recording:
     notes = (*plan.describe(), *rendering.describe())
     return Recording(
         samples, plan.sampling_rate, plan.row_names, paths, notes, plan.units, rendering.clipped, plan.carrier,
-        plan.channels,
+        plan.recorded,
     )  # fmt: skip
 
 

@@ -227,6 +227,23 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Element:
+    """Place of a receiver in an array of several, which is one receiver in recordings.
+
+    Attributes
+    ----------
+    array, name : str
+        Names of the array, and of the element in it.
+    position : ndarray (3,)
+        In the array's own frame, m.
+    """
+
+    array: str
+    name: str
+    position: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Receiver:
     """A receiver of sound; its output is the sound pressure weighted by its directivity, or a voltage.
 
@@ -251,6 +268,8 @@ class Receiver:
         Whether it sits in a wall; as of a `Source`.
     mounted_on : str, optional
         Name of the body that carries it; as of a `Source`.
+    element : Element, optional
+        Of which array it is a part; `receiver_array` gives it.
 
     Raises
     ------
@@ -267,6 +286,7 @@ class Receiver:
     flush: Any = False
     mounted_on: str | None = None
     aim_at: Any = None
+    element: Element | None = None
 
     __repr__ = short_repr
 
@@ -274,6 +294,8 @@ class Receiver:
         _check_end(self)
         _settle_aim(self)
         object.__setattr__(self, "flush", _checked_flush(self.flush))
+        if self.element is not None and len(self.directivity.channels) > 1:
+            raise InputError("directivity", f"must have one channel in an array, but is {self.directivity!r:.80}")
         if self.electronics is not None and not isinstance(self.electronics, Electronics):
             raise InputError("electronics", f"must be Electronics, but is {self.electronics!r:.80}")
 
@@ -360,6 +382,13 @@ class Receiver:
         if not isinstance(ears, ChannelDirectivity) or ears.channels != EARS:
             raise InputError("hrtf", f"must be a SOFA file or a directivity of two ears, but is {ears!r:.80}")
         return Receiver(name, trajectory, ears, **options)
+
+    @property
+    def rows(self) -> tuple[tuple[str, str], ...]:
+        """Names of the receiver, or of its array, and of the channel for each of its rows in recordings."""
+        if self.element is not None:
+            return ((self.element.array, self.element.name),)
+        return tuple((self.name, channel) for channel in self.directivity.channels)
 
     @property
     def unit(self) -> str:

@@ -1,4 +1,4 @@
-"""Many receivers at once: fixed microphones on a grid or at positions from a file."""
+"""Many receivers at once: fixed microphones on a grid or at positions from a file, and arrays that move as one."""
 
 from __future__ import annotations
 
@@ -9,27 +9,46 @@ import numpy as np
 from clsim.arrays import FARTHEST, Floats, as_count, as_number
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
-from clsim.scene.ends import Receiver
-from clsim.scene.motion.checks import as_places
+from clsim.scene.ends import Element, Receiver
+from clsim.scene.motion.checks import as_direction, as_places
 from clsim.scene.motion.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from os import PathLike
 
     from numpy.typing import ArrayLike
 
+    from clsim.scene.directivity.directivity import Directivity
+
 _MOST = 100_000  # receivers of an array
 
 
-def receiver_array(name: str, positions: ArrayLike, **arguments: Any) -> list[Receiver]:
-    """Return a fixed receiver at each position, named ``name-0``, ``name-1`` and so on.
+def receiver_array(
+    name: str,
+    positions: ArrayLike,
+    trajectory: Trajectory | None = None,
+    *,
+    directivities: Sequence[Directivity] | None = None,
+    aims: ArrayLike | None = None,
+    **arguments: Any,
+) -> list[Receiver]:
+    """Return receivers at positions: fixed in the room, or the elements of an array that moves and turns as one.
 
     Parameters
     ----------
     name : str
-        What all names begin with.
+        What all names begin with: ``name-0`` in the room, ``name 0`` in an array.
     positions : array_like (n, 3)
-        m; of arrays of pyroomacoustics and Acoular, which are (3, n), the transpose: ``array.R.T``, ``mics.pos.T``.
+        m, in the room, or with `trajectory` in the array's own frame. Arrays of pyroomacoustics and Acoular are (3, n),
+        the transpose: ``array.R.T``, ``mics.pos.T``.
+    trajectory : Trajectory, optional
+        Where the array's frame is and how it is turned. Elements are then the channels of one receiver in recordings:
+        ``recording.rows_of(name)``.
+    directivities : sequence of Directivity, optional
+        One for each position; in place of `directivity`.
+    aims : array_like (n, 3), optional
+        Unit vectors or longer ones along the elements' axes, in the same frame; in place of `aim`.
     **arguments
         Of `Receiver`, the same for all: directivity, aim, transducer, electronics.
 
@@ -41,20 +60,67 @@ def receiver_array(name: str, positions: ArrayLike, **arguments: Any) -> list[Re
     Raises
     ------
     InputError
-        If positions are not n by 3 finite numbers, or are too many.
+        If positions are not n by 3 finite numbers, or are too many, or directivities or aims are not one for each.
+
+    Notes
+    -----
+    Each element has its own delays, directions and shadows: nothing is taken from the array's middle. `find_paths`
+    searches for the paths of all of them at once.
 
     Examples
     --------
     >>> ceiling = receiver_array("ceiling", grid_positions((0.5, 7.5, 8), (0.5, 5.5, 6), 2.9))
     >>> len(ceiling), ceiling[-1].name
     (48, 'ceiling-47')
+    >>> robot = Trajectory.line((1.0, 1.0, 0.5), (3.0, 1.0, 0.5), duration=2.0)
+    >>> pair = receiver_array("pair", [[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]], robot)
+    >>> pair[0].trajectory.position(1.0).tolist(), pair[1].rows
+    ([2.0, 1.1, 0.5], (('pair', '1'),))
     """
     if not isinstance(name, str) or not name.strip():
         raise InputError("name", f"must be a text that is not empty, but is {name!r:.80}")
     places = as_places("positions", positions, (None, 3))
     if len(places) > _MOST:
         raise InputError("positions", f"must be at most {_MOST}, but are {len(places)}")
-    return [Receiver(f"{name}-{i}", Trajectory.fixed(place), **arguments) for i, place in enumerate(places)]
+    own = _of_each(arguments, len(places), directivities, aims)
+    if trajectory is None:
+        return [
+            Receiver(f"{name}-{i}", Trajectory.fixed(place), **more)
+            for i, (place, more) in enumerate(zip(places, own, strict=True))
+        ]
+    if not isinstance(trajectory, Trajectory):
+        raise InputError("trajectory", f"must be a Trajectory, but is {trajectory!r:.80}")
+    made = []
+    for i, (place, more) in enumerate(zip(places, own, strict=True)):
+        aim = more.pop("aim", None)
+        towards = None if aim is None else as_direction("aim", aim)
+        motion = Trajectory.carried(trajectory, Trajectory.fixed(place), towards)
+        made.append(Receiver(f"{name} {i}", motion, element=Element(name, str(i), place), **more))
+    return made
+
+
+def _of_each(arguments: dict[str, Any], count: int, directivities: Any, aims: Any) -> list[dict[str, Any]]:
+    """Return the arguments of each of several receivers."""
+    each = [dict(arguments) for _ in range(count)]
+    given: dict[str, Any] = {"directivity": directivities, "aim": aims}
+    for (key, values), field in zip(given.items(), ("directivities", "aims"), strict=True):
+        if values is None:
+            continue
+        if key in arguments:
+            raise InputError(field, f"must be left out where {key} is given")
+        if len(values) != count:
+            raise InputError(field, f"must be one for each of {count} positions, but are {len(values)}")
+        for one, value in zip(each, values, strict=True):
+            one[key] = value
+    return each
+
+
+def array_elements(receivers: Sequence[Receiver], array: str | None) -> list[int]:
+    """Return the indices of an array's elements among receivers; of the only array where none is named."""
+    names = list(dict.fromkeys(r.element.array for r in receivers if r.element is not None))
+    if not names or (array is None and len(names) > 1) or (array is not None and array not in names):
+        raise InputError("array", f"must name an array of the scene, one of {names}, but is {array!r:.80}")
+    return [i for i, r in enumerate(receivers) if r.element is not None and r.element.array == (array or names[0])]
 
 
 def grid_positions(x: Any, y: Any, z: Any) -> Floats:

@@ -102,6 +102,7 @@ class _Receiver(_Common):
 
 class _ReceiverArray(_Common):
     positions: PositionsModel
+    trajectory: TrajectoryModel | None = None  # positions are in its frame then
     electronics: ElectronicsModel | None = None
 
     constructor = staticmethod(receiver_array)

@@ -81,7 +81,7 @@ def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | No
     notes = (*plan.describe(), *rendering.describe())
     return Recording(
         file.samples(), plan.sampling_rate, plan.row_names, planned.paths, notes, plan.units,
-        rendering.clipped, plan.carrier, plan.channels,
+        rendering.clipped, plan.carrier, plan.recorded,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
 
@@ -108,13 +109,19 @@ def receiver_gains(scene: Scene, receiver: int, directions: Floats, times: Float
     own = np.stack([rotate(turns, axis) @ directions.T for axis in np.eye(3)], axis=-1)
     met = covered(frequencies, end.directivity)
     gain: Any = end.directivity.gain_towards(own[:, :, None, :], met, scene.air.speed_of_sound)
-    return np.broadcast_to(np.abs(gain), shape)
+    # Signs are kept: a figure of eight is not coherent with an omnidirectional receiver in a diffuse field.
+    return np.broadcast_to(np.abs(gain) if np.iscomplexobj(gain) else gain, shape)
+
+
+def own_directions(end: Receiver, directions: Floats, times: Floats) -> Floats:
+    """Return directions (M, 3) of the room in a receiver's own frame at times (T,), s, (T, M, 3)."""
+    return np.stack([rotate(end.orientation(times), axis) @ directions.T for axis in np.eye(3)], axis=-1)
 
 
 def channel_gains(scene: Scene, receiver: int, directions: Floats, times: Floats, frequencies: Floats) -> NDArray[Any]:
     """Return the gains (C, T, M, F) of a receiver's channels, with their signs or phases; see `receiver_gains`."""
     end = scene.receivers[receiver]
-    own = np.stack([rotate(end.orientation(times), axis) @ directions.T for axis in np.eye(3)], axis=-1)
+    own = own_directions(end, directions, times)
     met = covered(frequencies, end.directivity)
     return np.moveaxis(end.directivity.gain_towards(own[:, :, None, :], met, scene.air.speed_of_sound), -1, 0)
 

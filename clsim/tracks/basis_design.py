@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from clsim.numerics.band_filters import BandFilters
     from clsim.tracks.sampled import Band, Draw
 
-MOST_FUNCTIONS = 96  # a rod of 30 cm over 20 to 60 kHz takes 60
+MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 samples at 44.1 kHz that turn take 240
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
 _EMPHASES = 5  # times that instants which are held badly are given more weight
 _HOPELESS = 4.0  # times the bound, from which on another weight does not help

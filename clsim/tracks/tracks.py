@@ -364,9 +364,10 @@ class SceneTracks(Tracks):
         delay, rate = found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0)
         late, beside = np.zeros((*delay.shape, 1)), np.zeros((*delay.shape, 1))
         if paths.reach > 0.0:
-            late = paths.lateness(found, now)
+            late = paths.emission_lateness(found, now)
             before, after = (
-                paths.lateness(paths.arrivals(at, self.kinematics), at) for at in (now - _BESIDE, now + _BESIDE)
+                paths.emission_lateness(paths.arrivals(at, self.kinematics), at)
+                for at in (now - _BESIDE, now + _BESIDE)
             )
             beside = (after - before) / (2.0 * _BESIDE)
         out = []
@@ -420,6 +421,7 @@ class SceneTracks(Tracks):
                 r, counts = family.receiver[rows], [len(self.pair_paths[i]) for i in batch]
                 low, high = family.delay_bounds(rows, first[r], last[r], self.speeds)
                 reach = np.repeat([self.pair_paths[i].reach for i in batch], counts)
+                reach *= 1.0 + family.max_rate(float(self.speeds.source.max()), float(self.speeds.receiver.max()))
                 each = (np.split(x, np.cumsum(counts)[:-1]) for x in (low - most[r] - reach, high - least[r] + reach))
                 bounds |= dict(zip(batch, zip(*each, strict=True), strict=True))
         return [bounds[pair] for pair in pairs]

@@ -43,7 +43,7 @@ def load_recording(
     folder : path-like
         Of the results.
     receivers : sequence of str, optional
-        Names of those that are wanted; all when left out.
+        Names of those that are wanted, or of arrays; all when left out.
     paths : bool
         Whether its paths are found again, from the completed scene: what scores ask for.
     verify : bool
@@ -71,7 +71,7 @@ def load_recording(
     if isinstance(receivers, str):
         raise InputError("receivers", f"must be a list of names, but is {receivers!r:.80}")
     names = [receiver.name for receiver in file.scene.receivers]
-    rows = [_row(names, wanted) for wanted in (names if receivers is None else receivers)]
+    rows = [row for wanted in (names if receivers is None else receivers) for row in _rows(file.scene, wanted)]
     if not rows:
         raise InputError("receivers", "must name one at least, but is empty")
     baseband: Any = file.render["baseband"]
@@ -82,7 +82,7 @@ def load_recording(
     if verify:
         _refuse_changed(folder, record, [COMPLETED, *files])
     chosen = [file.scene.receivers[r] for r in rows]
-    channels = [(end.name, channel) for end in chosen for channel in end.directivity.channels]
+    channels = [row for end in chosen for row in end.rows]
     samples, rate = (
         _stored(folder, _rows_of(file.scene, rows)) if stores
         else _read([folder / name for name in files], carrier)
@@ -123,10 +123,13 @@ def _rows_of(scene: Scene, receivers: list[int]) -> list[int]:
     return [sum(counts[:r]) + channel for r in receivers for channel in range(counts[r])]
 
 
-def _row(names: list[str], wanted: str) -> int:
-    if wanted not in names:
+def _rows(scene: Scene, wanted: str) -> list[int]:
+    """Find the receiver of a name, or the elements of an array."""
+    names = [receiver.name for receiver in scene.receivers]
+    arrays = [receiver.element.array if receiver.element else "" for receiver in scene.receivers]
+    if wanted not in (*names, *filter(None, arrays)):
         raise InputError("receivers", not_one_of(wanted, names))
-    return names.index(wanted)
+    return [i for i, (name, array) in enumerate(zip(names, arrays, strict=True)) if wanted in (name, array)]
 
 
 def _read(paths: list[Path], carrier: float | None) -> tuple[NDArray[Any], float]:

@@ -145,3 +145,56 @@ def test_finer_samples_come_nearer(theirs) -> None:
     found = clsim.render(paths, RATE, duration=DURATION, engine="reference", amplitude="static")
     for up in (16, 64, 256):
         check(paths, found.pressure.astype(float), theirs("line", up, convective=False), "static", up)
+
+
+def array_recording() -> clsim.Recording:
+    """A talker's band of noise at an array of 16 microphones, two of their radii of 0.1 and 0.2 m."""
+    angle = 2.0 * np.pi * np.arange(16) / 16.0
+    ring = np.where(np.arange(16) % 2 == 0, 0.2, 0.11)
+    places = np.stack([ring * np.cos(angle), ring * np.sin(angle), 0.0 * angle], axis=1)
+    array = clsim.receiver_array("array", places, clsim.Trajectory.fixed((10.0, 10.0, 10.0)))
+    noise = clsim.Signal.noise(0.4, RATE, 3, band=(3000.0, 6000.0), fade=0.02)
+    source = clsim.Source("s", noise, clsim.Trajectory.fixed((10.12, 9.92, 10.6)))
+    room = clsim.Shoebox((20.0, 20.0, 20.0), clsim.Material.from_reflection(0.5))
+    scene = clsim.Scene(room, clsim.Air(speed_of_sound=SPEED), [source], array)
+    return clsim.render(clsim.find_paths(scene, max_order=0), RATE, duration=0.4)
+
+
+def test_acoular_finds_a_source_in_files_of_an_array(tmp_path) -> None:
+    """Its conventional beamformer's map is loudest where the source is, within a step of its grid."""
+    if importlib.util.find_spec("acoular") is None:
+        pytest.skip("acoular is not installed")
+    acoular = acoular_module()
+    samples, geometry = clsim.write_acoular(array_recording(), tmp_path / "array.h5")
+    acoular.config.global_caching = "none"
+    grid = acoular.RectGrid(x_min=-0.3, x_max=0.3, y_min=-0.3, y_max=0.3, z=0.6, increment=0.02)
+    steer = acoular.SteeringVector(
+        grid=grid, mics=acoular.MicGeom(file=geometry), env=acoular.Environment(c=SPEED), steer_type="true level"
+    )
+    source = acoular.TimeSamples(file=samples)
+    assert (source.num_channels, source.sample_freq) == (16, RATE)
+    spectra = acoular.PowerSpectra(source=source, block_size=512, window="Hanning")
+    loud = acoular.BeamformerBase(freq_data=spectra, steer=steer).synthetic(4500.0, 1)
+    x, y = np.unravel_index(np.argmax(loud), loud.shape)
+    np.testing.assert_allclose([-0.3 + 0.02 * x, -0.3 + 0.02 * y], [0.12, -0.08], atol=0.021)
+
+
+def test_pyroomacoustics_finds_the_direction_of_a_source_from_an_array() -> None:
+    """Its MUSIC, on the signals and positions as they are, within its grid of 2 degrees and the near field's 1."""
+    others = pytest.importorskip("pyroomacoustics", reason="pyroomacoustics is not installed")
+    angle = 2.0 * np.pi * np.arange(6) / 6.0
+    places = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    pose = clsim.Trajectory.fixed((10.0, 10.0, 10.0), (0.0, 0.0, np.sin(0.25), np.cos(0.25)))  # turned by 0.5 rad
+    noise = clsim.Signal.noise(0.4, RATE, 3, band=(500.0, 4000.0), fade=0.02)
+    far = np.array([10.0, 10.0, 10.0]) + 5.0 * np.array([np.cos(1.3), np.sin(1.3), 0.0])
+    scene = clsim.Scene(
+        clsim.Shoebox((20.0, 20.0, 20.0), clsim.Material.from_reflection(0.5)), clsim.Air(speed_of_sound=SPEED),
+        [clsim.Source("s", noise, clsim.Trajectory.fixed(far))], clsim.receiver_array("array", places, pose),
+    )  # fmt: skip
+    signals, positions = clsim.array_signals(clsim.render(clsim.find_paths(scene, max_order=0), RATE, duration=0.4))
+    size = 512
+    spectra = np.stack([others.transform.stft.analysis(one, size, size // 2).T for one in signals.astype(float)])
+    music = others.doa.MUSIC(positions.T, RATE, size, c=SPEED, n_grid=180)
+    music.locate_sources(spectra, freq_range=[800.0, 3000.0])
+    off = (music.azimuth_recon[0] - (1.3 - 0.5) + np.pi) % (2.0 * np.pi) - np.pi
+    assert abs(np.degrees(off)) <= 3.0

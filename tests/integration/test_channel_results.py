@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import soundfile
+from test_heads import sofa_file
 
 import clsim
 from clsim.cli import main
@@ -64,11 +65,48 @@ def test_runs_keep_all_channels(scene, tmp_path, store, more):
         assert b"<NAME>ACN3</NAME>" in (folder / "hoa.wav").read_bytes()[:2000]
 
 
-def test_a_damaged_head_is_one_line_and_status_2(scene, tmp_path, capsys):
+def damaged(kind, path):
+    """Write a file of head-related responses that is not what it should be."""
+    if kind in ("huge", "unfilled"):
+        netcdf = pytest.importorskip("netCDF4")
+        with netcdf.Dataset(path, "w") as file:
+            file.Conventions, file.SOFAConventions, file.DataType = "SOFA", "SimpleFreeFieldHRIR", "FIR"
+            for name, size in (("M", 40_000 if kind == "huge" else 1), ("R", 2), ("N", 1000), ("C", 3), ("I", 1)):
+                file.createDimension(name, size)
+            file.createVariable("Data.IR", "f8", ("M", "R", "N"), zlib=True)
+            file.createVariable("SourcePosition", "f8", ("M", "C"))
+        return
+    sofa_file(path, "SimpleFreeFieldHRIR", **({"Data_IR": np.full((200, 2, 256), np.nan)} if kind == "numbers" else {}))
+    content = path.read_bytes()
+    if kind == "text":
+        path.write_text("no head at all")
+    elif kind == "truncated":
+        path.write_bytes(content[: len(content) // 2])
+    elif kind == "header":
+        path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    elif kind == "unknown":
+        with pytest.importorskip("netCDF4").Dataset(path, "a") as file:
+            file.SOFAConventions = "SingleRoomSRIR"
+    elif kind == "folder":
+        path.unlink()
+        path.mkdir()
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("header", "must be a SOFA file"), ("truncated", "must be a SOFA file"), ("text", "must be a SOFA file"),
+        ("huge", "must hold at most 512 MiB, but unpacks to"), ("unfilled", "must hold finite numbers"),
+        ("unknown", "must be of the convention SimpleFreeFieldHRIR, "), ("numbers", "must hold finite numbers"),
+        ("folder", "cannot be read"),
+    ],
+)  # fmt: skip
+def test_a_damaged_head_is_one_line_and_status_2(scene, tmp_path, capsys, kind, message):
     pytest.importorskip("sofar")
-    (tmp_path / "head.sofa").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    damaged(kind, tmp_path / "head.sofa")
     scene.write_text(SCENE.replace('{ kind = "ambisonic", order = 1 }', '{ kind = "head", path = "head.sofa" }'))
     assert main(["check", str(scene)]) == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 1
     assert "head.sofa" in said[0]
+    assert message in said[0]

@@ -10,7 +10,7 @@ from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
 from clsim.acoustics.sphere import sphere_surface_field
-from clsim.numerics.convolution import arrival_times
+from clsim.numerics.sphere import fibonacci_sphere, real_harmonics
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "hrtf"
 RATE = 48e3
@@ -45,7 +45,12 @@ def test_measured_directions_are_as_in_the_file(name):
 
 
 def test_directions_left_out_are_found_again():
-    """Every tenth direction is left out: median errors below 8 kHz at most 1.5 dB and 15 us."""
+    """Every tenth direction is left out: median errors below 8 kHz at most 1.5 dB and 15 us.
+
+    Levels are nearer than by spherical harmonics of responses whose phase was corrected by a sphere without shadow
+    (Z. Ben-Hur et al., IEEE/ACM Trans. Audio Speech Lang. Process. 27 (12), 2019), of the order that is best of 20 to
+    40 here, 30: median 0.07 dB.
+    """
     whole = measured("FHK_HRIR_L2354.sofa")
     out = np.arange(5, len(whole.directions), 10)
     kept = np.setdiff1d(np.arange(len(whole.directions)), out)
@@ -53,10 +58,25 @@ def test_directions_left_out_are_found_again():
     frequencies = np.arange(200.0, 8e3, 100.0)
     expected = spectra(whole.responses[out], whole.sampling_rate, frequencies)
     found = head.gain_towards(whole.directions[out, None], frequencies, 343.0)
-    assert np.median(np.abs(20.0 * np.log10(np.abs(found / expected)))) <= 0.2  # 0.07 measured; 1.5 are asked for
-    late = head.lateness(whole.directions[out], 343.0)
-    true = arrival_times(whole.responses[out]) / whole.sampling_rate
-    assert np.median(np.abs(np.diff(late - true, axis=1))) <= 5e-6  # 1.4 us measured; 15 are asked for
+    harmonics = spherical(whole, kept, out, frequencies, 30)
+    ours, theirs = (np.median(np.abs(20.0 * np.log10(np.abs(one / expected)))) for one in (found, harmonics))
+    assert ours <= min(theirs, 0.1)  # 0.045 measured; 1.5 are asked for
+    low = frequencies < 1500.0
+    between = found[..., 0] / found[..., 1] * np.conj(expected[..., 0] / expected[..., 1])
+    late = np.abs(np.angle(between))[:, low] / (2.0 * np.pi * frequencies[low])
+    assert np.median(late) <= 2e-6  # 0.4 us measured; 15 are asked for
+
+
+def spherical(whole, kept, out, frequencies, order):
+    """Responses (n, F, 2) by spherical harmonics through those that are kept, without the phase of both ears' places."""
+    turn = 2j * np.pi * frequencies * 0.0875 / 343.0
+    phase = np.exp(np.stack([turn, -turn], axis=1) * whole.directions[:, 1, None, None])
+    flat = spectra(whole.responses[kept], whole.sampling_rate, frequencies) * np.conj(phase[kept])
+    harmonics = real_harmonics(order, whole.directions) * np.sqrt(
+        2.0 * np.floor(np.sqrt(np.arange((order + 1) ** 2))) + 1.0
+    )
+    shares = np.linalg.lstsq(harmonics[kept], flat.reshape(len(kept), -1), rcond=None)[0]
+    return (harmonics[out] @ shares).reshape(len(out), len(frequencies), 2) * phase[out]
 
 
 def test_the_sphere_is_its_series():
@@ -98,6 +118,57 @@ def test_a_sound_from_the_left_comes_to_the_left_ear_first():
     assert np.sum(left**2) > 1.5 * np.sum(right**2)
     lag = np.argmax(np.correlate(right, left, "full")) - (len(left) - 1)
     assert 20 <= lag <= 45  # 0.4 to 0.9 ms
+
+
+def sofa_file(path, convention, by_emitter=False, **changes):
+    """Write responses of a rigid sphere in 200 directions, 1 ms late, by measurement or by emitter."""
+    sofar = pytest.importorskip("sofar")
+    directions, frequencies = fibonacci_sphere(200), np.linspace(0.0, 24e3, 129)
+    gain = clsim.SphericalHead().gain_towards(directions[:, None], frequencies, 343.0)
+    gain *= np.exp(-2e-3j * np.pi * frequencies)[:, None]
+    gain[:, -1] = gain[:, -1].real
+    gain = np.moveaxis(gain, 2, 1)
+    file = sofar.Sofa(convention)
+    transfer = "HRTF" in convention
+    parts = {"Data_Real": gain.real, "Data_Imag": gain.imag} if transfer else {"Data_IR": np.fft.irfft(gain)}
+    wide = convention.startswith("Free")
+    if by_emitter:
+        file.EmitterPosition, file.EmitterPosition_Type, file.EmitterPosition_Units = (
+            1.5 * directions,
+            "cartesian",
+            "metre",
+        )
+        file.SourcePosition = [0.0, 0.0, 0.0]
+    else:
+        azimuth, elevation = np.arctan2(directions[:, 1], directions[:, 0]), np.arcsin(directions[:, 2])
+        file.SourcePosition = np.column_stack([np.degrees([azimuth, elevation]).T, np.full(200, 1.5)])
+    for name, value in parts.items():
+        laid_out = np.moveaxis(value, 0, -1)[None] if by_emitter else value[..., None] if wide else value
+        setattr(file, name, changes.pop(name, laid_out))
+    if transfer:
+        file.N = frequencies
+    else:
+        file.Data_SamplingRate = RATE
+        if wide:
+            file.Data_Delay = np.zeros((1, 2, 200 if by_emitter else 1))
+    for name, value in changes.items():
+        setattr(file, name, value)
+    sofar.write_sofa(path, file)
+    return directions, frequencies, np.moveaxis(gain, 1, 2)
+
+
+@pytest.mark.parametrize("by_emitter", [False, True])
+@pytest.mark.parametrize("convention", ["SimpleFreeFieldHRIR", "SimpleFreeFieldHRTF", "FreeFieldHRIR", "FreeFieldHRTF"])
+def test_conventions_of_head_related_responses(tmp_path, convention, by_emitter):
+    """At the files' directions the head is what was written into them, to -100 dB."""
+    if by_emitter and convention.startswith("Simple"):
+        pytest.skip("simple conventions have one emitter")
+    directions, frequencies, gain = sofa_file(tmp_path / "head.sofa", convention, by_emitter)
+    head = clsim.HeadRelated.from_sofa(tmp_path / "head.sofa")
+    below = frequencies < 20e3  # at half the sampling rate a response late by parts of a sample is not defined
+    frequencies, gain = frequencies[below], gain[:, below]
+    found = head.gain_towards(directions[:, None], frequencies, 343.0)
+    assert np.linalg.norm(found - gain) <= 1e-5 * np.linalg.norm(gain)
 
 
 @pytest.mark.parametrize("content", [b"", b"CDF\x01 not a file", b"\x89HDF\r\n\x1a\n" + bytes(500)])

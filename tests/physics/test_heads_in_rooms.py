@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import spherical_jn
@@ -27,6 +29,147 @@ def test_components_of_a_diffuse_tail_are_uncorrelated():
     # Some 2 * 5500 Hz * 0.1 s independent samples in the loud part: a few percent, and 64 directions with their energies.
     assert np.abs(covariance - np.eye(4)).max() < 0.25
     assert np.abs(np.diag(covariance) - 1.0).max() < 0.25
+
+
+def cube(receivers, seconds=0.5, source=None, *, direct=False):
+    """Paths of noise in a cube, in whose late tail energies by direction are nearly alike."""
+    room = clsim.Shoebox(size=(5.0, 5.0, 5.0), walls=clsim.Material.from_reflection(0.9))
+    sound = clsim.Signal.noise(seconds, 16e3, 3, band=(200.0, 5e3), fade=0.3 * seconds)
+    source = clsim.Source("s", sound, source or clsim.Trajectory.fixed((1.5, 2.0, 3.1)))
+    return clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], receivers), max_order=0, direct=direct)
+
+
+def turning(rate, start=(2.9, 2.4, 2.2), end=None, seconds=2.2):
+    """A pose that turns about the vertical at a rate, rad/s."""
+    times = np.linspace(0.0, seconds, 40)
+    angle, share = 0.5 * rate * times, times[:, None] / seconds
+    places = np.array(start) + share * (np.array(start if end is None else end) - start)
+    poses = np.stack([0.0 * angle, 0.0 * angle, np.sin(angle), np.cos(angle)], axis=1)
+    return clsim.Trajectory.waypoints(times, places, poses)
+
+
+def test_the_tail_at_a_head_that_hardly_turns_is_that_at_rest(measured):
+    """What moves is rendered by a few filters with weights by direction, what rests by gains at every frequency."""
+    found = [
+        clsim.render(cube([clsim.Receiver.binaural("head", pose)]), 16e3, duration=0.4, tail="auto").pressure
+        for pose in (clsim.Trajectory.fixed((2.9, 2.4, 2.2)), turning(1e-5))
+    ]
+    error = 20.0 * np.log10(np.linalg.norm(found[1] - found[0]) / np.linalg.norm(found[0]))
+    assert measured("tail at a head that turns", "the same head at rest", float(error), -28.0) <= -28.0
+
+
+def test_a_turn_acts_on_the_tail_as_on_its_waves():
+    """After a turn by 90 degrees the tail is that of a head which faced there all the time, and not that of before."""
+    poses = [turning(5.0 * np.pi, seconds=0.1), *(clsim.Trajectory.fixed((2.9, 2.4, 2.2), q) for q in QUARTERS)]
+    facing, after, before = (
+        clsim.render(cube([clsim.Receiver.binaural("head", pose)]), 16e3, duration=0.3, tail="auto").pressure
+        for pose in (held(poses[0], 0.4), *poses[1:])
+    )
+    end = slice(2400, None)
+    scale = np.linalg.norm(after[:, end])
+    assert np.linalg.norm((facing - after)[:, end]) <= 10 ** (-28.0 / 20.0) * scale
+    assert np.linalg.norm((facing - before)[:, end]) > 0.5 * scale
+
+
+QUARTERS = ((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)), (0.0, 0.0, 0.0, 1.0))
+
+
+def held(pose, end):
+    """A pose that rests where it ends, until a time, s."""
+    times = np.append(np.linspace(0.0, pose.end, 40), [pose.end + 0.01, end])
+    at = np.minimum(times, pose.end)
+    return clsim.Trajectory.waypoints(times, pose.position(at), pose.orientation(at))
+
+
+def diffuse_coherence(frequencies, head):
+    """Coherence of a sphere's ears in a diffuse field, and relative powers there, by a mean over many directions."""
+    gains = head.gain_towards(fibonacci_sphere(2000)[:, None], frequencies, 343.0)
+    cross = np.mean(gains[..., 0] * np.conj(gains[..., 1]), axis=0)
+    return cross.real, np.mean(np.abs(gains) ** 2, axis=(0, 2))
+
+
+@pytest.mark.parametrize("motion", ["turns", "walks and turns", "source moves"])
+def test_ears_hear_the_tail_as_coherent_as_a_diffuse_field(motion):
+    """Their correlation in bands against theory for a rigid sphere."""
+    pose = turning(2.0, end=(3.4, 2.9, 2.0) if motion == "walks and turns" else None)
+    way = None if motion != "source moves" else clsim.Trajectory.line((1.5, 2.0, 3.1), (2.0, 2.4, 3.0), 2.2)
+    paths = cube([clsim.Receiver.binaural("head", pose)], 0.02, way)
+    heard = [clsim.render(paths, 16e3, duration=0.5, tail="auto", tail_seed=seed).pressure for seed in range(6)]
+    spectra = np.fft.rfft(np.stack(heard, axis=1)[..., 1280:].astype(float))  # first reflections are not diffuse
+    frequencies = np.fft.rfftfreq(6720, 1.0 / 16e3)
+    for low, high in ((250.0, 450.0), (450.0, 900.0), (900.0, 1800.0), (1800.0, 3600.0)):
+        left, right = spectra[..., (frequencies >= low) & (frequencies < high)]
+        correlation = np.sum(left * np.conj(right)).real / np.linalg.norm(left) / np.linalg.norm(right)
+        cross, power = diffuse_coherence(np.linspace(low, high, 40), clsim.SphericalHead())
+        # What decays by 60 dB in 0.77 s lasts as long as 0.11 s at an even level: 0.11 * 200 * 6 independent values in
+        # the lowest band, of which each correlation is off by 1 / sqrt(132) at most. Three of that, and 0.05 for 64
+        # directions whose energies differ by up to 1 dB.
+        assert abs(correlation - cross.sum() / power.sum()) <= 0.05 + 3.0 / np.sqrt(0.11 * (high - low) * 6.0)
+
+
+def test_components_that_turn_in_a_tail_stay_uncorrelated():
+    """Covariance in N3D of what turns and moves, and of a figure of eight beside an omnidirectional receiver."""
+    pose = turning(2.0, end=(3.4, 2.9, 2.0))
+    receivers = [clsim.Receiver.ambisonic("hoa", pose, 2, "N3D"), clsim.Receiver("eight", pose, clsim.FirstOrder(0.0))]
+    paths = cube(receivers, 0.02)
+    heard = [clsim.render(paths, 16e3, duration=0.5, tail="auto", tail_seed=seed).pressure for seed in range(4)]
+    found = np.concatenate([one[:, 1280:] for one in heard], axis=1).astype(float)
+    covariance = found @ found.T / np.sum(found[0] ** 2)
+    # Bounds are those of the sums of 9 products over 64 directions whose energies differ by up to 1 dB.
+    assert np.abs(covariance[:9, :9] - np.eye(9)).max() <= 0.2
+    np.testing.assert_allclose(found[9], found[3] / np.sqrt(3.0), rtol=1e-5, atol=1e-6 * np.abs(found[9]).max())
+
+
+def late_only(responses, seconds=0.1):
+    """Responses from a time on, which then is that of the first arrival."""
+    samples = responses.samples.copy()
+    samples[..., : responses.lead + round(seconds * responses.sampling_rate)] = 0.0
+    return replace(responses, samples=samples, first_arrivals=np.full_like(responses.first_arrivals, seconds))
+
+
+def test_measures_of_a_diffuse_field(measured):
+    """LF, LFC and IACC of tails alone against theory: what figures of eight and a sphere's ears are in a diffuse field.
+
+    A figure of eight takes a third of the energy, and both are independent: the mean magnitude of their product is
+    2 / pi of the product of both levels. Of 75 of 80 ms the share of the energy is counted. Ears correlate as the
+    spectrum of both says, at the best lag: tails of all seeds behind each other are one response, whose correlation is
+    the mean of theirs.
+    """
+    place, rate, seeds = (2.9, 2.4, 2.2), 16e3, 12
+    receivers = [clsim.Receiver.ambisonic("hoa", clsim.Trajectory.fixed(place), 1)]
+    receivers += [clsim.Receiver.binaural("head", clsim.Trajectory.fixed(place, (0.0, 0.0, 0.6, 0.8)))]
+    paths = cube(receivers, direct=True)
+    each = [
+        late_only(clsim.impulse_responses(paths, rate, band=(300.0, 6e3), lead="keep", tail_seed=seed))
+        for seed in range(seeds)
+    ]
+    found = [clsim.lateral_measures(one, "hoa") for one in each]
+    long = replace(each[0], samples=np.concatenate([one.samples for one in each], axis=2))
+    heard = np.array([np.square(one.samples[0, 0, one.lead + 1600 :][:1280]) for one in each])
+    share, bands = heard[:, 80:].sum() / heard.sum(), found[0].frequencies
+    # Energies of an octave in 75 ms are off by 1 / sqrt(time times bandwidth); what decays in 0.77 s is as 0.11 s.
+    spread = 3.0 * np.sqrt(2.0 / (0.075 * seeds * bands / np.sqrt(2.0))) + 0.05
+    for name, theory in (("lf", 1.0 / 3.0), ("lfc", 2.0 / np.pi / np.sqrt(3.0))):
+        mean = np.mean([getattr(one, name)[0] for one in found], axis=0)
+        for f, value, allowed in zip(bands.tolist(), mean / share / theory - 1.0, spread.tolist(), strict=True):
+            assert (
+                abs(measured(f"{name.upper()} of a tail, {f:.0f} Hz, relative", "theory", value, allowed, "1"))
+                <= allowed
+            )
+    correlation = clsim.lateral_measures(long, ears="head").iacc[0]
+    spread = 3.0 / np.sqrt(0.11 * seeds * bands / np.sqrt(2.0)) + 0.03
+    for f, value, allowed in zip(bands.tolist(), correlation, spread.tolist(), strict=True):
+        error = measured(f"IACC of a sphere in a tail, {f:.0f} Hz", "theory", value - diffuse_iacc(f), allowed, "1")
+        assert abs(error) <= allowed
+
+
+def diffuse_iacc(centre):
+    """The largest correlation within 1 ms of ears in a diffuse field, white in an octave with the band filter's edges."""
+    frequencies = np.linspace(0.25 * centre, 4.0 * centre, 1500)
+    off = (frequencies / centre - centre / frequencies) * np.sqrt(2.0)
+    cross, power = diffuse_coherence(frequencies, clsim.SphericalHead()) / (1.0 + off**6)
+    lags = np.linspace(-1e-3, 1e-3, 401)
+    return np.abs(np.cos(2.0 * np.pi * np.outer(lags, frequencies)) @ cross).max() / power.sum()
 
 
 def test_the_sphere_s_ears_are_coherent_in_a_diffuse_field_as_computed_by_modes():

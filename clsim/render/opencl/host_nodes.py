@@ -12,6 +12,7 @@ import numpy as np
 
 from clsim.opencl.launch import upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
+from clsim.render.memory import with_blas_threads
 from clsim.render.opencl.block_polynomials import SMOOTH_SHARE, between, block_error, block_polynomials
 from clsim.render.opencl.nodes import NodeMaker, Nodes
 from clsim.render.plan import Plan, node_times
@@ -110,7 +111,8 @@ class HostNodeMaker:
             return here
 
         parts, padding = _parts(plan, batch)
-        made = [result for several in side_by_side(make, parts, meanwhile) for result in several]
+        with with_blas_threads(1):  # each part has a thread of its own, and its matrices are small
+            made = [result for several in side_by_side(make, parts, meanwhile) for result in several]
         for first, silent in padding:
             whole[:, silent], cubics[:, :, silent] = whole[:, [first]], 0.0
         error = np.zeros(-(-blocks * block // plan.segment))

@@ -32,6 +32,7 @@ _KEPT = 1e-7  # of the largest component of all responses, below which one is le
 _LONGEST = 2**14  # samples of a response
 _SLOWEST = 200.0  # m/s, below which no sound in air is
 _DEGREE = 5  # of the polynomial of lateness
+_NEAR = 0.1  # least cosine between a direction and an ear's axis at which its time of arrival is taken as it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,9 +61,10 @@ class HeadRelated(ChannelDirectivity):
     Notes
     -----
     A response's time of arrival is where it is most like its minimum-phase version (J. Nam, J. S. Abel and J. O. Smith,
-    AES Convention 125, 2008, paper 7612). Responses are advanced by it, and both are interpolated over the sphere by
-    cubic radial functions, which go through the values at given directions. Over frequency, a response is its Fourier
-    sum.
+    AES Convention 125, 2008, paper 7612). A sphere is fitted to the times of each ear on its own side; behind the head
+    they jump. Responses are advanced by the sphere's times, as for phase-corrected spherical harmonics (Z. Ben-Hur et
+    al., IEEE/ACM Trans. Audio Speech Lang. Process. 27 (12), 2019), and interpolated over the sphere by cubic radial
+    functions, which go through the values at given directions. Over frequency, a response is its Fourier sum.
     """
 
     directions: Floats
@@ -71,7 +73,8 @@ class HeadRelated(ChannelDirectivity):
     _: KW_ONLY
     outside: str | None = None
     name: str = ""
-    parts: tuple[Floats, Floats] = field(init=False, repr=False)  # (n, R + 2) weights and times, (R, 2, N) components
+    parts: tuple[Floats, Floats] = field(init=False, repr=False)  # (n, R) weights, (R, 2, N) components
+    times: Floats = field(init=False, repr=False)  # (2, 2) of each ear: lateness at the middle, and of a radius, s
 
     is_complex: ClassVar[bool] = True
 
@@ -96,13 +99,12 @@ class HeadRelated(ChannelDirectivity):
             raise InputError("directions", f"must leave no gap wider than {_LARGEST_HOLE:g}°, but leave {hole:.0f}°")
         if len(directions) > _MOST:
             raise InputError("directions", f"must be at most {_MOST}, but are {len(directions)}")
-        late = arrival_times(responses)
-        aligned = advanced(responses, late).reshape(len(directions), -1)
+        times = _fitted_times(directions, arrival_times(responses) / rate)
+        aligned = advanced(responses, rate * _late(times, directions)).reshape(len(directions), -1)
         weights, components = _components(aligned)
-        columns = np.column_stack([weights, late / rate])
-        kept = read_only(columns), read_only(components.reshape(len(components), 2, -1))
+        kept = read_only(weights), read_only(components.reshape(len(components), 2, -1))
         values = {"directions": read_only(directions), "responses": read_only(responses), "sampling_rate": rate}
-        for key, value in (values | {"parts": kept}).items():
+        for key, value in (values | {"parts": kept, "times": read_only(times)}).items():
             object.__setattr__(self, key, value)
 
     @property
@@ -130,12 +132,11 @@ class HeadRelated(ChannelDirectivity):
     @property
     def reach(self) -> float:
         """Bound of the magnitude of `lateness`, s."""
-        return 1.25 * float(np.abs(self.parts[0][:, -2:]).max())
+        return float(np.abs(self.times).sum(axis=1).max() * 0.5 * math.pi)
 
     def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
         """Return the times of arrival at each ear; see `ChannelDirectivity.lateness`."""
-        found = _times(self)(np.asarray(direction, dtype=np.float64).reshape(-1, 3))
-        return np.asarray(np.clip(found, -self.reach, self.reach)).reshape(*np.shape(direction)[:-1], 2)
+        return _late(self.times, np.asarray(direction, dtype=np.float64))
 
     def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
         """Return the gains of some ears without the phase of their lateness; see `ChannelDirectivity.aligned`."""
@@ -321,13 +322,24 @@ _WOODWORTH = _woodworth()
 @lru_cache(maxsize=8)
 def _weights(head: HeadRelated) -> Any:
     """Return the function of direction (m, 3) whose values are the weights of a head's components (m, R)."""
-    return RadialOnSphere.through(head.directions, head.parts[0][:, :-2])
+    return RadialOnSphere.through(head.directions, head.parts[0])
 
 
-@lru_cache(maxsize=8)
-def _times(head: HeadRelated) -> Any:
-    """Return the function of direction (m, 3) whose values are the times of arrival at a head's ears (m, 2), s."""
-    return RadialOnSphere.through(head.directions, head.parts[0][:, -2:])
+def _fitted_times(directions: Floats, late: Floats) -> Floats:
+    """Return lateness at the middle and of a radius (2, 2), s, of spheres that fit times (n, 2) at both ears, s."""
+    found = np.empty((2, 2))
+    for ear, cosine in enumerate((directions[:, 1], -directions[:, 1])):
+        near = cosine > _NEAR
+        columns = np.column_stack([np.ones(len(cosine)), np.polynomial.polynomial.polyval(cosine, _WOODWORTH)])
+        found[ear] = np.linalg.lstsq(columns[near], late[near, ear], rcond=None)[0]
+    return found
+
+
+def _late(times: Floats, directions: Floats) -> Floats:
+    """Return the lateness (..., 2), s, at the ears of fitted spheres for directions (..., 3)."""
+    side = np.clip(directions[..., 1], -1.0, 1.0)
+    both = np.stack([np.polynomial.polynomial.polyval(cosine, _WOODWORTH) for cosine in (side, -side)], axis=-1)
+    return np.asarray(times[:, 0] + times[:, 1] * both)
 
 
 @lru_cache(maxsize=32)

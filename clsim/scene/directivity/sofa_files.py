@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +34,8 @@ def opened_sofa(path: Path) -> Any:
     _check_size(path)
     try:
         # Conventions that sofar does not know and versions that it no longer has are read all the same.
-        return sofar.read_sofa_as_netcdf(str(path))
+        with warnings.catch_warnings(action="ignore"):  # of missing data, which are refused where they are needed
+            return sofar.read_sofa_as_netcdf(str(path))
     except (OSError, ValueError, KeyError, AttributeError, RuntimeError) as error:
         raise InputError("path", f"must be a SOFA file, but cannot be read as one: {path}: {error}") from error
 

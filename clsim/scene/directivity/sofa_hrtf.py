@@ -38,7 +38,8 @@ def _read(sofa: Any) -> tuple[Floats, Floats, float]:
     if responses.shape[1] != 2 or 0 in responses.shape:
         raise InputError("path", f"must have two receivers, ears, but holds data of the shape {responses.shape}")
     measurements, emitters = responses.shape[0], responses.shape[3]
-    if str(getattr(sofa, "EmitterPosition_Type", "cartesian")) == "spherical harmonics":
+    # A single emitter is what its source is, whatever type the convention gives by default.
+    if emitters > 1 and str(getattr(sofa, "EmitterPosition_Type", "cartesian")) == "spherical harmonics":
         raise InputError("path", "must hold responses by direction, but holds spherical harmonics")
     directions = np.concatenate([_directions(sofa, m, emitters) for m in range(measurements)])
     return directions, _left_first(directions, np.moveaxis(responses, 3, 1).reshape(len(directions), 2, -1)), rate

@@ -1,6 +1,7 @@
 """`clsim validate` and measured rooms: the yardstick, a made room whose values are known, what is wrong with files."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,13 @@ def test_a_room_whose_values_are_known(tmp_path: Path, capsys: pytest.CaptureFix
     own = clsim.room_measures(clsim.impulse_responses(paths, 8e3, band=band, lead="keep", tail_seed=3))
     rows = [list(own.frequencies).index(f) for f in (1000.0, 2000.0)]
     t30, c80 = (getattr(own, name)[0, 0, rows].tolist() for name in ("t30", "c80"))
+    place = clsim.Trajectory.fixed((3.0, 2.0, 1.5))
+    facing = [make("R", place, aim_at=(1, 1, 1)) for make in (clsim.Receiver.ambisonic, clsim.Receiver.binaural)]
+    paths = clsim.find_paths(
+        replace(scene.scene, receivers=[facing[0], replace(facing[1], name="head")]), **scene.paths
+    )
+    heard = clsim.impulse_responses(paths, 8e3, band=band, lead="keep", tail_seed=3)
+    lateral = clsim.lateral_measures(heard, "R").lf[0, rows[0]]
     for factor, reached in ((1.0, "0.00 JND"), (1.1, f"{0.5 * 2.0 / 1.1:.2f} JND")):
         made(tmp_path, tuple(factor * t for t in t30), tuple(c80))
         for out in ("one", "other"):
@@ -93,7 +101,7 @@ def test_a_room_whose_values_are_known(tmp_path: Path, capsys: pytest.CaptureFix
         assert page == (tmp_path / "other" / "measured_rooms.md").read_text("utf-8")
         assert (f"| 0.50 JND | {reached} | {reached} |") in page
         assert "seed 3 of rays" in page
-        assert "LF was measured too, and is not compared yet" in page
+        assert re.search(rf"\| LF \(%\) \| 1000 \| 10 \| {100.0 * lateral:.3g} \|", page)
         for name in re.findall(r"\((pictures/.*?)\)", page):
             assert (tmp_path / "one" / name).stat().st_size > 10_000
 

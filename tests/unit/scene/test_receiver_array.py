@@ -130,6 +130,76 @@ def test_positions_of_other_programs(tmp_path: Path) -> None:
     assert places == [[0.1, 1.0, 2.0], [0.2, 1.1, 2.2]]
 
 
+def test_elements_go_and_turn_with_the_array_s_frame() -> None:
+    """Samples are those of receivers whose own trajectories were worked out by hand, to -100 dB."""
+    times = np.linspace(0.0, 0.5, 51)
+    angle, middle = 0.8 * times, np.stack([2.0 + 0.5 * times, 2.0 + 0.0 * times, 1.2 + 0.0 * times], axis=1)
+    poses = np.stack([0.0 * angle, 0.0 * angle, np.sin(0.5 * angle), np.cos(0.5 * angle)], axis=1)
+    frame = clsim.Trajectory.waypoints(times, middle, poses)
+    places = np.array([[0.1, 0.0, 0.0], [0.0, 0.07, 0.02]])
+    patterns = [clsim.FirstOrder(0.5), clsim.FirstOrder(0.0)]
+    array = clsim.receiver_array("array", places, frame, directivities=patterns, aims=[[1, 0, 0], [0, 1, 0]])
+    alone = []
+    for i, (x, y, z) in enumerate(places.tolist()):
+        cos, sin = np.cos(angle), np.sin(angle)
+        way = middle + np.stack([cos * x - sin * y, sin * x + cos * y, z + 0.0 * angle], axis=1)
+        half = 0.5 * (angle + (0.0, 0.5 * np.pi)[i])
+        turned = np.stack([0.0 * half, 0.0 * half, np.sin(half), np.cos(half)], axis=1)
+        alone.append(clsim.Receiver(f"one {i}", clsim.Trajectory.waypoints(times, way, turned), patterns[i]))
+    source = clsim.Source(
+        "s", clsim.Signal.noise(0.3, 16e3, 1, band=(300.0, 5e3), fade=0.02), clsim.Trajectory.fixed((4.0, 3.5, 1.4))
+    )
+    room = clsim.Shoebox((6.0, 5.0, 3.0), clsim.Material.from_reflection(0.7))
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], [*array, *alone]), max_order=1)
+    found = clsim.render(paths, 16e3, duration=0.35)
+    assert found.channels == (("array", "0"), ("array", "1"), ("one 0", ""), ("one 1", ""))
+    assert found.receiver_names[:2] == ("array 0", "array 1")
+    signals, own = clsim.array_signals(found)
+    np.testing.assert_array_equal(own, places)
+    np.testing.assert_array_equal(signals, found.samples[found.rows_of("array")])
+    others = found.samples[2:].astype(float)
+    assert np.linalg.norm(signals - others) <= 1e-5 * np.linalg.norm(others)
+    assert found.reception_times(1)[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"directivities": [clsim.Omni()]}, "directivities: must be one for each of 2 positions, but are 1"),
+        ({"aims": [[1, 0, 0]] * 2, "aim": (1, 0, 0)}, "aims: must be left out where aim is given"),
+        ({"directivity": clsim.Ambisonic(1)}, "directivity: must have one channel in an array"),
+        ({"trajectory": (1.0, 2.0, 3.0)}, "trajectory: must be a Trajectory"),
+        ({"aim": "forward"}, "aim: must"),
+    ],
+)
+def test_nonsense_of_arrays_is_refused(more, message: str) -> None:
+    arguments = {"trajectory": clsim.Trajectory.fixed((1.0, 1.0, 1.0))} | more
+    with pytest.raises(clsim.InputError, match=message):
+        clsim.receiver_array("a", [[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]], **arguments)
+
+
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("store", ["wav", "hdf5"])
+def test_a_run_with_an_array_is_read_back_as_one_receiver(tmp_path: Path, store: str) -> None:
+    text = SCENE.replace(
+        'positions = { kind = "file", path = "mics.csv" }',
+        'positions = { kind = "file", path = "mics.csv" }\n'
+        'trajectory = { kind = "line", start = [1.0, 1.0, 1.0], end = [1.5, 1.0, 1.0], duration = 0.5 }',
+    )
+    (tmp_path / "mics.csv").write_text("0.0, 0.1, 0.0\n0.0, -0.1, 0.0\n")
+    (tmp_path / "scene.toml").write_text(text.replace("[0.5, 7.5, 5]", "[0.5, 7.5, 2]").replace("[0.5, 5.5, 4]", "1.0"))
+    folder = tmp_path / "out"
+    assert main(["run", str(tmp_path / "scene.toml"), "-o", str(folder), "--store", store, "--no-plots"]) == 0
+    found = clsim.load_recording(folder, ["table"], paths=True)
+    assert found.channels == (("table", "0"), ("table", "1"))
+    signals, own = clsim.array_signals(found, "table")
+    np.testing.assert_array_equal(own, [[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]])
+    assert signals.shape == (2, 7680)
+    np.testing.assert_array_equal(signals, clsim.load_recording(folder).samples[2:4])
+    with pytest.raises(clsim.InputError, match=r"must name an array of the scene, one of .'table'., but is 'one'"):
+        clsim.array_signals(found, "one")
+
+
 @pytest.mark.parametrize(
     ("name", "positions", "message"),
     [("", [[1, 2, 3]], "name: must be a text"), ("a", [[1, 2]], "positions: must have the shape"), ("a", [], "positions: must")],
