@@ -36,6 +36,7 @@ ADDED: dict[str, Any] = {
     "tail_directions": 64,
     "tail_error_db": 0.25,
     "tail_seed": 0,
+    "tail_scattering": "size",
 }  # key of a completed scene that only one version has: value at which it says nothing new
 GROUND_TRUTH = "ground_truth" if hasattr(clsim, "direct_path") else "truth"
 DIRECTIVITY_HOMES = ("clsim", "clsim.scene.directivity", "clsim.scene.directivity.patterns")

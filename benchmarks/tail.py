@@ -5,6 +5,7 @@ A hall of some 2 s of reverberation at 48 kHz, one source: one receiver that sta
 """
 
 import argparse
+import resource
 import time
 
 import numpy as np
@@ -49,11 +50,34 @@ def spent(adding: object, plan: clsim.Plan) -> tuple[float, float]:
     return times[0], sum(times[1:])
 
 
+def many(count: int, seconds: float) -> None:
+    """Print time and memory of so many receivers that move all over a room, at 16 kHz."""
+    room = clsim.Shoebox((8.0, 6.0, 3.0), clsim.Material.from_reflection(0.9, scattering=0.2))
+    chirp = clsim.Signal.chirp(500.0, 4e3, seconds, 16e3, window="tukey")
+    places = np.random.default_rng(0).uniform((0.5, 0.5, 0.5), (6.5, 5.5, 2.5), (count, 3))
+    ends = [
+        clsim.Receiver(f"r{i}", clsim.Trajectory.line(place, place + np.array([1.0, 0.0, 0.0]), 1.0))
+        for i, place in enumerate(places)
+    ]
+    source = clsim.Source("s", chirp, clsim.Trajectory.fixed((1.0, 1.0, 1.6)))
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], ends), 2)
+    begun = time.process_time()
+    recording = clsim.render(paths, 16e3, duration=seconds, tail="auto")
+    spent, held = time.process_time() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    told = next(note for note in recording.notes if "tail" in note)
+    print(f"{count} moving, {seconds:g} s: {spent:.1f} s, {1e3 * spent / count:.0f} ms each, {held:.0f} MB; {told}")
+
+
 def main() -> None:
-    """Print a line for each kind of receivers."""
+    """Print a line for each kind of receivers, or of many that move."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0)
-    seconds = parser.parse_args().seconds
+    parser.add_argument("--many", type=int, metavar="RECEIVERS", help="that move all over a room, instead")
+    options = parser.parse_args()
+    seconds = options.seconds
+    if options.many:
+        many(options.many, seconds)
+        return
     for kind in ("one, still", "one, moving", "64, still", "64, moving"):
         paths = clsim.find_paths(scene(kind, seconds), 6)
         begun = time.process_time()

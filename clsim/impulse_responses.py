@@ -16,7 +16,7 @@ from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_r
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import check_band_coverage
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.design import ULTRASOUND, NoTailError, TailOptions, find_tail, searched_order
+from clsim.tail.design import SCATTERINGS, ULTRASOUND, NoTailError, TailOptions, find_tail, searched_order
 from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves, static_gains
 from clsim.tail.zones import DiffuseField, Zones
 
@@ -122,6 +122,7 @@ def impulse_responses(
     lead: str = "cut",
     tail: str = "auto",
     tail_seed: int = 0,
+    tail_scattering: str = SCATTERINGS[0],
     progress: Callable[[float], None] | None = None,
 ) -> ImpulseResponses:
     """Return the impulse response of every source and receiver at an instant.
@@ -145,6 +146,8 @@ def impulse_responses(
         rooms, for bands that begin below 40 kHz. `notes` says what was added, or why not.
     tail_seed : int
         Of the rays and of the tails' noise.
+    tail_scattering : {"size", "material"}
+        Whether walls scatter by their limited size as well, beyond images, or by their materials alone.
     progress : callable, optional
         Called now and then with the share of the work that is done, 0 to 1.
 
@@ -193,7 +196,7 @@ def impulse_responses(
     )
     as_choice("lead", lead, LEADS)
     with_tail = as_choice("tail", tail, TAILS) == "auto" and kept.low < ULTRASOUND
-    seed = as_count("tail_seed", tail_seed)
+    options = _tail_options(paths, tail_seed, tail_scattering)
     heard = _active_pairs(paths, time)
     if not heard:
         raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
@@ -212,7 +215,7 @@ def impulse_responses(
                 found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
             progress((i + 1) / len(heard))
-    notes = _add_tails(paths, time, rate, kept, seed, found) if with_tail else _left(paths, kept)
+    notes = _add_tails(paths, time, rate, kept, options, found) if with_tail else _left(paths, kept)
     samples, before = _on_one_axis(shape, found)
     made = ImpulseResponses(
         read_only(samples), rate, before, time, (kept.low, kept.high), scene, read_only(first_arrivals),
@@ -223,15 +226,21 @@ def impulse_responses(
     return made
 
 
+def _tail_options(paths: PathSet, seed: int, scattering: str) -> TailOptions:
+    """Check the options of tails."""
+    checked = as_choice("tail_scattering", scattering, SCATTERINGS)
+    return TailOptions(searched_order(paths), seed=as_count("tail_seed", seed), scattering=checked)
+
+
 def _add_tails(
-    paths: PathSet, time: float, rate: float, band: ResponseBand, seed: int,
+    paths: PathSet, time: float, rate: float, band: ResponseBand, options: TailOptions,
     found: dict[tuple[int, int], ImpulseResponse],
 ) -> tuple[str, ...]:  # fmt: skip
     """Add every source's tail to the pairs' responses at a time, s; return a line of description each."""
     notes = []
     for source in sorted({source for source, _ in found}):
         try:
-            tails, what = frozen_tails(paths, source, time, rate, band, seed)
+            tails, what = frozen_tails(paths, source, time, rate, band, options)
         except NoTailError as refused:
             return (f"no {refused}",)
         for receiver, one in enumerate(tails):
@@ -307,13 +316,13 @@ def _active_pairs(paths: PathSet, time: float) -> dict[tuple[int, int], list[Pai
 
 
 def frozen_tails(
-    paths: PathSet, source: int, at: float, sampling_rate: float, band: ResponseBand, seed: int
+    paths: PathSet, source: int, at: float, sampling_rate: float, band: ResponseBand, options: TailOptions
 ) -> tuple[list[ImpulseResponse], SourceTail]:
     """Return the tail of a source at every row of the receivers at a time, s, within a band, and what it is made of."""
     scene = paths.scene
     receivers = Zones.frozen(scene.receivers, scene.room, at, beams=False)
     zones = Zones.frozen([scene.sources[source]], scene.room, at, beams=True), receivers
-    tail = find_tail(scene, source, (band.low, band.high), zones, TailOptions(searched_order(paths), seed=seed))
+    tail = find_tail(scene, source, (band.low, band.high), zones, options)
     several = [isinstance(r.directivity, ChannelDirectivity) for r in scene.receivers]
     counts = [len(r.directivity.channels) for r in scene.receivers]
     first_row = np.cumsum([0, *counts])

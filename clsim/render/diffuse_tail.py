@@ -29,7 +29,7 @@ from clsim.tail.noise import (
     static_gains,
 )
 from clsim.tail.streams import NEIGHBOURS, NODE, Between, HostWaves, Motion, Streams
-from clsim.tail.zones import is_static
+from clsim.tail.zones import fastest, is_static
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.render.plan import Plan
     from clsim.scene.ends import Receiver
-    from clsim.scene.motion.motion import Motion as Way
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
     from clsim.tail.noise import Responses
@@ -93,8 +92,11 @@ class _Tail(Stateless):
                 for signals in [SourceSignals(self._plan, source, tail)]
                 for zone in range(len(tail.receiver_zones))
             ]
+        held = 0
         for heard in self._heard:
             heard.add(pressure, start)
+            for streams in heard.streams.values():
+                held = streams.kept_within(held)
 
 
 class _ZoneHeard:
@@ -115,7 +117,7 @@ class _ZoneHeard:
         self._combined = still if not self._alone and not self._signals.moves else []
         self._moving = [r for r in there if r not in (*self._alone, *self._combined)]
         self._rows = {r: range(plan.row_count)[plan.rows_of(r)] for r in there}
-        self._streams: dict[bool, Streams] = {}
+        self.streams: dict[bool, Streams] = {}
         self._ears = ears_among(self._scene, self._moving, self._rate, self._signals.highest)
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
@@ -205,7 +207,7 @@ class _ZoneHeard:
 
     def _of(self, *, waves: bool) -> Streams:
         """Return the streams of plane waves, or of what stands still."""
-        if waves not in self._streams:
+        if waves not in self.streams:
             count = (
                 len(self._tail.arrivals) if waves else sum(len(self._rows[r]) for r in self._alone or self._combined)
             )
@@ -215,18 +217,19 @@ class _ZoneHeard:
             elif not waves:
                 made = self._combined_responses()
                 longest, lead, make = made.taps.shape[1], made.lead, partial(_same, made)
-            self._streams[waves] = Streams(
+            self.streams[waves] = Streams(
                 self._signals, make, len(self._tail.zones), count, longest, self._samples, lead
             )
-        return self._streams[waves]
+        return self.streams[waves]
 
     def _waves(self, zone: int) -> Responses:
         return plane_waves(self._tail, (zone, self._zone), self._source, self._rate, moves=self._signals.moves)
 
     def _at_one_place(self, zone: int) -> Responses:
         weights = np.square(gains_of(self._scene, self._alone, self._tail, 0.0)[0])
-        key = zone, self._zone
-        return at_one_place(self._tail, key, self._source, self._rate, weights, moves=self._signals.moves)
+        return at_one_place(
+            self._tail, (zone, self._zone), self._source, self._rate, weights, moves=self._signals.moves
+        )
 
     def _combined_responses(self) -> Responses:
         places = [self._scene.receivers[r].trajectory.position(0.0) for r in self._combined for _ in self._rows[r]]
@@ -278,8 +281,8 @@ class SourceSignals:
         self.moves = not is_static(self._end, turning=tail.zones.beams)
         highest = self.highest = min(_SPARE * self._end.emitted.band()[1], _HIGHEST * self._rate)
         ways = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.paths.scene.receivers)]
-        fastest = max(map(_fastest, ways)) / self._air.speed_of_sound
-        self.between = Between.up_to(highest, self._rate, min(fastest, _FASTEST))
+        speed = max(map(fastest, ways)) / self._air.speed_of_sound
+        self.between = Between.up_to(highest, self._rate, min(speed, _FASTEST))
         self._options = plan.options
         self._waves: Waves | None = None
         self._sent_before: dict[int, tuple[int, NDArray[Any]]] = {}
@@ -343,11 +346,6 @@ class SourceSignals:
     def _emitted(self, first: int, last: int) -> NDArray[Any]:
         begin = round(self._filters.start * self._rate)
         return self._filters.signal.read(first - begin, last - begin)
-
-
-def _fastest(way: Way) -> float:
-    """Return a bound of the speed, m/s."""
-    return 0.0 if way.is_static else float(way.speed_over(np.array([-1e9]), np.array([1e9]))[0])
 
 
 assert CPU_LAYOUT.lanes <= NEIGHBOURS

@@ -16,10 +16,14 @@ Amplitude = Literal["wave-equation", "static", "convective"]
 Responses = Literal["band", "centre"]
 Engine = Literal["opencl", "reference"]
 TailChoice = Literal["off", "auto"]
+TailScattering = Literal["size", "material"]
 
 _BANDLIMITED = Bandlimited()
 _OF_TRACKS = {"of_tracks": True}  # metadata of options that `track` and `pruned` carry out
-_WORDS = {"motion": Motion, "amplitude": Amplitude, "responses": Responses, "engine": Engine, "tail": TailChoice}
+_WORDS = {
+    "motion": Motion, "amplitude": Amplitude, "responses": Responses, "engine": Engine, "tail": TailChoice,
+    "tail_scattering": TailScattering,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,8 @@ class RenderOptions:
         Standard error of a tail's energies in windows of 20 ms, 0.02 to 3 dB, for which rays are traced.
     tail_seed : int
         Of the rays and of the tails' noise.
+    tail_scattering : {"size", "material"}
+        Whether walls scatter by their limited size as well, beyond images, or by their materials alone.
 
     Raises
     ------
@@ -118,6 +124,7 @@ class RenderOptions:
     tail_directions: int = 64
     tail_error_db: float = 0.25
     tail_seed: int = 0
+    tail_scattering: TailScattering = "size"
 
     def __post_init__(self) -> None:
         rate = as_number("sampling_rate", self.sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")

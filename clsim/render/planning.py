@@ -198,8 +198,9 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
     until = max(source.end for source in scene.sources) if options.duration is None else options.duration
     receivers = Zones.along(scene.receivers, scene.room, np.inf if options.duration is None else until, beams=False)
     asked = TailOptions(
-        searched_order(paths), options.tail_directions, options.tail_error_db, options.tail_seed, device=options.device
-    )
+        searched_order(paths), options.tail_directions, options.tail_error_db, options.tail_seed,
+        options.tail_scattering, options.device,
+    )  # fmt: skip
     for i, source in enumerate(scene.sources):
         low, high = source.emitted.band()
         if low >= ULTRASOUND:

@@ -17,8 +17,8 @@ from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
 from clsim.tail.device_rays import ray_engine
 from clsim.tail.host_rays import FLOOR
-from clsim.tail.ray_room import ANGLES, WallEnergies, ray_room
-from clsim.tail.rays import STEP, Spheres, Tracer, volume_within
+from clsim.tail.ray_room import ANGLES, WallEnergies, has_free_edges, ray_room
+from clsim.tail.rays import OF_TIME, STEP, Spheres, Tracer, volume_within
 from clsim.tail.zones import traced_bands
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     Damping = Callable[[Floats, int], Floats]
 
-SCATTERINGS = ("material", "size")
+SCATTERINGS = ("size", "material")
 MOST_ESCAPED = 0.5  # share of energy that may leave a room with a tail
 LITTLE_ESCAPED = 1e-3  # share of which nothing is said
 ULTRASOUND = 40e3  # Hz, from which on images hold what is heard
@@ -132,7 +132,7 @@ class TailOptions:
     directions: int = 64  # from which it arrives
     error_db: float = 0.25  # standard error of its energies that is asked for, dB
     seed: int = 0  # of rays and noise
-    scattering: str = SCATTERINGS[0]
+    scattering: str = SCATTERINGS[0]  # "size": walls scatter by their limited size as well
     device: str | None = None  # on which rays are traced
 
 
@@ -153,7 +153,7 @@ def find_tail(
     centres = traced_bands(scene, *band)
     c = scene.air.speed_of_sound
     energies = WallEnergies.of(scene, centres)
-    sized = options.scattering == "size" and not scene.room.is_convex
+    sized = options.scattering == "size" and has_free_edges(scene.room)
     room: Any = scene.room
     tracer = Tracer(
         ray_room(room), energies, ray_engine(options.device), c, options.max_order, (options.seed, source),
@@ -245,8 +245,7 @@ def _settled(heard: Heard, scene: Scene, energies: WallEnergies, centres: Floats
     return found
 
 
-_OF_TIME = 0.03  # half of a window of time over the time itself
-_OF_DIRECTIONS = 0.2  # the same for directions, which change more slowly and of which there are many
+_OF_DIRECTIONS = 0.2  # as `OF_TIME`, for directions, which change more slowly and of which there are many
 _LEAST = 2  # bins, half of a window for directions at the beginning
 
 
@@ -256,7 +255,7 @@ def smoothed(energy: NDArray[Any]) -> NDArray[np.float32]:
     The sum over directions is kept, but for a short window in which it is smoothed; how it is spread over them is taken
     from a longer one, for it changes slowly.
     """
-    total = _smoothed(energy.sum(axis=1, dtype=np.float64), _OF_TIME, 0)
+    total = _smoothed(energy.sum(axis=1, dtype=np.float64), OF_TIME, 0)
     spread = _smoothed(energy, _OF_DIRECTIONS, _LEAST)
     whole = spread.sum(axis=1)
     spread *= (total / np.maximum(whole, 1e-30))[:, None]

@@ -239,10 +239,11 @@ class _Traced:
         self._face, self._last = side[:, None] * normal, self._wall
         onward = unit(self._d - (np.float32(2.0) * towards)[:, None] * normal)
         share = run.scattered.reshape(-1, run.scattered.shape[2])[angle, self._group]
+        sized = self._scattered | (order >= run.max_order)
         if run.sized:
             following, next_one = self._next(self._o, onward)
             by_size = self._share_by_size(cosine, following)
-            share = _ONE - (_ONE - by_size) * (_ONE - share)
+            share = np.where(sized, _ONE - (_ONE - by_size) * (_ONE - share), share)
         for zone in range(len(self._to.zones)):
             self._rain(zone, share)
         drawn = self._drawn(order)

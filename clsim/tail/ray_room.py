@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from clsim.paths.response import NEPERS, covered
+from clsim.scene.room.mesh_cleaning import clusters
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -113,14 +114,20 @@ def _frame(normal: Floats) -> tuple[Floats, Floats]:
 
 
 def _rectangles(walls: Walls) -> tuple[Floats, Floats]:
-    """Return the sides (W, 4) of the smallest rectangles about walls: unit vector and length, m."""
+    """Return the sides (W, 4) of the smallest rectangles about walls: unit vector and length, m.
+
+    Walls that touch in one plane, such as a window that is flush with its wall, are one there.
+    """
+    flush = np.column_stack([np.repeat(np.arange(len(walls)), np.diff(walls.first_twin)), walls.twin])
+    _, surface = clusters(len(walls), flush)
     sides = []
     for wall, normal in enumerate(walls.normal):
         ring = walls.hull_of(wall)
+        held = np.concatenate([walls.hull_of(one) for one in np.flatnonzero(surface == surface[wall]).tolist()])
         edges = np.roll(ring, -1, axis=0) - ring
         edges /= np.linalg.norm(edges, axis=1, keepdims=True)
         others = np.cross(normal, edges)
-        lengths = np.ptp(ring @ edges.T, axis=0), np.ptp(ring @ others.T, axis=0)
+        lengths = np.ptp(held @ edges.T, axis=0), np.ptp(held @ others.T, axis=0)
         best = int(np.argmin(lengths[0] * lengths[1]))
         sides.append([[*edges[best], lengths[0][best]], [*others[best], lengths[1][best]]])
     found = np.array(sides)
@@ -200,6 +207,16 @@ def _halves(low: Float32s, high: Float32s, mine: NDArray[np.int64]) -> list[NDAr
 def _areas(low: Float32s, high: Float32s) -> Floats:
     x, y, z = (high - low).astype(np.float64).T
     return np.asarray(x * y + y * z + z * x)
+
+
+def has_free_edges(room: Room) -> bool:
+    """Test whether walls end where no mirror image goes on, as at a column or a sheet: a convex room has none."""
+    if room.is_convex:
+        return False
+    walls = room.as_mesh().walls
+    height = walls.hull @ walls.normal.T - walls.offset
+    flat = _AROUND * walls.size
+    return not np.all((height.min(axis=0) > -flat) | (height.max(axis=0) < flat))
 
 
 @lru_cache(maxsize=4)

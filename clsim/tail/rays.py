@@ -34,7 +34,8 @@ _FIRST, _LEAST = 512, 64  # rays of a slot at first, over the groups of bands, a
 _LARGEST = 1024  # rays of a slot at a time
 _GROWTH = 4.0  # of their number at most before the error is looked at again
 _LONGEST = 10.0  # s
-_DEPTH = 1e-4  # of the loudest window's energy, down to which the error is told
+OF_TIME = 0.03  # half of the time over which energies are smoothed, over the time itself
+_DEPTH = 10.0**-3.5  # of the loudest window's energy, down to which the error is told: where T30 ends
 _ALIKE = 10.0**0.1  # late energies of zones that share them: 1 dB
 _WHOLE = 2.0**34  # the largest contribution as a whole number
 _POINTS = 1024  # by which the volume of a sphere inside the room is measured
@@ -97,10 +98,12 @@ class Tracer:
     sized: NDArray[np.float64] | None = None  # wavelengths (B,) of bands, m, where walls scatter by their size
 
     def groups(self) -> list[Ints]:
-        """Return bands that share rays."""
-        if self.sized is not None:
-            return [np.array([band]) for band in range(len(self.energies.air))]
-        return self.energies.groups()
+        """Return bands that share rays: they scatter alike, and by size those of one octave do."""
+        alike = self.energies.groups()
+        if self.sized is None:
+            return alike
+        octave = np.rint(np.log2(self.speed_of_sound / self.sized / 1000.0))
+        return [group[octave[group] == one] for group in alike for one in np.unique(octave[group])]
 
     def heard(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float) -> list[Heard]:
         """Return the energies of a source's zone, in parts of as many spheres as fit the memory."""
@@ -178,7 +181,9 @@ class Tracer:
         tables = self.energies
         ends = np.cumsum([0, *(len(group) for group in groups)])
         one_of_each = [group[0] for group in groups]
-        wavelength = np.zeros(len(groups)) if self.sized is None else self.sized[one_of_each]
+        wavelength = np.zeros(len(groups))
+        if self.sized is not None:
+            wavelength = np.exp([np.log(self.sized[group]).mean() for group in groups])
         return RayRun(
             self.room, self.sized is not None, tables.kind.astype(np.int32),
             tables.returned[:, :, order].astype(np.float32), tables.scattered[:, :, one_of_each].astype(np.float32),
@@ -260,11 +265,12 @@ class _Search:
         return 4.0 * np.pi / (self._layout.scale * self._rays)
 
     def _error_db(self) -> float:
-        """Return the standard error of what is loud, dB; late energies are means over the zones of a row."""
+        """Return the standard error of what is loud, dB; late energies are means over zones of a row, and smoothed."""
         slots = self._energies.windows.astype(np.float64)
         early = round(RAIN / WINDOW)
         found = [slots[:, :, :early]]
-        found += [slots[:, self._row == row, early:].mean(axis=1, keepdims=True) for row in range(self._layout.rows)]
+        late = smoothed_windows(slots[:, :, early:], early)
+        found += [late[:, self._row == row].mean(axis=1, keepdims=True) for row in range(self._layout.rows)]
         error, count = 0.0, 0
         loudest = slots.mean(axis=0).max(axis=(0, 1))
         for part in found:
@@ -287,6 +293,16 @@ class _Search:
         images[..., order] = energies.images * unit
         departed = np.asarray(energies.departures * unit, np.float64)
         return Heard(early, late, np.asarray(images, np.float64), departed, self._row, self._rays, error_db)
+
+
+def smoothed_windows(energy: Floats, first: int) -> Floats:
+    """Average energies (S, Z, W, B) in windows over `OF_TIME` to either side; `first` windows came before them."""
+    ends = np.arange(energy.shape[2] + 1)
+    middle = ends[:-1] + 0.5
+    half = np.maximum(OF_TIME * (middle + first), 0.5)[:, None]
+    within = np.minimum(middle[:, None] + half, ends[1:]) - np.maximum(middle[:, None] - half, ends[:-1])
+    share = np.maximum(within, 0.0)
+    return np.asarray(np.einsum("vw,szwb->szvb", share / share.sum(axis=1, keepdims=True), energy, optimize=True))
 
 
 def volume_within(room: Any, centre: Floats, radius: float) -> float:

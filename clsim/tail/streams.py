@@ -24,6 +24,7 @@ _LEAST_BLOCK = 16384  # samples
 _OF_LENGTH = 3.0  # a block over a response, unless there is less to render
 _TOGETHER = 8  # streams that are transformed at a time: as many as fill vectors
 _KEPT = 2  # blocks
+_MOST_HELD = 2**29  # bytes of streams that are kept from chunk to chunk; those of more zones are made again
 
 
 class Emissions(Protocol):
@@ -74,6 +75,19 @@ class Streams:
             if part is not None:
                 out[:, begin - first : end - first] = part[:, begin - k * self.block : end - k * self.block]
         return out
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory of what is kept between calls."""
+        blocks = sum(block.nbytes for block in self._blocks.values() if block is not None)
+        return blocks + sum(sending.spectra.nbytes for sending in self._sending.values())
+
+    def kept_within(self, held: int) -> int:
+        """Add what is kept to the bytes that others hold, or drop it if all is too much: it is made again."""
+        if held + self.held_bytes <= _MOST_HELD:
+            return held + self.held_bytes
+        self._blocks, self._sending = {}, {}
+        return held
 
     def _made(self, k: int) -> NDArray[np.float32] | None:
         if k not in self._blocks:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.scene.ends import End
+    from clsim.scene.motion.motion import Motion
     from clsim.scene.room.protocol import Room
     from clsim.scene.scene import Scene
 
@@ -247,6 +248,11 @@ def zone_radius(room: Room) -> float:
 def is_static(end: End, *, turning: bool) -> bool:
     """Test whether an end never moves, and never turns where that matters."""
     return end.trajectory.is_static and not (turning and end.trajectory.turns)
+
+
+def fastest(way: Motion) -> float:
+    """Bound of the speed of a way, m/s."""
+    return 0.0 if way.is_static else float(way.speed_over(np.array([-1e9]), np.array([1e9]))[0])
 
 
 def _instants(end: End, until: float) -> Floats:

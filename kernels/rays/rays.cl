@@ -78,7 +78,9 @@ __kernel void rays(
         const float3 onward = mirrored(d, towards, wall.xyz);
         ray_hit next = hit;
         float share = scattered[angle * run.groups + group];
-        if (SIZED) {
+        // Images hold the whole of what they are of: walls are small to the reflections after them.
+        const int sized = SIZED && (was_scattered || order >= run.max_order);
+        if (sized) {
             next = next_wall(&room, o, onward, NOWHERE);
             const float by_size = share_by_size(&walls, hit.wall, d, cosine, before, next.far, wavelength[group]);
             share = 1.0f - (1.0f - by_size) * (1.0f - share);
@@ -97,6 +99,6 @@ __kernel void rays(
         fresh = uniform24(drawn.x) < share;
         was_scattered |= fresh;
         d = fresh ? lambert(&walls, last, side, drawn.y, drawn.z) : onward;
-        hit = SIZED && !fresh ? next : next_wall(&room, o, d, NOWHERE);
+        hit = sized && !fresh ? next : next_wall(&room, o, d, NOWHERE);
     }
 }

@@ -38,7 +38,7 @@ def ours(room: Any, source: np.ndarray, ear: np.ndarray) -> float:
         room, clsim.Air(speed_of_sound=343.0, absorption=False), [clsim.Source("s", tone, ends[0])],
         [clsim.Receiver("r", ends[1])],
     )  # fmt: skip
-    found = clsim.impulse_responses(clsim.find_paths(scene, 3), RATE, tail="auto", lead="keep")
+    found = clsim.impulse_responses(clsim.find_paths(scene, 3), RATE, lead="keep", tail_scattering="material")
     above = replace(found, samples=without_modes(found.samples))
     return float(clsim.room_measures(above, None).t30[0, 0, 0])
 

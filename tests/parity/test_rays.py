@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 import pytest
-from made_rays import box, many_triangles, run_in, traced, with_a_door, with_a_sheet
+from made_rays import WALL, box, many_triangles, run_in, traced, with_a_door, with_a_sheet
 
+import clsim
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.opencl.device import find_device
 from clsim.tail.device_rays import DeviceRays
-from clsim.tail.host_rays import HostRays, next_wall, philox
-from clsim.tail.ray_room import Energies, RayRoom
+from clsim.tail.host_rays import HostRays, _Traced, next_wall, philox
+from clsim.tail.ray_room import Energies, RayRoom, has_free_edges
 
 
 @pytest.mark.parametrize("sized", [False, True])
@@ -30,6 +31,46 @@ def test_the_device_adds_up_the_same_whole_numbers(device: None, make: Any, size
     assert expected.escaped.any() == (make is with_a_door)
     changed = replace(run, key=(8, 1))
     assert np.any(traced(HostRays(), changed, layout).early != expected.early)
+
+
+def test_images_lose_nothing_to_limited_size() -> None:
+    """Walls scatter by their size where images end: what images hold is the same to the last bit, all else is not."""
+    run, layout = run_in(with_a_sheet(), sized=True)
+    run = replace(run, scattered=np.zeros_like(run.scattered))
+    by_size, endless = (traced(HostRays(), replace(run, sized=sized), layout) for sized in (True, False))
+    np.testing.assert_array_equal(by_size.images, endless.images)
+    assert np.any(by_size.windows != endless.windows)
+
+
+def test_the_share_scattered_by_size_is_that_of_the_paper() -> None:
+    """Frequencies f_w and f_l of Christensen and Rindel (2005), for the side that the ray runs along and the other."""
+    run, layout = run_in(with_a_sheet(), sized=True)
+    rays = _Traced(run, layout, layout.empty(), 1, np.arange(len(run.directions)))
+    rays._far, after = np.full_like(rays._far, 2.0), np.full_like(rays._far, 3.0)
+    room, frequency, distance = run.room, 343.0 / 0.7, 2.0 * 2.0 * 3.0 / (2.0 + 3.0)
+    cosine = np.abs(np.sum(rays._d * room.plane[rays._wall, :3], axis=1))
+    sides = np.stack([room.along[rays._wall], room.across[rays._wall]]).astype(np.float64)
+    way = np.abs(np.einsum("sni,ni->sn", sides[..., :3], rays._d))
+    pick = np.arange(len(cosine))
+    width, length = sides[way.argmax(axis=0), pick, 3], sides[way.argmin(axis=0), pick, 3]
+    f_w, f_l = 343.0 * distance / (2.0 * (width * cosine) ** 2), 343.0 * distance / (2.0 * length**2)
+    expected = 1.0 - np.minimum(frequency / f_w, 1.0) * np.minimum(frequency / f_l, 1.0)
+    assert 0.0 == expected.min() < 0.5 < expected.max()
+    np.testing.assert_allclose(rays._share_by_size(cosine, after), expected, atol=1e-5)
+
+
+def test_walls_are_as_large_as_their_planes_and_convex_rooms_have_no_free_edges() -> None:
+    box, glass = [(x, y, z) for z in (0, 3) for y in (0, 4) for x in (0, 5)], clsim.Material.from_reflection(0.98)
+    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    window = [(5, 1, 1), (5, 2, 1), (5, 2, 2), (5, 1, 2)]
+    room = clsim.MeshRoom.from_polygons([*box, *window], [*sides, (8, 9, 10, 11)], [WALL] * 6 + [glass])
+    rays = RayRoom.of(room)
+    flush = np.abs(rays.plane[:, 0]) > 0.5
+    assert np.count_nonzero(flush) == 2 + 1  # both walls across x, and the window
+    np.testing.assert_allclose(np.sort([rays.along[flush, 3], rays.across[flush, 3]], axis=0).T, [[3.0, 4.0]] * 3)
+    assert not has_free_edges(room)
+    assert not has_free_edges(clsim.Shoebox((5.0, 4.0, 3.0), WALL))
+    assert has_free_edges(with_a_sheet())
 
 
 def test_threads_change_nothing(device: None) -> None:

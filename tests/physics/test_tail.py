@@ -17,6 +17,7 @@ import clsim
 from clsim.acoustics.room_acoustics import eyring_time, reverberation_time
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
+from clsim.render import diffuse_tail
 from clsim.render.contributions import Contribution
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.methods import static
@@ -266,6 +267,19 @@ def test_chunks_and_resuming_change_nothing_and_zones_little() -> None:
     assert line in plan.describe()
     assert re.match(r"source 0: diffuse tail of .* 16 directions, . x . zones; [0-9]+ rays", line)
     assert Rendering(plan).state() == {}
+
+
+def test_streams_that_are_not_kept_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zones beyond the memory that streams may take make them again for each chunk, to the last bit."""
+    plan = replace(moving_plan(), chunk=SEGMENT, builders=[DiffuseTail])
+    whole, adding = of_contribution(plan), tail_alone(plan).begin()
+    adding.add(np.zeros((plan.receiver_count, SEGMENT), np.float32), 0)
+    assert isinstance(adding, diffuse_tail._Tail)
+    assert sum(s.held_bytes for zone in adding._heard or [] for s in zone.streams.values()) > 0
+    monkeypatch.setattr("clsim.tail.streams._MOST_HELD", 0)
+    adding.add(np.zeros((plan.receiver_count, SEGMENT), np.float32), SEGMENT)
+    assert sum(s.held_bytes for zone in adding._heard or [] for s in zone.streams.values()) == 0
+    np.testing.assert_array_equal(of_contribution(plan), whole)
 
 
 def test_zones_are_crossed_at_constant_energy() -> None:

@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 Ints = NDArray[np.int64]
 
-_AREA_TOLERANCE = 1e-6  # relative, between a polygon's own area and that of its triangles
+_AREA_TOLERANCE = 1e-6  # relative, between a polygon's area and that of its triangles, or of a copy
 _PLANE_TOLERANCE = 1e-3  # of a polygon's size, beyond which it is called not planar
 _FLAT = 1e-12  # of the size squared, below which an area is rounding
+_GRID = 1e-9  # of the size, on which polygons are compared
 _PARALLEL = 1e-3  # sine of the angle between the planes of a polygon and of one that lies in it
 _MOSTLY = 0.9  # of a polygon's area, from which on it lies in another
 _ON = 1e-9  # of a side's length; what is nearer to it is on it
@@ -150,7 +151,10 @@ def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tup
         flat: list[Any] = []
         inner: list[Ints] = []
         for other, (_, turned, smaller) in zip(polygons, planes, strict=True):
-            if not 0.0 < smaller < area or np.linalg.norm(np.cross(axes[2], turned[2])) > _PARALLEL:
+            if (
+                not 0.0 < smaller < (1.0 - _AREA_TOLERANCE) * area
+                or np.linalg.norm(np.cross(axes[2], turned[2])) > _PARALLEL
+            ):
                 continue
             local = (corners[other] - centre) @ axes.T
             if np.abs(local[:, 2]).max() > near:
@@ -158,7 +162,7 @@ def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tup
             if not flat:
                 flat.append(Polygon(((corners[polygon] - centre) @ axes.T)[:, :2]))
             shape = Polygon(local[:, :2])
-            if shape.is_valid and flat[0].is_valid and flat[0].intersection(shape).area > _MOSTLY * shape.area:
+            if _lies_in(shape, flat[0], _GRID * area**0.5):
                 flat.append(shape)
                 inner.append(other)
         if not inner:
@@ -176,6 +180,15 @@ def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tup
             parts[i].append(known[apart.argmin(axis=1)])
         cut.append(i)
     return parts, cut
+
+
+def _lies_in(inner: Any, outer: Any, grid: float) -> bool:
+    """Test whether most of a polygon of shapely lies in another one, on a grid, m.
+
+    Without a grid, intersections of polygons that share an edge but for rounding may be wrong.
+    """
+    valid = inner.is_valid and outer.is_valid
+    return bool(valid and outer.intersection(inner, grid_size=grid).area > _MOSTLY * inner.area)
 
 
 def _plane(corners: Floats) -> tuple[Floats, Floats, float]:

@@ -89,6 +89,32 @@ def test_a_damaged_room_is_the_room_that_it_was(number: int, rng: np.random.Gene
     np.testing.assert_allclose(after, before, atol=(8.0 * (moved + 1e-4 * (moved > 0.0)) + 1e-9) / 343.0)
 
 
+@pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")  # of edges, which are left out
+@pytest.mark.parametrize("number", few(range(60), kept=(7, 13), many=True))
+def test_damages_of_all_kinds_at_once(number: int, tmp_path: Path) -> None:
+    """Cuts, flips, copies, split corners and jitter up to 1 mm at default options, as polygons and as a file."""
+    rng, room, most = np.random.default_rng(number), rooms()[number % 10], (0.0, 3e-5, 1e-3)[number // 10 % 3]
+    corners, triangles, _ = damaged(room, "cuts", rng)
+    for t in rng.permutation(len(triangles))[: len(triangles) // 4].tolist():
+        triangles[t] = triangles[t][::-1]
+    triangles += [np.roll(triangles[t], 1).tolist() for t in rng.permutation(len(triangles))[:3].tolist()]
+    each = corners[np.array(triangles)].reshape(-1, 3)
+    each += rng.uniform(-1.0, 1.0, each.shape) * most / np.sqrt(3.0)
+    faces = np.arange(len(each)).reshape(-1, 3)
+    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in each] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
+    (tmp_path / "room.obj").write_text("\n".join(lines))
+    before = delays(room)
+    for healed in (
+        clsim.MeshRoom.from_polygons(each, faces.tolist(), WALL),
+        clsim.MeshRoom.from_file(tmp_path / "room.obj", materials=WALL),
+    ):
+        assert healed.is_closed, healed.describe()
+        assert healed.volume == pytest.approx(room.volume, rel=1e-3)
+        after = delays(healed)
+        assert len(before) == len(after)
+        np.testing.assert_allclose(after, before, atol=(16.0 * most + 1e-6) / 343.0)
+
+
 @pytest.mark.parametrize("number", range(10))
 def test_a_clean_room_keeps_every_bit(number: int) -> None:
     room = rooms()[number]
