@@ -132,7 +132,9 @@ def test_two_screens_in_line(measured: Callable[..., float]) -> None:
     What screens send back, which Kirchhoff leaves out, is -40 dB.
     """
     room = clsim.MeshRoom.joined([screen(x, (-6.0, 0.0), (-TALL, TALL)) for x in (-0.5, 0.5)])
-    paths = clsim.find_paths(scene_of(room, (-2.0, 0.0, 0.0), [LINE((2, -0.5, 0), (2, 0.5, 0), 1.0)]), 1, diffraction=2, edge_gaps=True)
+    paths = clsim.find_paths(
+        scene_of(room, (-2.0, 0.0, 0.0), [LINE((2, -0.5, 0), (2, 0.5, 0), 1.0)]), 1, diffraction=2, edge_gaps=True
+    )
     times = np.linspace(0.3, 0.7, 17) + 1e-4
     found = over_free_field(paths, times, 4.6)
     exact = [knife_edges((-2.0, 0.0), (2.0, time - 0.5), (-0.5, 0.5)) for time in times]
@@ -272,7 +274,9 @@ def test_boards_in_tables_and_both_engines(device: None) -> None:
     """Names and corners of the ways, samples of both engines, and chunks that change nothing."""
     walls = clsim.Shoebox((6.0, 4.0, 3.0), clsim.Material.from_reflection(0.7)).as_mesh()
     bodies, _ = boards([LINE((2.0, 1.5, 1.1), (2.0, 1.6, 1.1), 0.2), FIXED((3.5, 1.4, 1.05))])
-    paths = clsim.find_paths(scene_of(walls, (1.0, 1.53, 1.1), [(4.7, 1.47, 0.93)], bodies=bodies), 1, diffraction=2, edge_gaps=True)
+    paths = clsim.find_paths(
+        scene_of(walls, (1.0, 1.53, 1.1), [(4.7, 1.47, 0.93)], bodies=bodies), 1, diffraction=2, edge_gaps=True
+    )
     [family] = [f for f in paths.families if f.kind == "moving edge gap"]
     between = np.flatnonzero((family.interactions[:, 1] != 3) & (family.order == 3))
     for pair in family.pairs():
@@ -290,7 +294,9 @@ def test_what_stands_between_hides_one_edge_from_the_other() -> None:
     for height, wanted in ((0.3, False), (-0.3, True)):
         parts = [screen(-0.5, (-6.0, 0.0), (-1.0, 1.0)), screen(0.5, (-6.0, 0.1), (-1.0, 1.0))]
         room = clsim.MeshRoom.joined([*parts, screen(0.0, (-6.0, height), (-2.0, 2.0))])
-        paths = clsim.find_paths(scene_of(room, (-2.0, -0.5, 0.0), [(2.0, -0.4, 0.0)]), 0, diffraction=2, edge_gaps=True)
+        paths = clsim.find_paths(
+            scene_of(room, (-2.0, -0.5, 0.0), [(2.0, -0.4, 0.0)]), 0, diffraction=2, edge_gaps=True
+        )
         [gaps] = [family for family in paths.families if family.kind == "static edge gap"]
         edges, both = room.edges(), {}
         for i, (start, length) in enumerate(zip(edges.start, edges.length, strict=True)):
