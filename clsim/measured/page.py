@@ -159,7 +159,7 @@ def _table(room: MeasuredRoom, state: MeasuredState, found: Simulated) -> list[s
         theirs = [np.mean(v[name] - wanted, axis=1) for v in state.participants.values() if name in v]
         for b, frequency in enumerate(room.frequencies):
             difference = float(np.mean(got[b] - wanted[b]))
-            cells = [f"{_word(name)} ({unit})" if b == 0 else "", f"{frequency:.4g}"]
+            cells = [(f"{_word(name)} ({unit})" if unit else _word(name)) if b == 0 else "", f"{frequency:.4g}"]
             cells += [f"{scale * x:.3g}" for x in (np.mean(wanted[b]), np.mean(got[b]))]
             cells += [f"{scale * difference:+.2g}", f"{apart[b]:.2f}"]
             if has_others:

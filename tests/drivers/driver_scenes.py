@@ -35,6 +35,7 @@ from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
+from clsim.sensitivity.moments import MomentEngine
 from clsim.tail.device_rays import GROUP, DeviceRays
 from clsim.tail.streams import NODE, Between, Motion
 
@@ -296,6 +297,25 @@ class Channels:
 def channels(device: str) -> Channels:
     """Impulse responses of a receiver at nodes."""
     return Channels(plan(world(walls=[CURTAIN, *REAL[1:]]), device))
+
+
+@dataclasses.dataclass(frozen=True)
+class Moments:
+    """Moments of what arrives, times weights, for several functions of frequency."""
+
+    plan: Plan
+
+    def heard(self, lanes: int) -> np.ndarray:
+        layout = next(layout for layout in LAYOUTS.values() if layout.lanes == lanes)
+        weights, taken = np.random.default_rng(6).standard_normal((1, self.plan.samples)), []
+        MomentEngine(self.plan, layout).taken(weights, lambda *given: taken.append(given[-1].ravel()))
+        return np.concatenate(taken)
+
+
+@scene
+def moments(device: str) -> Moments:
+    """The transpose of the sum over paths, some of which come and go."""
+    return Moments(plan(partly(world(walls=[CURTAIN, *REAL[1:]]), 0.0005), device))
 
 
 # The last ones, as their tables are large: after every launch Oclgrind clears notes of all memory that there is.

@@ -17,7 +17,7 @@ PARITY_DB = -120.0  # compilers may fuse products and sums otherwise: measured -
 # Where `pip install clsim[drivers]` and the Debian package oclgrind put them; the first of CLSIM_DRIVERS, if it is a folder.
 PREFIXES = [Path(os.environ.get("CLSIM_DRIVERS", "")), Path(sys.prefix), Path("/usr"), Path("/usr/local")]
 EVERYTHING = bool(os.environ.get("CLSIM_ALL_DRIVERS"))
-FEW_ON_GPUS = ("plain", "pulses", "baseband", "waves")
+FEW_ON_GPUS = ("plain", "pulses", "baseband", "waves", "moments")
 # Constants by which code is chosen, and their values.
 OPTIONS = {
     "LANES": {"1", "8"}, "SPARSE": {"0", "1"}, "FINE": {"0", "1"}, "OVERSAMPLING": {"1", "2"}, "PARTS": {"1", "2"},

@@ -159,7 +159,7 @@ def test_studies_compute_them(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     study = load_study(tmp_path / "study.toml")
-    content = computed(study, study.members[0], None, tmp_path / "member")[0]
+    content = computed(study, study.members[0], None, tmp_path / "member").content
     assert bool(content.line_of_sight.all())
     truth = clsim.body_truth(clsim.load_scene(tmp_path / "scene.toml").scene, content.times.values)
     assert content.body.values.tolist() == ["door", "robot"]

@@ -136,7 +136,7 @@ def test_studies_vary_them(tmp_path: Path) -> None:
     study = 'format = 1\nscene = "scene.toml"\nkeep = ["paths"]\n' + vary
     (tmp_path / "study.toml").write_text(study, "utf-8")
     read = load_study(tmp_path / "study.toml")
-    content = [computed(read, member, None, tmp_path / str(i))[0] for i, member in enumerate(read.members)]
+    content = [computed(read, member, None, tmp_path / str(i)).content for i, member in enumerate(read.members)]
     kinds = [np.asarray(each.path_interactions) for each in content]
     both = [np.sum(np.any(kind == 2, axis=1) & np.any(kind == 3, axis=1)) for kind in kinds]
     assert both[0] == 0 < both[1]

@@ -95,7 +95,7 @@ def test_a_door_in_tables_pages_and_studies(tmp_path: Path, capsys: pytest.Captu
 
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     study = load_study(tmp_path / "study.toml")
-    content = computed(study, study.members[0], None, tmp_path / "member")[0]
+    content = computed(study, study.members[0], None, tmp_path / "member").content
     assert not content.line_of_sight.any()
     assert content.body_visible.values.all(), "its nearest point, from the side of the source"
     models = [build_scene(study.content_of(member), tmp_path).paths["diffraction_model"] for member in study.members]

@@ -12,7 +12,7 @@ from same_intervals import same
 
 import clsim
 from clsim.paths.propagation import UniformAir
-from clsim.paths.search.edges import _candidates, _sequences
+from clsim.paths.search.edges import _candidates, _edge_pairs, _edges_and_ends, _sequences
 from clsim.paths.search.mesh import sides_of_air
 from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
 from clsim.paths.visibility.device import DeviceSearch
@@ -78,10 +78,11 @@ def search(name: str, on_device: bool = False) -> EdgeSearch:
 def candidates(name: str) -> list[EdgeCandidates]:
     ends = trajectory_tables(*CASES[name])
     spheres = BoundingSpheres(0.5 * (EDGES.start + EDGES.stop), 0.5 * EDGES.length)
-    reached = partial(_sequences, search(name), spheres, ORDER)
+    finder = search(name)
+    reached = partial(_sequences, finder, spheres, ORDER)
     sent, heard = reached(ends.sphere(0, -0.1)), [reached(ends.sphere(1 + r)) for r in range(len(CASES[name][1]))]
-    kinds = (partial(_candidates, pairs=False), partial(_candidates, pairs=True))
-    return [c for kind in kinds for _, c in kind(ROOM.walls, sent, heard, EDGES, ORDER)]
+    kinds = [kind(finder, reached, ORDER) for kind in (_edges_and_ends, _edge_pairs)]
+    return [c for kind in kinds for _, c in _candidates(ROOM.walls, (sent, heard), EDGES, ORDER, kind)]
 
 
 @pytest.fixture(scope="module")

@@ -311,12 +311,13 @@ def test_engines_agree_among_walls_and_beams_with_phases(measured):
 
 def test_the_picture_of_air_shows_the_speed(tmp_path, monkeypatch):
     """`clsim plot air` draws what the wavenumber says, a curve for each humidity."""
-    from matplotlib.figure import Figure
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     from clsim.cli import main
 
     drawn = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: (drawn.append(figure), Path(path).touch()))
+    write = lambda canvas, path: (drawn.append(canvas.figure), Path(path).touch())  # noqa: E731
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", write)
     assert main(["plot", "air", "-o", str(tmp_path / "air.png"), "--temperature", "25"]) == 0
     axes = next(a for a in drawn[0].axes if "speed" in a.get_title())
     curves = [line.get_xydata().T for line in axes.lines if len(line.get_xdata()) > 2]

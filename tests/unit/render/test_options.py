@@ -69,6 +69,7 @@ def test_all_are_checked_and_converted_once() -> None:
         ({"tail": "auto", "baseband": (4e3, 1e3)}, "tail: must be 'off' in baseband, but is 'auto'"),
         ({"tail_directions": 4}, "tail_directions: must be from 16 to 1024, but is 4"),
         ({"tail_error_db": 0.0}, "tail_error_db: must be at least 0.02 dB, but is 0 dB"),
+        ({"tail_scattering": "all"}, 'tail_scattering: must be one of "size", "material", but is \'all\''),
         ({"tail_seed": -1}, "tail_seed: must be at least 0, but is -1"),
         ({"narrowband": True, "baseband": (4e3, 1e3)}, "narrowband: must not be True in baseband"),
     ],
