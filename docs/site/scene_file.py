@@ -98,6 +98,7 @@ IN_TABLE = {
     },
     "PolygonsRoomModel": {"path": "A TOML file of corners and polygons: see [meshes](meshes.md)."},
     "_Decay": {"frequencies": "Positive and increasing, Hz.", "seconds": "Reverberation times at these frequencies, s."},
+    "_ResponseTable": {"outside": "Outside the given frequencies, `\"zero\"` takes no response and `\"hold\"` that of the nearest one. If left out, this is an error."},
     "_Porous": {"outside": "`\"extend\"` uses the model also where it was not fitted. If left out, this is an error."},
 }  # fmt: skip
 
