@@ -33,15 +33,15 @@ class PathOptions:
     max_order : int
         Largest number of reflections, 0 for the direct sound alone.
     diffraction : int
-        Largest number of edges that a path turns round: 0, 1 for paths with one edge and up to `max_order` reflections
-        before and after it, of the room or of bodies, or 2 for those over two edges of one face as well.
+        Largest number of edges of a path: 0, 1 or 2. With 1, paths have one edge, of the room or of a body, and up to
+        `max_order` reflections before and after it. With 2, paths over two edges of one face are found as well.
     edge_gaps : bool
         Whether paths over two edges that share no face are found, too, as past two posts or screens; needs
         `diffraction` 2. The search takes seconds for a box, and minutes for a room with several.
     diffraction_model : {"utd", "btm"}
-        Of the field at an edge: the uniform theory of diffraction, for some 5 kHz and more, or the exact field of a
-        wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two edges are those of
-        "utd".
+        Law of the field at an edge. "utd" is the uniform theory of diffraction, for some 5 kHz and more. "btm" is the
+        exact field of a wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two
+        edges are those of "utd".
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3. An echo of N
         walls has the shadow of a sphere if it is at least N.
@@ -49,26 +49,26 @@ class PathOptions:
         Largest number of scatterers that a path meets one after another, 1 or 2. Paths by two go straight from the
         first to the second, with up to `scattering_order` reflections by walls before and after them.
     edge_scattering : bool
-        Whether paths over one edge of the room and by one scatterer are found, in either order, with up to
-        `scattering_order` reflections by walls before the scatterer and after it; with `diffraction` 2 also those with
-        an edge on either side of it.
+        Whether paths over one edge of the room and by one scatterer are found, in either order. They have up to
+        `scattering_order` reflections by walls before the scatterer and after it. With `diffraction` 2 there may be an
+        edge on either side of it.
     body_order : int, optional
         Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
     body_step : float
-        How far bodies, source and receiver together go from one look to the next at paths over edges and by
-        scatterers that bodies may hide, and at others where no bound holds, 10 um to 1 m; what comes and goes between
-        two looks is missed.
+        Largest movement of bodies, source and receiver together from one look to the next, 10 um to 1 m. It applies to
+        paths over edges and by scatterers that bodies may hide, and to others for which no bound holds. What comes and
+        goes between two looks is missed.
     direct : bool, float or mapping
-        Whether paths by nothing are among them; without them a sonar hears no cross-talk of its own source, and with
+        Whether direct paths are among them. Without them a sonar hears no cross-talk of its own source, and with
         `max_order` 0 nothing but echoes of scatterers. A number is their level relative to the free direct sound, dB,
-        as behind a baffle; a mapping of (source, receiver), by their names, to either is for these pairs alone. The
+        as behind a baffle. A mapping of (source, receiver), by their names, to either is for these pairs alone. The
         reflection in a face that both ends sit in counts as direct sound. It must be False for a source and a receiver
         at the same place, such as a transducer that hears its own echo.
     path_limit : int
         Number of paths above which the search is refused or given up.
     finder : {"auto", "beam-tree", "shooting"}
-        How wall sequences are found in a mesh: by a tree of beams, which misses none, or by rays, which can miss small
-        walls and needs embreex; "auto" shoots only where the tree would be far too large, with a warning.
+        How wall sequences are found in a mesh. A tree of beams misses none. Shooting rays can miss small walls and
+        needs embreex. "auto" shoots only where the tree would be far too large, with a warning.
     resolution : float, optional
         To which ends of intervals are found in a mesh, s; 1/16 sample of the fastest sampled signal when left out.
     engine : {"opencl", "reference"}

@@ -44,18 +44,17 @@ class RenderOptions:
         Time in which a path begins and ends, by a raised cosine centred on the boundary, up to 1 s. With 0 it does so
         at once, which splatters.
     responses : {"band", "centre"}
-        Whether air, walls and directivities are what they are at each frequency of a signal's band, or everywhere what
-        they are at the centre of the band.
+        Frequencies at which air, walls and directivities are evaluated: all of a signal's band, or its centre alone.
     response_error_db : float
-        With ``responses="band"``, bound on the error that the responses of all paths add up to, over the signal's band,
-        -120 to -20 dB relative to what is heard within some 40 ms.
+        With ``responses="band"``, bound on the total error of the responses of all paths over the signal's band. It is
+        -120 to -20 dB, relative to the level received within some 40 ms.
     baseband : (carrier, bandwidth), optional
         Render complex envelopes about a carrier, Hz, instead of the sound: what mixing it with
         ``exp(-2 pi j carrier t)``, a low-pass and decimation would give, several times faster. The bandwidth, both
         sides together, must hold signals and Doppler shifts; a third number chooses the sampling rate: see `Baseband`.
     prune_below_db : float, optional
         Leave out paths that stay below this level, -300 to -20 dB relative to the strongest arrival at the same
-        receiver; the recording's notes tell how many, and a bound of what they add up to.
+        receiver. The recording's notes give their number and a bound of their sum.
     engine : {"opencl", "reference"}
         The fast one or the exact one.
     device : str, optional
@@ -67,18 +66,19 @@ class RenderOptions:
         Samples that are held at a time, rounded up to whole segments (of 18432 samples; in baseband of 32 blocks).
     convolve_static : bool
         Whether pairs of source and receiver that never move are rendered by their impulse response, exact to -110 dB,
-        instead of path by path; with the OpenCL engine and a `Bandlimited` interpolator.
+        instead of path by path. It needs the OpenCL engine and a `Bandlimited` interpolator.
     narrowband : bool, optional
-        Whether what a source emits in narrow bands is rendered as complex envelopes at low rates, several times
-        faster, and only the rest of it (onsets, ends) at the recording's; where the scene allows it, with the OpenCL
+        Whether narrow-band parts of a signal are rendered as complex envelopes at low rates, several times faster. The
+        rest (onsets, ends) is rendered at the recording's rate. It applies where the scene allows it, with the OpenCL
         engine and a `Bandlimited` interpolator. Left out: where an estimate says that it pays.
     channels : bool, optional
-        Whether pairs of source and receiver of very many paths are rendered by impulse responses that are sampled as
-        fast as Doppler shifts change them; where the scene allows it, on CPUs, with the OpenCL engine and a
+        Whether pairs of source and receiver with very many paths are rendered by impulse responses, sampled as fast as
+        Doppler shifts change them. It applies where the scene allows it, on CPUs, with the OpenCL engine and a
         `Bandlimited` interpolator. Left out: where an estimate says that it pays.
     tail : {"off", "auto"}
-        Whether what images leave, higher orders and all that walls scatter, is rendered as a diffuse tail by rays:
-        with "auto" for sources whose signal reaches below 40 kHz, in closed rooms, where more than -60 dB is left.
+        Whether the energy that image sources leave (higher orders, scattering by walls) is rendered as a diffuse tail
+        by rays. "auto" makes a tail for sources whose signal reaches below 40 kHz, in closed rooms, where more than -60
+        dB is left.
     tail_directions : int
         Directions from which tails arrive, 16 to 1024.
     tail_error_db : float

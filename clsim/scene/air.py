@@ -86,8 +86,8 @@ class Air:
     Parameters
     ----------
     temperature_celsius : float or (float, float) or callable
-        Temperature, -73 to 100 °C: everywhere; at the lower and the upper of `heights`, and linear in height; or a
-        function that takes heights (n,) in m and returns temperatures (n,).
+        Temperature, -73 to 100 °C, everywhere. Two values are those at the lower and the upper of `heights`, linear in
+        height. A function takes heights (n,) in m and returns temperatures (n,).
     relative_humidity : float or (float, float) or callable
         From 0 to 1 (not per cent), likewise.
     pressure : float

@@ -134,8 +134,8 @@ class TargetFluctuation:
     correlation_time : float
         After which what fluctuates has the correlation 1/e, from 1 ms, s.
     steady : float
-        Share of the mean power that does not fluctuate, 0 to 1: at 0 the power is distributed exponentially, as in
-        Swerling's cases 1 and 2; at 0.71 it varies as much as in his cases 3 and 4.
+        Share of the mean power that does not fluctuate, 0 to 1. At 0 the power is distributed exponentially, as in
+        Swerling's cases 1 and 2. At 0.71 it varies as much as in his cases 3 and 4.
     seed : int
         Of the noise: the same one gives the same noise, whenever and in whatever pieces it is asked for.
 

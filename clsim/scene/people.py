@@ -350,7 +350,7 @@ def hand(
     name : str
         Before the names of the parts: "name palm", "name index", "name index tip" and so on.
     trajectory : Trajectory
-        Where the middle of the palm is, and how it is turned: its own x goes out of the palm, y towards the thumb and z
+        Where the middle of the palm is, and how it is turned. Its own x goes out of the palm, y towards the thumb and z
         along the fingers.
     length : float
         Of the open hand, m.

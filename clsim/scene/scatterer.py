@@ -361,8 +361,8 @@ class Scatterer:
         trajectory : Trajectory
             Where its centre is.
         model : {"series", "geometrical", "outline"}
-            The series over its modes, exact at every frequency, distance and angle, shadow included; geometrical
-            optics, which cast no shadow; or these with the shadow of its outline, as ellipsoids have.
+            "series" sums its modes, exact at every frequency, distance and angle, shadow included. "geometrical" is
+            geometrical optics, without a shadow. "outline" adds to this the shadow of its outline, as ellipsoids have.
 
         Raises
         ------

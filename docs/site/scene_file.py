@@ -28,70 +28,78 @@ UNIT = re.compile(
 )
 HEAD = """# Scene files
 
-Every table and key, with what it holds, its unit and its default. Files that are named are relative to the scene file. `clsim new`
-writes a commented file to begin with, `clsim check` says what a file would compute, and `clsim schema` gives a JSON schema for editors.
-Texts are in quotes, numbers may be written as `40e3`, lists in brackets; unknown keys are errors.
+This page lists every table and key with its meaning, unit and default. Paths of files are relative
+to the scene file. Unknown keys are errors.
+
+| command | what it does |
+|---|---|
+| `clsim new` | writes a commented file to begin with |
+| `clsim check` | reports what a file would compute |
+| `clsim schema` | writes a JSON schema for editors |
+
+Texts are in quotes and lists in brackets. Numbers may be written as `40e3`.
 
 """
 # Of keys that no constructor has: they choose one, or are written otherwise.
 TEXTS = {
-    "kind": "Which of the kinds this table is.",
-    "format": "Of the file; 1.",
-    "room": "What the sound is in.",
-    "air": "What it travels through.",
-    "sources": "What sounds: a `[[sources]]` each.",
-    "receivers": "What hears: a `[[receivers]]` each; one with `positions` is an array.",
-    "scatterers": "What moves and scatters: a `[[scatterers]]` each.",
-    "paths": "Which paths are looked for.",
-    "render": "How sound is made of them.",
+    "kind": "The kind of this table.",
+    "format": "Version of the file's format; 1.",
+    "room": "The room with its walls.",
+    "air": "The air in the room.",
+    "sources": "Sources of sound: one `[[sources]]` each.",
+    "receivers": "Receivers: one `[[receivers]]` each. A receiver with `positions` is an array.",
+    "scatterers": "Scatterers that may move: one `[[scatterers]]` each.",
+    "paths": "Options of the search for paths.",
+    "render": "Options of rendering.",
     "path": "A file, relative to the scene file.",
     "phases_path": "A second file, with the phases in degrees.",
     "materials": "A material, or materials by the names of groups and `default`.",
     "walls": "A material, or materials by wall: `x_min` to `z_max` and `default`.",
-    "obstacles": "What stands in the room: a `[[room.obstacles]]` each, a mesh or a plan.",
-    "default": "Of walls that are not named.",
+    "obstacles": "Obstacles in the room: one `[[room.obstacles]]` each, a mesh or a plan.",
+    "default": "Material of walls that are not named.",
     "roughness": "Standard deviation of the surface's height, m.",
     "leave_out": "Materials whose polygons are not in the room.",
     "sheets_below": "Shells thinner than this are taken as sheets, m; 0 for none.",
     "reflection": "The same factor at all frequencies: a number, or `[real, imaginary]`.",
-    "reverberation_time": "In the one material of all walls of a shoebox, s: absorption with which Eyring's time is this, without obstacles and the air's share; or a table by frequency.",
-    "named": "Of the built-in materials: `clsim materials` lists them.",
-    "pulse": "What is repeated: a signal of its own.",
-    "positions": "Where they are: a grid or a file.",
+    "reverberation_time": "Reverberation time by Eyring, s, or a table by frequency: it gives the absorption of the one material of all walls of a shoebox. Obstacles and the absorption of the air are left out.",
+    "named": "Name of a built-in material: `clsim materials` lists them.",
+    "pulse": "The repeated signal, a table of its own.",
+    "positions": "Positions of the elements: a grid or a file.",
     "pillars": "Outlines of pillars: lists of corners, m.",
-    "speed_of_sound": "m/s, or `\"iso9613\"`; by temperature, humidity and pressure where left out.",
-    "interpolator": "The filter that delays.",
+    "speed_of_sound": "m/s, or `\"iso9613\"`; from temperature, humidity and pressure if left out.",
+    "interpolator": "The fractional delay filter.",
     "baseband": "Complex envelopes about a carrier instead of sound.",
     "phases": "One per magnitude, rad.",
-    "aim": "A fixed direction in which the axis points, or `\"forward\"` for that of the motion; for trajectories without orientations of their own.",
-    "flush": "Whether it sits in a wall, or in a face of the body that carries it, or the direction off that wall or face.",
-    "rear": "Beyond the last angle of the table: as there, mirrored, or nothing.",
-    "side": "Which side of a table of -180° to 180° counts.",
-    "outside": "`\"hold\"`: outside its frequencies as at the nearest; an error where left out.",
-    "relative_to_axis": "Whether values are divided by that on the axis.",
-    "sequence": "Which sequence of chips.",
+    "aim": "A fixed direction of the axis, or `\"forward\"` for the direction of motion. Only for trajectories without orientations of their own.",
+    "flush": "Whether it sits in a wall, or in a face of the body that carries it. A direction names the side: off that wall or face.",
+    "rear": "Values beyond the last angle of the table: those of that angle, mirrored ones, or zero.",
+    "side": "The side that is used of a table from -180° to 180°.",
+    "outside": "`\"hold\"` takes the nearest frequency outside the given ones. If left out, this is an error.",
+    "relative_to_axis": "Whether values are divided by the value on the axis.",
+    "sequence": "The kind of sequence of chips.",
     "magnitudes": "One per frequency, Pa/V of sources and V/Pa of receivers.",
 }  # fmt: skip
 # Of keys that mean something else in one table than in others, or that no constructor tells of by their names.
 IN_TABLE = {
-    "_Segment": {"start": "Name of the joint at which it begins.", "end": "Name of the joint at which it ends.", "radius": "Of its cross-section, m."},
-    "_Direct": {"source": "Name of the source.", "receiver": "Name of the receiver.", "level_db": "Of the direct sound, dB."},
-    "_Scattering": {"frequencies": "Increasing, Hz.", "values": "Scattering coefficients there, 0 to 1."},
+    "_Segment": {"start": "Name of the joint at which it begins.", "end": "Name of the joint at which it ends.", "radius": "Radius of its cross-section, m."},
+    "_Direct": {"source": "Name of the source.", "receiver": "Name of the receiver.", "level_db": "Level of the direct sound, dB."},
+    "_Scattering": {"frequencies": "Increasing, Hz.", "values": "Scattering coefficients at these frequencies, 0 to 1."},
     "_Transmission": {
-        "surface_mass": "Of a limp panel, 1e-3 to 1e5 kg/m²: the mass law.",
-        "frequencies": "In its place, a table: increasing, Hz.",
-        "losses_db": "Transmission losses there, 0 to 300 dB.",
+        "surface_mass": "Mass of a limp panel by area, 1e-3 to 1e5 kg/m², for the mass law.",
+        "frequencies": "Frequencies of a table in place of the mass, increasing, Hz.",
+        "losses_db": "Transmission losses at these frequencies, 0 to 300 dB.",
     },
-    "_Waypoints": {"positions": "Where it is at these times: three coordinates for each, m."},
+    "_Waypoints": {"positions": "Positions at these times: three coordinates for each, m."},
     "_File": {
-        "format": "Of the file: lines of `t x y z qx qy qz qw` (TUM), the CSV of EuRoC, CSV with a header, or a ROS bag.",
-        "rotate": "Unit quaternion x y z w: the file's axes, after `scale`, are turned by it into those of the room.",
+        "format": "Format of the file: lines of `t x y z qx qy qz qw` (TUM), the CSV of EuRoC, CSV with a header, or a ROS bag.",
+        "rotate": "Unit quaternion x y z w. After `scale` it turns the axes of the file into those of the room.",
         "scale": "Metres in the file's unit of length: 0.001 for millimetres.",
-        "translate": "Moves what is scaled and turned, m.",
+        "translate": "Displacement after scaling and turning, m.",
     },
     "PolygonsRoomModel": {"path": "A TOML file of corners and polygons: see [meshes](meshes.md)."},
-    "_Decay": {"frequencies": "Positive and increasing, Hz.", "seconds": "Reverberation times there, s."},
-    "_Porous": {"outside": "`\"extend\"`: the model also where it was not fitted; an error where left out."},
+    "_Decay": {"frequencies": "Positive and increasing, Hz.", "seconds": "Reverberation times at these frequencies, s."},
+    "_ResponseTable": {"outside": "Outside the given frequencies, `\"zero\"` takes no response and `\"hold\"` that of the nearest one. If left out, this is an error."},
+    "_Porous": {"outside": "`\"extend\"` uses the model also where it was not fitted. If left out, this is an error."},
 }  # fmt: skip
 
 
@@ -246,7 +254,7 @@ UNITS = {
     "ambient_noise_db": "dB", "self_noise_db": "dB", "low_cut": "Hz", "high_cut": "Hz",
     "adc_full_scale": "V", "clock_ppm": "ppm", "clock_offset": "s", "flow_resistivity": "Pa s/m²", "temperature_celsius": "°C",
     "response_error_db": "dB", "prune_below_db": "dB", "sensitivity": "Pa/V, V/Pa", "rotate": "", "repeats": "", "samples": "",
-    "narrowband": "", "outline": "m", "pillars": "m",
+    "narrowband": "", "outline": "m", "pillars": "m", "surface_mass": "kg/m²",
 }  # fmt: skip
 EXAMPLES = {
     "name": '"robot"', "path": '"room.obj"', "size": "[8.0, 6.0, 3.0]", "outline": "[[0, 0], [8, 0], [8, 5], [0, 5]]", "height": "3.0",

@@ -187,11 +187,11 @@ class Directivity(ABC):
         Parameters
         ----------
         name : {"MA40S4S", "MA40S4R", "T4010A1"}
-            Murata's open 40 kHz transmitter and receiver: each is the baffled piston of 4.7 mm radius, which has
-            the 80° between -6 dB points that the maker states at 40 kHz. It is an equivalent piston, not a
-            measurement: side lobes, rear and other frequencies are the formula's.
-            Nicera's 40 kHz transmitter: the published levels at 40 kHz in steps of 10° up to 90°, the last of them
-            (-15 dB) kept behind. They are nominal, read to whole dB, and have no phase.
+            Murata's open 40 kHz transmitter and receiver. Each is the baffled piston of 4.7 mm radius, which has 80°
+            between -6 dB points, as the maker states at 40 kHz. It is an equivalent piston, not a measurement: side
+            lobes, rear and other frequencies are the formula's. Nicera's 40 kHz transmitter: the published levels at 40
+            kHz in steps of 10° up to 90°, the last of them (-15 dB) kept behind. They are nominal, read to whole dB,
+            and have no phase.
         outside : {None, "hold"}
             What a table (T4010A1) gives at other frequencies than its own: refused (None), or the same.
 

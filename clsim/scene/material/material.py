@@ -442,8 +442,8 @@ class Material(ReflectingSurface):
         sound_speed : float
             Of longitudinal waves, m/s; density times sound speed is at least 1e5 Pa s/m.
         boundary_layer : bool
-            Whether viscosity and heat conduction at the wall take their part: at 40 kHz 0.4 % of the pressure at
-            normal incidence, and the more the lower the sound comes in. Otherwise one real factor for all angles.
+            Whether viscosity and heat conduction at the wall take their part. At 40 kHz this is 0.4 % of the pressure
+            at normal incidence, and more at grazing incidence. Otherwise one real factor for all angles.
 
         Raises
         ------

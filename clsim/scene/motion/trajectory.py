@@ -205,8 +205,8 @@ class Trajectory(Motion):
         times : array_like (n,)
             Strictly increasing, s, at least two.
         origin : array_like (3,), optional
-            What swings, where it is at angle 0, m; the axis point where left out. For a body it is the origin of its
-            mesh: with 0, 0, 0 a mesh is told in coordinates of the room, as it is at angle 0.
+            Position of the swinging thing at angle 0, m; the axis point where left out. For a body it is the origin of
+            its mesh. With 0, 0, 0 a mesh has coordinates of the room, as it is at angle 0.
 
         Returns
         -------
@@ -260,8 +260,8 @@ class Trajectory(Motion):
         orientations : array_like (n, 4), optional
             Unit quaternions x y z w, joined by great arcs (slerp).
         smooth : bool
-            Whether to join the points by a C2 cubic spline (not-a-knot at its ends, so two points give a
-            line and three a parabola) or by straight legs with a sudden change of velocity at each point.
+            Whether to join the points by a C2 cubic spline. It is not-a-knot at its ends, so two points give a line and
+            three a parabola. Otherwise straight legs join them, and the velocity jumps at each point.
 
         Returns
         -------
@@ -393,17 +393,16 @@ class Trajectory(Motion):
         time_scale : float
             Unit of time of a TUM or CSV file in s, such as 1e-3 for milliseconds.
         smooth : bool or float
-            True removes the noise and no more (cubic smoothing spline per axis by generalised
-            cross-validation, see `residual`); a number is the rms residual to leave per axis, m; False is the
-            C2 spline through the points.
+            True removes the noise and no more: cubic smoothing spline per axis by generalised cross-validation, see
+            `residual`. A number is the rms residual to leave per axis, m. False is the C2 spline through the points.
         time_offset : float
             Time that the file's first row gets, s.
         rotate, scale, translate : array_like (4,), float, array_like (3,)
             Unit quaternion x y z w, metres in the file's unit of length, m.
         repair : sequence of {"times", "gaps", "nan", "jumps"}
-            Faults to repair rather than refuse; `notes` says what was done. "nan" drops rows with something
-            that is no finite number, "times" those whose time is not above all before, "jumps" those out of
-            reach from the last good one, and "gaps" lets the spline bridge them.
+            Faults to repair rather than refuse; `notes` says what was done. "nan" drops rows with a value that is no
+            finite number. "times" drops rows whose time is not above all before. "jumps" drops rows out of reach from
+            the last good one. "gaps" lets the spline bridge gaps.
         max_speed : float
             Speed from row to row above which it is a jump, m/s.
         max_gap : float, optional

@@ -171,8 +171,8 @@ class MeshRoom:
             As in `MeshRoom`, m; raise it for files with rounded coordinates.
         heal : {"auto", "off"} or float
             How far corners may be moved to meet others, m, and sides of triangles are cut at corners that lie on
-            them. With "auto" as far as it takes to close the mesh, 12 mm and 2 per mille of its size at most; a mesh
-            that is closed, or that gains nothing, keeps every bit. The notes say what was changed.
+            them. With "auto" they are moved as far as closing the mesh takes, at most 12 mm and 2 per mille of its
+            size. A mesh that is closed, or that gains nothing, keeps every bit. The notes say what was changed.
 
         Raises
         ------

@@ -30,8 +30,8 @@ class Electronics:
     ambient_noise_db : float, optional
         White noise in the air, dB re 20 µPa/√Hz; it passes through the transducer.
     snr_db, reference_level_db : float, optional
-        In place of it: the level, dB re 20 µPa, of the sound that the ratio of signal to noise refers to, and that
-        ratio to all the noise from 0 Hz to half the sampling rate, dB.
+        In place of `ambient_noise_db`. The ratio, dB, is that of a sound to all the noise from 0 Hz to half the
+        sampling rate. The level is that of this sound, dB re 20 µPa.
     self_noise_db : float, optional
         White noise of the receiver, dB re 20 µPa/√Hz where the transducer is most sensitive; added to its voltage.
     seed : int
