@@ -1,6 +1,7 @@
 """`clsim` and `python -m clsim`: the command line as a process of its own."""
 
 import sys
+import warnings
 from typing import NoReturn
 
 from clsim.process import (
@@ -19,6 +20,8 @@ def run() -> NoReturn:
     """Run the command line, and end the process with its status."""
     end_on_interrupt()
     open_streams()
+    # An interrupt may come while Zarr has made a coroutine and not begun it; nobody can do anything about that.
+    warnings.filterwarnings("ignore", r"coroutine '.*' was never awaited", RuntimeWarning)
     from clsim.cli import main
 
     status = None

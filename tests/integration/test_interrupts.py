@@ -166,6 +166,31 @@ def test_an_interrupt_of_which_a_library_makes_another_error_is_one_line() -> No
     assert [line.startswith(MESSAGE) for line in done.stderr.splitlines()] == [True]
 
 
+UNAWAITED = """
+import os, signal, sys, time
+from clsim import __main__, cli
+async def write():
+    pass
+def main():
+    made = write()
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(1.0)
+cli.main = main
+sys.argv = ["clsim", "check"]
+__main__.run()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
+def test_a_coroutine_that_an_interrupt_leaves_is_not_reported() -> None:
+    """As of Zarr, which makes one for each file that it writes."""
+    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    command = [sys.executable, "-c", begin + UNAWAITED]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
+    assert done.returncode == 130
+    assert [line.startswith(MESSAGE) for line in done.stderr.splitlines()] == [True]
+
+
 # Threads of Zarr are slow: to write, so that an interrupt comes meanwhile; to end, once the command has.
 SLOW_ZARR = """
 import os, signal, sys, time

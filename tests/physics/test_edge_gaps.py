@@ -270,6 +270,7 @@ def test_a_slow_board_is_the_room_as_it_is(measured: Callable[..., float]) -> No
         assert measured("a board that moves at 5 mm/s", "the room as it is", error, -88.0) < -88.0, time
 
 
+@pytest.mark.exhaustive
 def test_boards_in_tables_and_both_engines(device: None) -> None:
     """Names and corners of the ways, samples of both engines, and chunks that change nothing."""
     walls = clsim.Shoebox((6.0, 4.0, 3.0), clsim.Material.from_reflection(0.7)).as_mesh()
