@@ -14,7 +14,6 @@ from clsim.score.matched_filter import MatchedFilter
 from clsim.score.ranging import emissions_of, outputs_of, scored_paths, source_index, span_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from clsim.arrays import Complexes
@@ -97,14 +96,8 @@ class RangeDopplerMap:
         matplotlib.figure.Figure
             A new figure of pyplot.
         """
-        check_pictures("plot")
-        from matplotlib import pyplot
-
-        figure, axes = pyplot.subplots(figsize=(9.0, 5.0), layout="constrained")
-        _draw_level(figure, axes, self.ranges, self.speeds, self.amplitude)
-        axes.set(xlabel="range (m)", ylabel="speed at which it grows (m/s)")
-        axes.set_title(f"unambiguous up to ±{self.unambiguous_speed:.3g} m/s", fontsize=10)
-        return figure
+        title = f"unambiguous up to ±{self.unambiguous_speed:.3g} m/s"
+        return _drawn(self.ranges, self.speeds, self.amplitude, ylabel="speed at which it grows (m/s)", title=title)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,23 +128,23 @@ class EchoMap:
         matplotlib.figure.Figure
             A new figure of pyplot.
         """
-        check_pictures("plot")
-        from matplotlib import pyplot
-
-        figure, axes = pyplot.subplots(figsize=(9.0, 5.0), layout="constrained")
-        _draw_level(figure, axes, self.ranges, np.arange(float(len(self.amplitude))), self.amplitude)
-        axes.set(xlabel="range (m)", ylabel="pulse")
-        return figure
+        return _drawn(self.ranges, np.arange(float(len(self.amplitude))), self.amplitude, ylabel="pulse")
 
 
-def _draw_level(figure: Figure, axes: Axes, across: Floats, up: Floats, amplitude: Complexes) -> None:
-    """Draw the level of amplitudes (up, across), the largest in each of at most 1600 steps of the range."""
+def _drawn(ranges: Floats, up: Floats, amplitude: Complexes, **labels: str) -> Figure:
+    """Draw the level of amplitudes (up, ranges), the largest in each of at most 1600 steps."""
+    check_pictures("plot")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(9.0, 5.0), layout="constrained")
     level = 20.0 * np.log10(np.maximum(np.abs(amplitude), 1e-30))
-    first = np.arange(0, len(across), -(-len(across) // _COLUMNS))
+    first = np.arange(0, len(ranges), -(-len(ranges) // _COLUMNS))
     level = np.maximum.reduceat(level, first, axis=1)  # no echo is between two pixels
     peak = float(level.max())
-    shown = axes.pcolormesh(across[first], up, level, vmin=peak - _RANGE_DB, vmax=peak, cmap="magma", shading="nearest")
+    shown = axes.pcolormesh(ranges[first], up, level, vmin=peak - _RANGE_DB, vmax=peak, cmap="magma", shading="nearest")
+    axes.set(xlabel="range (m)", **labels)
     figure.colorbar(shown, ax=axes, label="level (dB)")
+    return figure
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from clsim.arrays import FARTHEST, LARGEST_ROOM, SMALLEST_ROOM, Floats, as_float
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -140,7 +140,6 @@ def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tup
     Returns for each polygon its triangles (T, 3) by part if it was cut, else none, and the polygons that were.
     """
     from shapely import Polygon
-    from shapely.constructive import constrained_delaunay_triangles
 
     planes = [_plane(corners[polygon]) for polygon in polygons]
     parts: list[list[Ints]] = [[] for _ in polygons]
@@ -172,14 +171,20 @@ def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tup
             left = left.difference(shape)
         known = np.concatenate([polygon, *inner])
         places = ((corners[known] - centre) @ axes.T)[:, :2]
-        for triangle in constrained_delaunay_triangles(left).geoms:
-            ring = np.array(triangle.exterior.coords)[:3]
-            apart = np.linalg.norm(places - ring[:, None], axis=2)
-            if np.any(apart.min(axis=1) > near):
-                continue
-            parts[i].append(known[apart.argmin(axis=1)])
+        parts[i] = [known[corner] for corner in _triangles(left, places, near)]
         cut.append(i)
     return parts, cut
+
+
+def _triangles(shape: Any, places: Floats, near: float) -> Iterator[Ints]:
+    """Yield the triangles of a shape as numbers (3,) of places (n, 2), m, but for those with a corner at none."""
+    from shapely.constructive import constrained_delaunay_triangles
+
+    for triangle in constrained_delaunay_triangles(shape).geoms:
+        ring = np.array(triangle.exterior.coords)[:3]
+        apart = np.linalg.norm(places - ring[:, None], axis=2)
+        if np.all(apart.min(axis=1) <= near):
+            yield apart.argmin(axis=1)
 
 
 def _lies_in(inner: Any, outer: Any, grid: float) -> bool:
