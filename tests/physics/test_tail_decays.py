@@ -42,7 +42,9 @@ def decays_of_the_tail(table: Table, centres: tuple[float, ...], parts: int = 1,
     return np.array(found)
 
 
-@pytest.mark.parametrize(("table", "longest"), [(box_decays.ZIGZAG, 2.0), exhaustive((box_decays.SMOOTH, 3.2))])
+@pytest.mark.parametrize(
+    ("table", "longest"), [exhaustive((box_decays.ZIGZAG, 2.0)), exhaustive((box_decays.SMOOTH, 3.2))]
+)
 def test_decays_where_absorption_depends_on_frequency(
     table: Table, longest: float, measured: Callable[..., float]
 ) -> None:
