@@ -119,7 +119,8 @@ class _ZoneHeard:
         self._alone = still if len(there) == 1 and not several else []
         self._combined = still if not self._alone and not self.signals.moves else []
         self._moving = [r for r in there if r not in (*self._alone, *self._combined)]
-        self._rows = {r: range(plan.row_count)[plan.rows_of(r)] for r in there}
+        first = plan.first_rows.tolist()
+        self._rows = {r: range(first[r], first[r + 1]) for r in there}
         self.streams: dict[bool, Streams] = {}
         self._ears = ears_among(self._scene, self._moving, self._rate, self.signals.highest)
 
@@ -255,7 +256,7 @@ class _ZoneHeard:
         return is_static(end, turning=True) and end.clock_rate == 1.0 and not np.any(end.clock_error(np.zeros(1)))
 
     def _is_here(self, receiver: int) -> bool:
-        return bool(self._tail.receiver_zones.weights(self._scene.receivers[receiver], np.zeros(1))[self._zone, 0])
+        return self._weight(receiver, np.zeros(1, np.int64)) is not None
 
 
 def _grid(start: int, stop: int) -> NDArray[np.int64]:
