@@ -198,7 +198,7 @@ class _ZoneHeard:
         return [(ahead * self._rate, gains * weight[:, None]) for gains in self._gains(receiver, times)]
 
     def _weight(self, receiver: int, grid: NDArray[np.int64]) -> Floats | None:
-        """Weight (N,) of this zone for a receiver at samples (N,); None outside the zone."""
+        """Return the weight (N,) of this zone for a receiver at samples (N,); None outside the zone."""
         return self.signals.weights(receiver, grid).get(self._zone)
 
     def _own_directions(self, end: Receiver, samples: NDArray[np.int64]) -> Floats:
@@ -235,9 +235,7 @@ class _ZoneHeard:
 
     def _at_one_place(self, zone: int) -> Responses:
         weights = np.square(gains_of(self._scene, self._alone, self._tail, 0.0)[0])
-        return at_one_place(
-            self._tail, (zone, self._zone), self._source, self._rate, weights, moves=self.signals.moves
-        )
+        return at_one_place(self._tail, (zone, self._zone), self._source, self._rate, weights, moves=self.signals.moves)
 
     def _combined_responses(self) -> Responses:
         places = [self._scene.receivers[r].trajectory.position(0.0) for r in self._combined for _ in self._rows[r]]
@@ -305,11 +303,11 @@ class SourceSignals:
         return self._waves
 
     def clock(self, grid: NDArray[np.int64]) -> Floats:
-        """Times of samples (N,), s, within the run: filters reach beyond its ends, where trajectories may have ended."""
+        """Return the times of samples (N,), s, held at both ends of the run: filters reach beyond, trajectories may not."""
         return np.clip(grid, 0, self._samples + NODE) / self._rate
 
     def weights(self, receiver: int, grid: NDArray[np.int64]) -> dict[int, Floats]:
-        """Weights (N,) of the zones that a receiver crosses at samples (N,), by zone; computed once for all zones."""
+        """Return the weights (N,) at samples (N,) of the zones that a receiver crosses, by zone; computed once a chunk."""
         key = receiver, int(grid[0]), len(grid)
         if key not in self._weights:
             end, clock = self._receivers[receiver], self.clock(grid)
