@@ -20,16 +20,15 @@ from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.ears import ears_among
 from clsim.tail.noise import (
     at_one_place,
-    channel_gains,
     combined,
     gains_of,
     own_directions,
     plane_waves,
-    receiver_gains,
+    row_gains,
     static_gains,
 )
 from clsim.tail.streams import NEIGHBOURS, NODE, Between, HostWaves, Motion, Streams
-from clsim.tail.zones import fastest, is_static
+from clsim.tail.zones import Crossings, fastest, is_static
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,7 +97,7 @@ class _Tail(Stateless):
             for streams in heard.streams.values():
                 held = streams.kept_within(held)
         for heard in self._heard:
-            heard.signals.forget_weights()
+            heard.signals.crossings.forget()
 
 
 class _ZoneHeard:
@@ -108,8 +107,8 @@ class _ZoneHeard:
         of_scene = plan.tracks.of_scene
         assert of_scene is not None, "tails are of scenes"
         self._scene: Scene = of_scene.paths.scene
-        self._rate, self._zone, self._samples = plan.sampling_rate, zone, plan.samples
-        self.signals = signals
+        self._rate, self._zone, self.signals = plan.sampling_rate, zone, signals
+        self._samples = plan.samples
         self._source, self._tail = signals.source, signals.tail
         centre = self._scene.sources[self._source].emitted.centre_frequency
         self._frequency = np.array([centre])
@@ -134,7 +133,8 @@ class _ZoneHeard:
         for first in range(0, pressure.shape[1] if self._moving else 0, _TOGETHER):
             some = pressure[:, first : first + _TOGETHER]
             grid = _grid(start + first, start + first + some.shape[1])
-            plain = [r for r in self._moving if r not in self._ears and self._weight(r, grid) is not None]
+            crossed = self.signals.crossings.weights
+            plain = [r for r in self._moving if r not in self._ears and self._zone in crossed(r, grid)]
             for group in range(0, len(plain), _RECEIVERS):
                 self._add_moving(some, plain[group : group + _RECEIVERS], start + first)
             for head in self._ears:
@@ -183,10 +183,10 @@ class _ZoneHeard:
         A head has a row for each filter of each ear.
         """
         end, zones, c = self._scene.receivers[receiver], self._tail.receiver_zones, self._scene.air.speed_of_sound
-        weight = self._weight(receiver, grid)
+        weight = self.signals.crossings.weights(receiver, grid).get(self._zone)
         if weight is None:
             return []
-        clock = self.signals.clock(grid)
+        clock = self.signals.crossings.clock(grid)
         times = clock + end.clock_error(clock)
         ahead = (end.trajectory.position(times) - zones.centres[self._zone]) @ self._tail.arrivals.T / c
         # Where the zone is not heard it does not matter where in it the receiver were.
@@ -195,23 +195,13 @@ class _ZoneHeard:
             own = partial(self._own_directions, end)
             motions = self._ears[receiver].motions(own, grid, self._rate)
             return [((ahead - late) * self._rate, gains * weight[:, None]) for late, gains in motions]
-        return [(ahead * self._rate, gains * weight[:, None]) for gains in self._gains(receiver, times)]
-
-    def _weight(self, receiver: int, grid: NDArray[np.int64]) -> Floats | None:
-        """Return the weight (N,) of this zone for a receiver at samples (N,); None outside the zone."""
-        return self.signals.weights(receiver, grid).get(self._zone)
+        by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
+        return [(ahead * self._rate, gains * weight[:, None]) for gains in by_row]
 
     def _own_directions(self, end: Receiver, samples: NDArray[np.int64]) -> Floats:
         """Return the streams' directions (N, M, 3) in a receiver's own frame at samples (N,)."""
-        clock = self.signals.clock(samples)
+        clock = self.signals.crossings.clock(samples)
         return own_directions(end, self._tail.arrivals, clock + end.clock_error(clock))
-
-    def _gains(self, receiver: int, times: Floats) -> list[Floats]:
-        """Return gains (T, M) of each channel by direction of arrival at times (T,), at the signal's centre."""
-        if isinstance(self._scene.receivers[receiver].directivity, ChannelDirectivity):
-            return list(channel_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)[..., 0])
-        gains = receiver_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)[:, :, 0]
-        return [np.broadcast_to(gains, (len(times), gains.shape[1]))]
 
     def _of(self, *, waves: bool) -> Streams:
         """Return the streams of plane waves, or of what stands still."""
@@ -254,7 +244,7 @@ class _ZoneHeard:
         return is_static(end, turning=True) and end.clock_rate == 1.0 and not np.any(end.clock_error(np.zeros(1)))
 
     def _is_here(self, receiver: int) -> bool:
-        return self._weight(receiver, np.zeros(1, np.int64)) is not None
+        return self._zone in self.signals.crossings.weights(receiver, np.zeros(1, np.int64))
 
 
 def _grid(start: int, stop: int) -> NDArray[np.int64]:
@@ -289,10 +279,10 @@ class SourceSignals:
         ways = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.paths.scene.receivers)]
         speed = max(map(fastest, ways)) / self._air.speed_of_sound
         self.between = Between.up_to(highest, self._rate, min(speed, _FASTEST))
-        self._options, self._samples, self._receivers = plan.options, plan.samples, of_scene.paths.scene.receivers
+        self._options = plan.options
+        self.crossings = Crossings(tail.receiver_zones, of_scene.paths.scene.receivers, self._rate, plan.samples + NODE)
         self._waves: Waves | None = None
         self._sent_before: dict[int, tuple[int, NDArray[Any]]] = {}
-        self._weights: dict[tuple[int, int, int], dict[int, Floats]] = {}
 
     @property
     def waves(self) -> Waves:
@@ -301,23 +291,6 @@ class SourceSignals:
             of_host = self._options.engine == "reference"
             self._waves = HostWaves(self.between) if of_host else DeviceWaves(self.between, self._options.device)
         return self._waves
-
-    def clock(self, grid: NDArray[np.int64]) -> Floats:
-        """Return the times of samples (N,), s, held at both ends of the run: filters reach beyond, trajectories may not."""
-        return np.clip(grid, 0, self._samples + NODE) / self._rate
-
-    def weights(self, receiver: int, grid: NDArray[np.int64]) -> dict[int, Floats]:
-        """Return the weights (N,) at samples (N,) of the zones that a receiver crosses, by zone; computed once a chunk."""
-        key = receiver, int(grid[0]), len(grid)
-        if key not in self._weights:
-            end, clock = self._receivers[receiver], self.clock(grid)
-            found = self.tail.receiver_zones.weights(end, clock + end.clock_error(clock))
-            self._weights[key] = {zone: found[zone].copy() for zone in np.flatnonzero(found.any(axis=1)).tolist()}
-        return self._weights[key]
-
-    def forget_weights(self) -> None:
-        """Drop the weights of a chunk."""
-        self._weights = {}
 
     def sounds(self, zone: int, first: int, last: int) -> bool:
         """Test whether a zone emits between samples `first` and `last`."""
