@@ -47,7 +47,10 @@ def execute(options: argparse.Namespace) -> int:
     if passing and not file.paths["diffraction"]:
         passing += _jump(planned.paths)
     shaded = shaded_pairs(file.scene, planned.plan.duration)
-    for line in [*passing, *shaded, *planned.plan.describe(), *_left_by_images(planned)]:
+    left = _left_by_images(planned)
+    # Rays replace the estimate of the plan's note.
+    of_plan = [line for line in planned.plan.describe() if not (left and line.startswith("images leave"))]
+    for line in [*passing, *shaded, *of_plan, *left]:
         print(line)
     scene = file.scene
     for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:

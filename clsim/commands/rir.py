@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clsim.commands.arguments import add_force, add_scene, as_path
+from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.ownership import NewFile
 from clsim.impulse_responses import TAILS, as_response_band, impulse_responses
 from clsim.output.result_files import response_names, write_response_sounds, write_responses
 from clsim.scene_file import load_scene
+from clsim.tail.design import SCATTERINGS
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import find_scene_paths, input_files, shares
 
@@ -26,6 +27,7 @@ _FIELDS = {
     "band[1]": "--band",
     "path": "--output",
     "tail": "--tail",
+    "tail_seed": "--tail-seed",
 }
 # Of what is meant as a file, where WAV files need a folder.
 _ENDINGS_OF_FILES = ("npz", "sofa", "wav", "mat", "h5", "hdf5", "csv", "txt", "flac", "json", "parquet")
@@ -55,6 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tail", choices=TAILS, default="auto",
         help="what images leave as a diffuse tail: auto (default), in closed rooms and below 40 kHz, or off",
     )  # fmt: skip
+    parser.add_argument(
+        "--tail-scattering", choices=SCATTERINGS, default=SCATTERINGS[0],
+        help="size (default): walls of the tail also scatter by their limited size; material: by their materials alone",
+    )  # fmt: skip
+    parser.add_argument(
+        "--tail-seed", type=as_whole, default=0, metavar="N", help="of the tail's rays and noise (default: 0)"
+    )
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -72,8 +81,9 @@ def execute(options: argparse.Namespace) -> int:
         paths = find_scene_paths(file, progress)
         with progress("impulse responses", 1.0) as advance:
             found = impulse_responses(
-                paths, rate, options.at, options.band, lead=options.lead, tail=options.tail, progress=shares(advance)
-            )
+                paths, rate, options.at, options.band, lead=options.lead, tail=options.tail,
+                tail_seed=options.tail_seed, tail_scattering=options.tail_scattering, progress=shares(advance),
+            )  # fmt: skip
         made = [target.ready() for target in targets]
         if kind == "wav":
             write_response_sounds(found, options.output)

@@ -37,8 +37,8 @@ _AIMS = (
 )
 _NOTES = (
     "The absorption coefficients were fitted so that Eyring's formula gives the measured reverberation times, as the "
-    "column of Eyring's times shows. If walls scatter only the stated 5 %, rays decay more slowly than that in this "
-    "geometry: T20 is 7 to 22 % too long from 125 Hz to 1 kHz. Scattering by the limited size of walls is the cause.",
+    "column of Eyring's times shows. With the stated scattering of 5 % alone, rays decay more slowly in this geometry: "
+    "T20 is 7 to 22 % too long from 125 Hz to 1 kHz. Here walls also scatter by their limited size.",
     "Filters of thirds pass part of their neighbours. Sound lasts 1.4 times as long at 315 Hz as at 250 Hz, and both "
     "bands hold its end.",
     "C80 is off where measured values step by some 1 dB from one third to the next, as at 2520 Hz. Coefficients that "

@@ -27,11 +27,22 @@ UNITS = {  # of pages: factor and unit
 _NAMES = {"ts": "Ts"}
 _HEAD = """# Measured rooms
 
-Rooms whose impulse responses somebody measured, and what clsim finds from the published inputs: images of order 2 and
-the diffuse tail. Nothing was fitted to these rooms. `clsim validate` writes this page, also for [rooms of your
-own](validate.md). Differences are in just noticeable ones (JND; ISO 3382-1:2009, table A.1): 5 % of times, 5 points of
-D50, LF and LFC, 0.075 of IACC, 1 dB of C80 and G, 10 ms of Ts. Values of clsim are parameters
-averaged over the seeds: the noise of a single one has a decay of its own. Lines are means over all pairs.
+Impulse responses of these rooms were measured. clsim simulates them from the published inputs, with images of order 2
+and the diffuse tail. Nothing was fitted to these rooms. `clsim validate` writes this page, also for [rooms of your
+own](validate.md).
+
+Differences are in just noticeable differences (JND; ISO 3382-1:2009, table A.1):
+
+| parameter | JND |
+|---|---|
+| T20, T30, EDT | 5 % |
+| D50, LF, LFC | 5 points |
+| IACC | 0.075 |
+| C80, G | 1 dB |
+| Ts | 10 ms |
+
+Values of clsim are parameters averaged over the seeds, since the noise of a single seed has a decay of its own. Lines
+are means over all pairs.
 """
 
 

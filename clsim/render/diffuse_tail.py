@@ -20,16 +20,15 @@ from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.ears import ears_among
 from clsim.tail.noise import (
     at_one_place,
-    channel_gains,
     combined,
     gains_of,
     own_directions,
     plane_waves,
-    receiver_gains,
+    row_gains,
     static_gains,
 )
 from clsim.tail.streams import NEIGHBOURS, NODE, Between, HostWaves, Motion, Streams
-from clsim.tail.zones import fastest, is_static
+from clsim.tail.zones import Crossings, fastest, is_static
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -97,6 +96,8 @@ class _Tail(Stateless):
             heard.add(pressure, start)
             for streams in heard.streams.values():
                 held = streams.kept_within(held)
+        for heard in self._heard:
+            heard.signals.crossings.forget()
 
 
 class _ZoneHeard:
@@ -106,7 +107,8 @@ class _ZoneHeard:
         of_scene = plan.tracks.of_scene
         assert of_scene is not None, "tails are of scenes"
         self._scene: Scene = of_scene.paths.scene
-        self._rate, self._zone, self._signals, self._samples = plan.sampling_rate, zone, signals, plan.samples
+        self._rate, self._zone, self.signals = plan.sampling_rate, zone, signals
+        self._samples = plan.samples
         self._source, self._tail = signals.source, signals.tail
         centre = self._scene.sources[self._source].emitted.centre_frequency
         self._frequency = np.array([centre])
@@ -114,11 +116,12 @@ class _ZoneHeard:
         still = [r for r in there if self._is_still(r)]
         several = [r for r in there if isinstance(self._scene.receivers[r].directivity, ChannelDirectivity)]
         self._alone = still if len(there) == 1 and not several else []
-        self._combined = still if not self._alone and not self._signals.moves else []
+        self._combined = still if not self._alone and not self.signals.moves else []
         self._moving = [r for r in there if r not in (*self._alone, *self._combined)]
-        self._rows = {r: range(plan.row_count)[plan.rows_of(r)] for r in there}
+        first = plan.first_rows.tolist()
+        self._rows = {r: range(first[r], first[r + 1]) for r in there}
         self.streams: dict[bool, Streams] = {}
-        self._ears = ears_among(self._scene, self._moving, self._rate, self._signals.highest)
+        self._ears = ears_among(self._scene, self._moving, self._rate, self.signals.highest)
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add it from sample `start` on to the pressure (receivers, n)."""
@@ -127,9 +130,11 @@ class _ZoneHeard:
             heard = self._of(waves=False).read(start, start + pressure.shape[1])
             if heard is not None:
                 pressure[[row for r in still for row in self._rows[r]]] += heard
-        plain = [r for r in self._moving if r not in self._ears]
         for first in range(0, pressure.shape[1] if self._moving else 0, _TOGETHER):
             some = pressure[:, first : first + _TOGETHER]
+            grid = _grid(start + first, start + first + some.shape[1])
+            crossed = self.signals.crossings.weights
+            plain = [r for r in self._moving if r not in self._ears and self._zone in crossed(r, grid)]
             for group in range(0, len(plain), _RECEIVERS):
                 self._add_moving(some, plain[group : group + _RECEIVERS], start + first)
             for head in self._ears:
@@ -167,10 +172,10 @@ class _ZoneHeard:
             return None
         ahead, gains = zip(*motions, strict=True)
         motion = Motion(np.stack(ahead), np.stack(gains))
-        (least, most), half = motion.reach, self._signals.between.half + 1
+        (least, most), half = motion.reach, self.signals.between.half + 1
         first = start - NODE + least - half
         streams = self._of(waves=True).read(first, stop + NODE + most + half)
-        return None if streams is None else self._signals.waves.heard(streams, first, motion, start, stop)
+        return None if streams is None else self.signals.waves.heard(streams, first, motion, start, stop)
 
     def _motions(self, receiver: int, grid: NDArray[np.int64]) -> list[tuple[Floats, Floats]]:
         """Return the advance of streams, samples, and gains (N, M) by row of a receiver; none out of the zone.
@@ -178,12 +183,11 @@ class _ZoneHeard:
         A head has a row for each filter of each ear.
         """
         end, zones, c = self._scene.receivers[receiver], self._tail.receiver_zones, self._scene.air.speed_of_sound
-        # Filters reach beyond both ends of the run, where a trajectory may have ended.
-        clock = np.clip(grid, 0, self._samples + NODE) / self._rate
-        times = clock + end.clock_error(clock)
-        weight = zones.weights(end, times)[self._zone]
-        if not np.any(weight):
+        weight = self.signals.crossings.weights(receiver, grid).get(self._zone)
+        if weight is None:
             return []
+        clock = self.signals.crossings.clock(grid)
+        times = clock + end.clock_error(clock)
         ahead = (end.trajectory.position(times) - zones.centres[self._zone]) @ self._tail.arrivals.T / c
         # Where the zone is not heard it does not matter where in it the receiver were.
         ahead = np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None]
@@ -191,19 +195,13 @@ class _ZoneHeard:
             own = partial(self._own_directions, end)
             motions = self._ears[receiver].motions(own, grid, self._rate)
             return [((ahead - late) * self._rate, gains * weight[:, None]) for late, gains in motions]
-        return [(ahead * self._rate, gains * weight[:, None]) for gains in self._gains(receiver, times)]
+        by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
+        return [(ahead * self._rate, gains * weight[:, None]) for gains in by_row]
 
     def _own_directions(self, end: Receiver, samples: NDArray[np.int64]) -> Floats:
         """Return the streams' directions (N, M, 3) in a receiver's own frame at samples (N,)."""
-        clock = np.clip(samples, 0, self._samples + NODE) / self._rate
+        clock = self.signals.crossings.clock(samples)
         return own_directions(end, self._tail.arrivals, clock + end.clock_error(clock))
-
-    def _gains(self, receiver: int, times: Floats) -> list[Floats]:
-        """Return gains (T, M) of each channel by direction of arrival at times (T,), at the signal's centre."""
-        if isinstance(self._scene.receivers[receiver].directivity, ChannelDirectivity):
-            return list(channel_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)[..., 0])
-        gains = receiver_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)[:, :, 0]
-        return [np.broadcast_to(gains, (len(times), gains.shape[1]))]
 
     def _of(self, *, waves: bool) -> Streams:
         """Return the streams of plane waves, or of what stands still."""
@@ -218,18 +216,16 @@ class _ZoneHeard:
                 made = self._combined_responses()
                 longest, lead, make = made.taps.shape[1], made.lead, partial(_same, made)
             self.streams[waves] = Streams(
-                self._signals, make, len(self._tail.zones), count, longest, self._samples, lead
+                self.signals, make, len(self._tail.zones), count, longest, self._samples, lead
             )
         return self.streams[waves]
 
     def _waves(self, zone: int) -> Responses:
-        return plane_waves(self._tail, (zone, self._zone), self._source, self._rate, moves=self._signals.moves)
+        return plane_waves(self._tail, (zone, self._zone), self._source, self._rate, moves=self.signals.moves)
 
     def _at_one_place(self, zone: int) -> Responses:
         weights = np.square(gains_of(self._scene, self._alone, self._tail, 0.0)[0])
-        return at_one_place(
-            self._tail, (zone, self._zone), self._source, self._rate, weights, moves=self._signals.moves
-        )
+        return at_one_place(self._tail, (zone, self._zone), self._source, self._rate, weights, moves=self.signals.moves)
 
     def _combined_responses(self) -> Responses:
         places = [self._scene.receivers[r].trajectory.position(0.0) for r in self._combined for _ in self._rows[r]]
@@ -248,7 +244,7 @@ class _ZoneHeard:
         return is_static(end, turning=True) and end.clock_rate == 1.0 and not np.any(end.clock_error(np.zeros(1)))
 
     def _is_here(self, receiver: int) -> bool:
-        return bool(self._tail.receiver_zones.weights(self._scene.receivers[receiver], np.zeros(1))[self._zone, 0])
+        return self._zone in self.signals.crossings.weights(receiver, np.zeros(1, np.int64))
 
 
 def _grid(start: int, stop: int) -> NDArray[np.int64]:
@@ -284,6 +280,7 @@ class SourceSignals:
         speed = max(map(fastest, ways)) / self._air.speed_of_sound
         self.between = Between.up_to(highest, self._rate, min(speed, _FASTEST))
         self._options = plan.options
+        self.crossings = Crossings(tail.receiver_zones, of_scene.paths.scene.receivers, self._rate, plan.samples + NODE)
         self._waves: Waves | None = None
         self._sent_before: dict[int, tuple[int, NDArray[Any]]] = {}
 

@@ -126,6 +126,14 @@ def channel_gains(scene: Scene, receiver: int, directions: Floats, times: Floats
     return np.moveaxis(end.directivity.gain_towards(own[:, :, None, :], met, scene.air.speed_of_sound), -1, 0)
 
 
+def row_gains(scene: Scene, receiver: int, directions: Floats, times: Floats, frequency: Floats) -> list[Floats]:
+    """Return the gains (T, M) of each row of a receiver at times (T,), s, and one frequency (1,), Hz."""
+    if isinstance(scene.receivers[receiver].directivity, ChannelDirectivity):
+        return list(channel_gains(scene, receiver, directions, times, frequency)[..., 0])
+    gains = receiver_gains(scene, receiver, directions, times, frequency)[:, :, 0]
+    return [np.broadcast_to(gains, (len(times), gains.shape[1]))]
+
+
 def static_gains(scene: Scene, receivers: Sequence[int], tail: SourceTail, time: float, rate: float) -> list[Any]:
     """Return the gains of every row of static receivers, as `combined` takes them."""
     found: list[Any] = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.scene.ends import End
+    from clsim.scene.ends import End, Receiver
     from clsim.scene.motion.motion import Motion
     from clsim.scene.room.protocol import Room
     from clsim.scene.scene import Scene
@@ -233,6 +233,34 @@ class Zones:
         apart = np.linalg.norm(poses - self.poses[:, None], axis=2)
         share = np.maximum(1.0 - apart / _REACH, 0.0)
         return np.asarray(share / np.sqrt(np.maximum(np.sum(share**2, axis=0), 1e-12)))
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """Weights of the zones that receivers cross, computed once for all zones of a chunk."""
+
+    zones: Zones
+    receivers: Sequence[Receiver]
+    sampling_rate: float  # Hz
+    last: int  # sample; filters reach beyond both ends of the run, where a trajectory may have ended
+    _found: dict[tuple[int, int, int], dict[int, Floats]] = field(init=False, default_factory=dict)
+
+    def clock(self, grid: NDArray[np.int64]) -> Floats:
+        """Return the times of samples (N,) within the run, s."""
+        return np.clip(grid, 0, self.last) / self.sampling_rate
+
+    def weights(self, receiver: int, grid: NDArray[np.int64]) -> dict[int, Floats]:
+        """Return the weights (N,) at samples (N,) of the zones that a receiver crosses, by zone."""
+        key = receiver, int(grid[0]), len(grid)
+        if key not in self._found:
+            end, clock = self.receivers[receiver], self.clock(grid)
+            weights = self.zones.weights(end, clock + end.clock_error(clock))
+            self._found[key] = {zone: weights[zone].copy() for zone in np.flatnonzero(weights.any(axis=1)).tolist()}
+        return self._found[key]
+
+    def forget(self) -> None:
+        """Drop all weights."""
+        self._found.clear()
 
 
 def zone_radius(room: Room) -> float:

@@ -26,6 +26,7 @@ from clsim.render.planning import PER_SAMPLE
 from clsim.render.render import Rendering
 from clsim.tail.design import DEPARTURES, SourceTail, TailEnergy, TailOptions, find_tail
 from clsim.tail.noise import combined, plane_waves
+from clsim.tail.streams import NODE, HostWaves, Motion
 from clsim.tail.zones import Zones, at_middles, band_centres, band_shares, with_middles, zone_radius
 
 SIZE, PLACE, HEARD = np.array([8.0, 6.0, 3.0]), np.array([2.0, 1.5, 1.2]), np.array([5.0, 4.0, 1.8])
@@ -280,6 +281,40 @@ def test_streams_that_are_not_kept_are_the_same(monkeypatch: pytest.MonkeyPatch)
     adding.add(np.zeros((plan.receiver_count, SEGMENT), np.float32), SEGMENT)
     assert sum(s.held_bytes for zone in adding._heard or [] for s in zone.streams.values()) == 0
     np.testing.assert_array_equal(of_contribution(plan), whole)
+
+
+def test_cost_of_many_moving_receivers_does_not_grow_with_zones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Weights are computed once per receiver for all zones, and a sum of streams holds up to 16 receivers of a zone."""
+    starts = np.random.default_rng(0).uniform((0.5, 0.5, 0.5), (6.5, 5.5, 2.5), (20, 3))
+    ways = tuple(clsim.Trajectory.line(place, place + np.array([1.0, 0.0, 0.0]), 1.0) for place in starts)
+    of = scene(clsim.Material.from_reflection(0.6, scattering=0.4), receivers=ways)
+    plan = clsim.plan_render(
+        clsim.find_paths(of, 0), RATE, tail="auto", tail_directions=16, tail_error_db=3.0, duration=0.15,
+        engine="reference",
+    )  # fmt: skip
+    (tail,) = plan.allocation.tails
+    assert tail is not None
+    times = np.arange(0, plan.samples + NODE, NODE) / RATE
+    heard = np.array([tail.receiver_zones.weights(end, times).any(axis=1) for end in of.receivers]).sum(axis=0)
+    assert len(heard) > 10
+    asked: list[str] = []
+    together: list[int] = []
+    weigh, add_up = Zones.weights, HostWaves.heard
+
+    def weighed(zones: Zones, end: Any, times: np.ndarray) -> Any:
+        asked.append(end.name)
+        return weigh(zones, end, times)
+
+    def added_up(waves: HostWaves, streams: Any, first: int, motion: Motion, start: int, stop: int) -> Any:
+        together.append(len(motion.ahead))
+        return add_up(waves, streams, first, motion, start, stop)
+
+    monkeypatch.setattr(Zones, "weights", weighed)
+    monkeypatch.setattr(HostWaves, "heard", added_up)
+    assert np.any(of_contribution(plan))
+    assert [asked.count(end.name) for end in of.receivers] == [1] * 20
+    assert sum(together) == heard.sum()
+    assert len(together) == np.sum(-(-heard // 16))
 
 
 def test_zones_are_crossed_at_constant_energy() -> None:

@@ -1,4 +1,4 @@
-"""`clsim check` lists where sources and receivers face."""
+"""Lines of `clsim check`: where sources and receivers face, and the energy that images leave."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import clsim
 from clsim.cli import main
+from clsim.scene_file import load_scene
 
 C = 343.4  # of the scene's air, m/s
 SCENE = """
@@ -45,6 +47,21 @@ def test_check_lists_where_everybody_faces(tmp_path: Path, capsys: pytest.Captur
         "receivers[0] to receivers[1]: faces (1, 0, 0) at 0 s, omnidirectional",
         "receivers[2]: faces (0, 0, -1) at 0 s",
     ]
+
+
+def test_a_missing_tail_is_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By `clsim check` and by notes of a recording, with the option's name; not where the tail is there."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE, "utf-8")
+    assert main(["check", str(path)]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "images leave" in line]
+    assert len(told) == 1
+    assert re.match(r'images leave -\d dB of the energy: .* \(tail = "auto" adds it\)$', told[0])
+    file = load_scene(path)
+    for tail in ("off", "auto"):
+        recording = clsim.render(clsim.find_paths(file.scene, 0), 48e3, duration=0.1, tail=tail, tail_error_db=3.0)
+        notes = [note for note in recording.notes if 'tail="auto"' in note]
+        assert len(notes) == (tail == "off")
 
 
 def test_check_lists_what_is_shaded_and_when(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

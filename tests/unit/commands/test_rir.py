@@ -169,6 +169,7 @@ def _responses(path: Path, form: str) -> np.ndarray:
         (["--at", "nan"], "--at: must be finite, but is nan s"),
         (["--band", "0", "24000"], "--band: must be at most 22800 Hz, but is 24000 Hz"),
         (["--band", "nan", "20000"], "--band: must be finite, but is nan"),
+        (["--tail-seed", "-1"], "--tail-seed: must be at least 0, but is -1"),
         (["--format", "npz"], "--output: must end in .npz, but is {out}"),
         (["-o", "responses.wav"], "--output: must be a folder for WAV files, but is responses.wav"),
         (["-o", "responses.MAT"], "--output: must be a folder for WAV files, but is responses.MAT"),
@@ -206,6 +207,26 @@ def test_a_tail_is_added_and_told(scene: Path, tmp_path: Path, capsys, wanted) -
     count = wanted.samples.shape[2]
     assert samples.shape[2] > 2 * count
     assert 0.0 < np.sum(samples[:, :, count:] ** 2) < np.sum(wanted.samples**2)
+
+
+def test_options_of_the_tail_are_those_of_impulse_responses(tmp_path: Path, device: None) -> None:
+    """In a room with an inner corner, where walls scatter by their limited size as well."""
+    scene, plan = tmp_path / "scene.toml", "[[0, 0], [4, 0], [4, 1.5], [2, 1.5], [2, 3], [0, 3]]"
+    box = 'kind = "shoebox"\nsize = [4.0, 3.0, 2.5]\nwalls = { reflection = 0.9 }'
+    l_room = f'kind = "plan"\noutline = {plan}\nheight = 2.5\nmaterials = {{ default = {{ reflection = 0.9 }} }}'
+    text = SCENE.replace(box, l_room).replace("[3.0, 1.0, 2.0]", "[1.0, 2.0, 2.0]")
+    scene.write_text(text.replace("[3.0, 2.0, 2.0]", "[1.5, 2.5, 1.0]").replace("order = 2", "order = 0"), "utf-8")
+    paths = clsim.find_paths(load_scene(scene).scene, 0)
+    made = []
+    for scattering in ("size", "material"):
+        out = tmp_path / f"{scattering}.npz"
+        asked = ["--tail-scattering", scattering, "--tail-seed", "3", "--band", "2000", "4000"]
+        assert main(["rir", str(scene), "-o", str(out), *asked]) == 0
+        with np.load(out) as file:
+            made.append(file["samples"])
+        by_hand = clsim.impulse_responses(paths, 48e3, band=(2e3, 4e3), tail_seed=3, tail_scattering=scattering)
+        np.testing.assert_array_equal(made[-1], by_hand.samples)
+    assert made[0].shape != made[1].shape or not np.array_equal(*made)
 
 
 @pytest.mark.parametrize(("free", "told"), [(0, "disk full"), (2**30, "HDF error")])
