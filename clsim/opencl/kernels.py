@@ -268,14 +268,21 @@ PROGRAMS = {
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/baseband.cl"),
         {
             **BRANCHES,
-            "first_row": taken("int", "FUNCTIONS + 1"),
+            "banks": taken("int", "FUNCTIONS, 3, 2"),
+            "least": taken("float", "blocks, receivers, FUNCTIONS"),
             **BLOCKS,
             "first_slot": taken("int", "receivers + 1"),
             "block_samples": INT,
+            "groups": INT,
             "envelope_row": taken("int", "receivers"),
             **ENVELOPE,
         },
-        frozenset({"LANES", "VECTORS", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"}),
+        frozenset(
+            {
+                "LANES", "VECTORS", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK",
+                "MIDDLE_BANK", "FINEST_BANK",
+            }
+        ),
     ),
     "baseband_fades": Program(
         (
