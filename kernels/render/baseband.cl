@@ -35,28 +35,6 @@ static void choose(__global const int* delay, __global const float* polynomials,
     }
 }
 
-// Delay the envelope of one function by `mu` samples: Horner's scheme over `rows` branches, real and imaginary ones.
-static void delayed(__global const float* x, __global const float* y, int stride, const int rows, const vec* mu, vec* a, vec* b)
-{
-    x += (rows - 1) * (long)stride;
-    y += (rows - 1) * (long)stride;
-#pragma unroll
-    for (int j = 0; j < VECTORS; j++) {
-        a[j] = LOAD(x + j * LANES);
-        b[j] = LOAD(y + j * LANES);
-    }
-#pragma unroll
-    for (int q = 1; q < rows; q++) {
-        x -= stride;
-        y -= stride;
-#pragma unroll
-        for (int j = 0; j < VECTORS; j++) {
-            a[j] = a[j] * mu[j] + LOAD(x + j * LANES);
-            b[j] = b[j] * mu[j] + LOAD(y + j * LANES);
-        }
-    }
-}
-
 // Add one path of a batch; `here` points at these samples without delay, in the first of all branches.
 static void add_path(__global const float* here, int stride, __constant int* banks, const batch* paths, int p,
                      __global const float* c, int channel, const vec* t, ulong turn_per_sample, float half_turns_per_sample,
@@ -74,17 +52,28 @@ static void add_path(__global const float* here, int stride, __constant int* ban
 #pragma unroll
         for (int j = 0; j < VECTORS; j++) mu[j] = mu[j] * t[j] + term;
     }
+#if FUNCTIONS <= 8
+#pragma unroll
+#endif
     for (int k = 0; k < FUNCTIONS; k++) {
         if (paths->bank[k][p] == 0) continue;
         __constant int* bank = banks + 2 * (3 * k + paths->bank[k][p] - 1);
-        const int rows = bank[1];
-        __global const float* x = here + bank[0] * (long)stride - paths->whole[p];
-        __global const float* y = x + rows * (long)stride;
+        __global const float* x = here + (bank[0] + bank[1] - 1) * (long)stride - paths->whole[p];
+        __global const float* y = x + bank[1] * (long)stride;
         vec a[VECTORS], b[VECTORS];
-#define DELAYED(rows) case rows: delayed(x, y, stride, rows, mu, a, b); break
-        switch (rows) {
-            DELAYED(2); DELAYED(3); DELAYED(4); DELAYED(5); DELAYED(6); DELAYED(7); DELAYED(8); DELAYED(9);
-        default: delayed(x, y, stride, rows, mu, a, b);
+#pragma unroll
+        for (int j = 0; j < VECTORS; j++) {
+            a[j] = LOAD(x + j * LANES);
+            b[j] = LOAD(y + j * LANES);
+        }
+        for (int q = 1; q < bank[1]; q++) {
+            x -= stride;
+            y -= stride;
+#pragma unroll
+            for (int j = 0; j < VECTORS; j++) {
+                a[j] = a[j] * mu[j] + LOAD(x + j * LANES);
+                b[j] = b[j] * mu[j] + LOAD(y + j * LANES);
+            }
         }
         const int power = FUNCTIONS * CHANNELS * BESIDE;
         __global const float* g = c + (DELAY_TERMS + k * CHANNELS + channel) * BESIDE;
