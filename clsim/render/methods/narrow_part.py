@@ -386,11 +386,13 @@ def _obstacle(
 def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
     """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
     carrier, max_rate = narrow.baseband.carrier, tracks.max_rate(tracks.pairs[pair].source)
-    rate = 2.0 * (narrow.baseband.sampling_rate or 0.0)
+    # What is farther off than the skirts is folded, and stays outside.
+    shift, skirt = carrier * max_rate, narrow.half - narrow.flat
+    rate = min(2.0 * (narrow.baseband.sampling_rate or 0.0), 8.0 * (shift + skirt))
     count, rng = math.ceil(_STRETCH * rate), np.random.default_rng(pair)
     rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
     window, worst = np.kaiser(count, _BETA), 0.0
-    outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > carrier * max_rate + narrow.half - narrow.flat
+    outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > shift + skirt
     begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2])
     stretches = begins[:, None] + np.arange(count) / rate
     delays, _, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
