@@ -235,6 +235,7 @@ def _mixer(rate: float, every: int, carrier: float, low_pass: Floats, filters: F
 MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
 _RIPPLE_DB = 15.0  # the same of the band-pass: what it leaves of a steady tone is silence
 LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
+_FAR_BELOW = 0.5  # of the level of silence: what cells of noise may be louder than its mean
 _SILENT = 1e-10  # energy of the rest in a window relative to the whole, below which nothing is designed for it: -100 dB
 
 
@@ -279,11 +280,16 @@ class Split:
 
     bands: tuple[NarrowBand, ...]  # one or more
     silence: float  # level relative to what sounds within some 40 ms, below which the rest is silent
+    quiet: bool = False  # whether the rest is known to be silent where the signal's level is constant
 
     @classmethod
-    def into(cls, bands: tuple[NarrowBand, ...], error_db: float) -> Split:
-        """Return the split into bands, for the error requested of the whole rendering."""
-        return cls(bands, 10 ** ((error_db - MARGIN_DB) / 20))
+    def into(cls, bands: tuple[NarrowBand, ...], error_db: float, steady: ShortTimeSpectra | None = None) -> Split:
+        """Return the split into bands, for the error requested of the whole rendering, and windows of steady sound."""
+        made = cls(bands, 10 ** ((error_db - MARGIN_DB) / 20))
+        if steady is None or not len(steady.energy):
+            return made
+        left = steady.energy @ made.left(steady.frequencies) ** 2
+        return replace(made, quiet=bool(left.max() < _FAR_BELOW**2 * made.silence**2))
 
     @property
     def reach(self) -> int:
@@ -323,16 +329,17 @@ class Split:
         The level of a tone is 3 dB below its amplitude; what the band-pass leaves of it and of its image is 6 dB below
         silence.
         """
-        if band is None or len(self.bands) > 1:
-            return False
+        if band is None or self.quiet or len(self.bands) > 1:
+            return band is not None and self.quiet
         return max(abs(end - self.bands[0].baseband.carrier) for end in band) <= self.bands[0].flat
+
+    def left(self, frequencies: Floats) -> Floats:
+        """Return the gain of all band-stops at evenly spaced frequencies (F,) up to half the sampling rate."""
+        return np.prod([band.left(frequencies) for band in self.bands], axis=0)
 
     def rest_of(self, sound: ShortTimeSpectra) -> ShortTimeSpectra:
         """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""
-        left = np.ones(len(sound.frequencies))
-        for band in self.bands:
-            left *= band.left(sound.frequencies)
-        energy = sound.energy * left**2
+        energy = sound.energy * self.left(sound.frequencies) ** 2
         loud = energy.sum(axis=1) > _SILENT
         return ShortTimeSpectra(sound.frequencies, energy[loud], sound.weights[loud])
 

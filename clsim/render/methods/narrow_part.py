@@ -241,7 +241,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     for bands in sorted(sets, key=costs.__getitem__):
         if costs[bands] > min((offer.cost for offer in found), default=math.inf):
             break
-        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db)
+        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, inner)
         loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found

@@ -23,7 +23,7 @@ _TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
 _NOISE_HALF = 384  # taps on either side of the noise's band filter
 _NOISE_SHAPE = 12.3  # of the window
-_NOISE_EDGE = 0.0055  # of the sampling rate, from the ends of the band to -120 dB
+_NOISE_EDGE = 0.0051  # of the sampling rate, from the ends of the band to -120 dB
 SEQUENCES = ("mls", "gold")
 # Feedback taps of preferred pairs of maximum-length sequences (R. Gold, IEEE Trans. Inf. Theory 13, 1967), as in
 # scipy.signal.max_len_seq: the exponents between 0 and the register's length of each polynomial.
