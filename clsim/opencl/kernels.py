@@ -268,8 +268,7 @@ PROGRAMS = {
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/baseband.cl"),
         {
             **BRANCHES,
-            "banks": taken("int", "FUNCTIONS, 3, 2"),
-            "least": taken("float", "blocks, receivers, FUNCTIONS"),
+            "first_row": taken("int", "FUNCTIONS + 1"),
             **BLOCKS,
             "first_slot": taken("int", "receivers + 1"),
             "block_samples": INT,
@@ -277,12 +276,7 @@ PROGRAMS = {
             "envelope_row": taken("int", "receivers"),
             **ENVELOPE,
         },
-        frozenset(
-            {
-                "LANES", "VECTORS", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK",
-                "MIDDLE_BANK", "FINEST_BANK",
-            }
-        ),
+        frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"}),
     ),
     "baseband_fades": Program(
         (

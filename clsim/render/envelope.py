@@ -115,12 +115,6 @@ class EnvelopeFilters(SourceFilters):
     plain: Mixer  # applies none
 
     @property
-    def choices(self) -> NDArray[np.int32]:
-        """First row and rows of each part."""
-        rows = self.rows
-        return np.array([[[2 * rows[k], rows[k + 1] - rows[k]]] * 3 for k in range(len(self.basis))], dtype=np.int32)
-
-    @property
     def cycles(self) -> float:
         """Of the carrier in one sample of the envelope."""
         return self.carrier * self.mixer.every / self.signal.sampling_rate

@@ -75,23 +75,18 @@ class _BasebandRun(Run):
         spans = -(-groups // together)
         size = work(spans, len(self._batch.pairs), self._channels, group=1 if on_cpu else math.gcd(spans, 32))
         filters = self._filters
-        blocks = -(-(end - begin) // block)
-        least = np.zeros((blocks, len(self._batch.pairs), self._functions), np.float32)
         constants = {
             "LANES": lanes,
-            "VECTORS": 1,
             "GROUPS": together,
             "BATCH": BATCH if on_cpu else 1,
             "SUBBLOCK": filters.bank.subblock,
             "FUNCTIONS": self._functions,
             "CHANNELS": self._channels,
-            "MIDDLE_BANK": np.float32(1.0),
-            "FINEST_BANK": np.float32(1.0),
         }
         kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
         kernel(
             engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),
-            **self._envelope_arguments(begin), banks=filters.choices, least=least, first_slot=self._first_slot,
+            **self._envelope_arguments(begin), first_row=filters.rows, first_slot=self._first_slot,
             block_samples=block, groups=groups, envelope_row=self._rows,
         )  # fmt: skip
 
