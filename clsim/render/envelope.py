@@ -329,7 +329,7 @@ class Split:
 
     def left(self, frequencies: Floats) -> Floats:
         """Return the gain of all band-stops at evenly spaced frequencies (F,) up to half the sampling rate."""
-        return np.prod([band.left(frequencies) for band in self.bands], axis=0)
+        return np.asarray(np.prod([band.left(frequencies) for band in self.bands], axis=0))
 
     def rest_of(self, sound: ShortTimeSpectra) -> ShortTimeSpectra:
         """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""

@@ -233,6 +233,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
         return []
     some, inner = _some(signal)
+    some = some if len(some.energy) else sound  # a train's pauses
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
     motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
     sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
@@ -336,10 +337,10 @@ def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
     levels, weights = np.array([each.sum() for each in spectra]), np.gradient([*picked, last])[:-1]
     loud = levels > 0.0
     energy = np.array(spectra)[loud] / levels[loud, None]
-    frequencies, within = np.arange(hop + 1) * (signal.sampling_rate / length), np.isin(picked, inner)[loud]
-    return tuple(
-        ShortTimeSpectra(frequencies, energy[rows], weights[loud][rows]) for rows in (np.full(len(energy), True), within)
-    )
+    within, weights = np.isin(picked, inner)[loud], weights[loud]
+    frequencies: Floats = np.arange(hop + 1) * (signal.sampling_rate / length)
+    all_of_them = ShortTimeSpectra(frequencies, energy, weights)
+    return all_of_them, ShortTimeSpectra(frequencies, energy[within], weights[within])
 
 
 def _obstacle(
