@@ -188,7 +188,7 @@ _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
 _MOST_BANDS = 6
 _BINS, _SHARP_BINS = 10.0, 1.0  # added to bands: of short-time spectra what a tone spreads in them, of others the step
 _LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the cost decides
-_WINDOWS, _ENDS = 16, 5  # windows of a signal that are looked at for silence of the rest, and more at either end
+_WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
 _LOOKED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
 _STRETCH = 0.02  # s
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
@@ -240,7 +240,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     costs = {bands: of_all + sum(of_band + _envelope_cost(band, rate) for band, *_ in bands) for bands in sets}
     found: list[NarrowOffer] = []
     for bands in sorted(sets, key=costs.__getitem__):
-        if costs[bands] > min((offer.cost for offer in found), default=math.inf):
+        if costs[bands] >= min((offer.cost for offer in found), default=math.inf):
             break
         split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, inner)
         loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
