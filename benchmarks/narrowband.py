@@ -4,6 +4,8 @@ Kernels are built by a first call of each that is not counted. `apart` compares 
 first tenth of a second. Of signals for which the default call takes the plain way the ratio shows what looking costs.
 At last the default call is compared with `plain_loop.c`, which needs a C compiler: how many paths times samples a second of
 processor time either does. To the loop branch signals and polynomials of blocks are given, and it sums one function.
+`--bands` compares chirps and noise of bands with the loop in this way, for two receivers, and `--hour` tells the time of an hour
+of them at order 3, from a minute.
 """
 
 import argparse
@@ -48,6 +50,21 @@ SIGNALS = {
 }
 
 
+BANDS = {
+    f"{kind}, {low} to {high} kHz": (kind, 1e3 * low, 1e3 * high)
+    for low, high in ((30, 50), (20, 45), (39, 41))
+    for kind in ("chirp", "noise")
+}
+
+
+def of_band(name: str, duration: float) -> clsim.Signal:
+    """Return a chirp or noise of a band."""
+    kind, low, high = BANDS[name]
+    if kind == "chirp":
+        return clsim.Signal.chirp(low, high, duration, RATE, window="tukey")
+    return clsim.Signal.noise(duration, RATE, 1, (low, high))
+
+
 L_ROOM = "40 kHz beacon in an L-shaped room"
 
 
@@ -62,11 +79,12 @@ def found_round_a_corner(duration: float, order: int) -> clsim.PathSet:
     return clsim.find_paths(clsim.Scene(room, clsim.Air(), [clsim.Source("s", tone, way)], ears), order)
 
 
-def found(signal: clsim.Signal, duration: float, order: int) -> clsim.PathSet:
-    """Return the paths of a source at 6.28 m/s on a circle of 1 m, in a box."""
+def found(signal: clsim.Signal, duration: float, order: int, receivers: int = 1) -> clsim.PathSet:
+    """Return the paths of a source at 6.28 m/s on a circle of 1 m, in a box, to receivers 0.2 m apart."""
     way = clsim.Trajectory.circle((4.0, 3.0, 1.5), 1.0, 1.0, duration)
-    room, ear = clsim.Shoebox((8.0, 6.0, 3.0), clsim.Material.from_reflection(0.9)), clsim.Trajectory.fixed((1, 1, 2.9))
-    scene = clsim.Scene(room, clsim.Air(), [clsim.Source("s", signal, way)], [clsim.Receiver("r", ear)])
+    room = clsim.Shoebox((8.0, 6.0, 3.0), clsim.Material.from_reflection(0.9))
+    ears = clsim.receiver_array("r", [(1.0 + 0.2 * i, 1.0, 2.9) for i in range(receivers)])
+    scene = clsim.Scene(room, clsim.Air(), [clsim.Source("s", signal, way)], ears)
     return clsim.find_paths(scene, order)
 
 
@@ -125,6 +143,37 @@ def against_the_loop(duration: float, order: int, repeat: int) -> str:
     )
 
 
+def bands_against_the_loop(duration: float, order: int, repeat: int) -> None:
+    """Print how default calls of bands compare with the C loop of one function, two receivers."""
+    print("| signal | order | taken | default call | C loop | ratio |\n" + "|---" * 6 + "|")
+    with tempfile.TemporaryDirectory() as folder:
+        loop = Kernel(Path(folder), found(SIGNALS["40 kHz tone, abrupt ends"](1.0), 1.0, order), 1.0)
+        for name in BANDS:
+            paths, calls, loops = found(of_band(name, duration), duration, order, 2), [], []
+            taken = timed(paths, duration)[2]
+            for _ in range(repeat):
+                calls.append(len(paths) * duration * RATE / timed(paths, duration)[0])
+                begun = time.process_time()
+                loop.plain()
+                loops.append(loop.slots * loop.samples / (time.process_time() - begun))
+            print(
+                f"| {name} | {order} | {'envelope' if taken else 'plain'} | {max(calls):.3g} | {max(loops):.3g} | "
+                f"{max(calls) / max(loops):.2f} |",
+                flush=True,
+            )
+
+
+def hour_of(signal: clsim.Signal) -> float:
+    """Return the processor time of an hour of a signal at order 3 with two receivers, s, from that of a minute."""
+    paths = found(signal, 60.0, 3, 2)
+    record(plan_render(paths, RATE, duration=1.0))
+    begun = time.process_time()
+    plan = plan_render(paths, RATE, duration=60.0)
+    planned = time.process_time()
+    record(plan)
+    return planned - begun + 60.0 * (time.process_time() - planned)
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -134,8 +183,18 @@ def main() -> None:
     parser.add_argument(
         "--only", nargs="+", choices=[*SIGNALS, L_ROOM], default=[*SIGNALS, L_ROOM], metavar="NAME", help="some signals"
     )
+    parser.add_argument("--bands", action="store_true", help="chirps and noise against the C loop")
+    parser.add_argument("--hour", action="store_true", help="an hour at order 3")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    if options.bands:
+        bands_against_the_loop(options.duration, options.order, options.repeat)
+    if options.hour:
+        hours = {"a tone": clsim.Signal.tone(40e3, 60.0, RATE, fade=0.01)} | {n: of_band(n, 60.0) for n in BANDS}
+        for name, signal in hours.items():
+            print(f"an hour of {name}, order 3, two receivers: {hour_of(signal):.0f} s", flush=True)
+    if options.bands or options.hour:
+        return
     print("| signal | taken | plain | default | ratio: least | median | plain: apart | default |\n" + "|---" * 8 + "|")
     for name in options.only:
         print(row(name, options.duration, options.order, options.repeat), flush=True)

@@ -272,10 +272,11 @@ PROGRAMS = {
             **BLOCKS,
             "first_slot": taken("int", "receivers + 1"),
             "block_samples": INT,
+            "groups": INT,
             "envelope_row": taken("int", "receivers"),
             **ENVELOPE,
         },
-        frozenset({"LANES", "VECTORS", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"}),
+        frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"}),
     ),
     "baseband_fades": Program(
         (

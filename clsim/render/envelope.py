@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
 _LEAST_TRANSFORM = 1024  # samples of envelopes in a transform at least
-_SPANS = 8  # half lengths of the filters in one
+_SOUND_TRANSFORM = 2**16  # samples of the sound in one, where that is more
+_STOPPED = 3e-6  # of the largest gain of filters, -110 dB, below which they are not applied
+_SPANS = 8  # half lengths of the filters in one at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,20 +44,29 @@ class Mixer:
     half_length: int  # samples of the envelope that are looked at to either side
     taps: Complexes  # (K, L) of each filter about the carrier, of odd length about the middle one
     count: int  # samples of the envelope in a transform
-    gains: Complexes  # (K, count * every) of the filters at its frequencies, over `every`
+    lowest: int  # frequency of a transform of the sound from which on the band is taken
+    gains: Complexes  # (K, n count) of the filters at the frequencies from there on, over `every`
 
     @classmethod
-    def of(cls, taps: Complexes, every: int, turn: Fraction) -> Mixer:
-        """Return the mixer with filters (K, L) that turn sound about the carrier's frequency."""
+    def of(cls, taps: Complexes, every: int, carrier: Fraction) -> Mixer:
+        """Return the mixer with filters (K, L) that turn sound about the carrier's frequency, turns in a sample."""
         from scipy.fft import ifft, next_fast_len
 
         half = taps.shape[1] // 2
         half_length = half // every + 1
-        count = next_fast_len(max(_LEAST_TRANSFORM, _SPANS * half_length))
+        count = next_fast_len(max(_LEAST_TRANSFORM, _SOUND_TRANSFORM // every, _SPANS * half_length))
         length = count * every
         placed = np.zeros((len(taps), length), dtype=np.complex128)
         placed[:, np.arange(-half, half + 1) % length] = taps
-        return cls(every, turn, half_length, taps, count, count * ifft(placed, axis=1))
+        gains, middle = count * ifft(placed, axis=1), round(float(carrier) * length)
+        passed = np.abs(gains).max(axis=0)
+        apart = (np.flatnonzero(passed > _STOPPED * passed.max()) - middle + length // 2) % length - length // 2
+        folded = min(-(-(2 * int(np.abs(apart).max()) + 1) // count), every)
+        lowest = middle - folded * count // 2
+        return cls(
+            every, carrier * every % 1, half_length, taps, count, lowest,
+            gains[:, np.arange(lowest, lowest + folded * count) % length],
+        )  # fmt: skip
 
     def __call__(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
         """Return samples `first` to `last` of the envelope through each filter, (K, n).
@@ -73,15 +84,19 @@ class Mixer:
 
     def _made(self, read: Callable[[int, int], Floats], first: int, size: int) -> Complexes:
         """Return samples of the filtered sound before it is turned, (K, size)."""
-        from scipy.fft import fft, ifft
+        from scipy.fft import ifft, rfft
 
+        length = self.count * self.every
         begin = (first - self.half_length) * self.every
-        sound = read(begin, begin + self.count * self.every)
+        sound = read(begin, begin + length)
         if not np.any(sound):
             return np.zeros((len(self.taps), size), dtype=np.complex128)
-        # Every so many-th sample folds the spectrum.
-        spectrum = (fft(sound) * self.gains).reshape(len(self.taps), self.every, self.count).sum(axis=1)
-        out = ifft(spectrum, axis=1)
+        # Every so many-th sample folds the spectrum; what the low-pass stops is left out.
+        places = np.arange(self.lowest, self.lowest + self.gains.shape[1]) % length
+        spectrum = rfft(sound)[np.minimum(places, length - places)]
+        np.conj(spectrum, out=spectrum, where=places > length // 2)
+        folded = (spectrum * self.gains).reshape(len(self.taps), -1, self.count).sum(axis=1)
+        out = ifft(np.roll(folded, self.lowest % self.count, axis=1), axis=1)
         out = out[:, self.half_length : self.half_length + size]
         if not sound.all():  # what no sound reaches is silent, without the rounding of transforms
             reached, half = np.cumsum(np.append(0, sound != 0.0)), self.taps.shape[1] // 2
@@ -208,12 +223,13 @@ def _mixer(rate: float, every: int, carrier: float, low_pass: Floats, filters: F
     # Twice, for half of a real signal is on the carrier's negative side.
     mixed = 2.0 * low_pass * np.exp(-2j * math.pi * (carrier / rate) * (np.arange(length) - length // 2))
     taps = np.stack([np.convolve(f[::-1], mixed) for f in filters])
-    return Mixer.of(taps, every, Fraction(carrier) * every / Fraction(rate) % 1)
+    return Mixer.of(taps, every, Fraction(carrier) / Fraction(rate))
 
 
 MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
 _RIPPLE_DB = 15.0  # the same of the band-pass: what it leaves of a steady tone is silence
 LEVEL_TIME = 0.02  # s, of the windows whose level with that of their neighbours is what sounds about a sample
+_FAR_BELOW = 0.5  # of the level of silence: what cells of noise may be louder than its mean
 _SILENT = 1e-10  # energy of the rest in a window relative to the whole, below which nothing is designed for it: -100 dB
 
 
@@ -258,11 +274,16 @@ class Split:
 
     bands: tuple[NarrowBand, ...]  # one or more
     silence: float  # level relative to what sounds within some 40 ms, below which the rest is silent
+    quiet: bool = False  # whether the rest is known to be silent where the signal's level is constant
 
     @classmethod
-    def into(cls, bands: tuple[NarrowBand, ...], error_db: float) -> Split:
-        """Return the split into bands, for the error requested of the whole rendering."""
-        return cls(bands, 10 ** ((error_db - MARGIN_DB) / 20))
+    def into(cls, bands: tuple[NarrowBand, ...], error_db: float, steady: ShortTimeSpectra | None = None) -> Split:
+        """Return the split into bands, for the error requested of the whole rendering, and windows of steady sound."""
+        made = cls(bands, 10 ** ((error_db - MARGIN_DB) / 20))
+        if steady is None or not len(steady.energy):
+            return made
+        left = steady.energy @ made.left(steady.frequencies) ** 2
+        return replace(made, quiet=bool(left.max() < _FAR_BELOW**2 * made.silence**2))
 
     @property
     def reach(self) -> int:
@@ -279,7 +300,7 @@ class Split:
         before, after = begin // window - 1, -(-end // window) + 1
         offset = before * window
         if self._leaves_nothing(
-            signal.steady_frequency(min(offset, begin - self.reach), max(after * window, end + self.reach))
+            signal.steady_band(min(offset, begin - self.reach), max(after * window, end + self.reach))
         ):
             return np.zeros(last - first)
         whole, left = signal.read(offset, after * window), np.zeros(end - begin)
@@ -296,23 +317,23 @@ class Split:
         cells[np.sqrt(np.mean(cells**2, axis=1)) <= self.silence * of_cell] = 0.0
         return left[first - begin : last - begin]
 
-    def _leaves_nothing(self, tone: float | None) -> bool:
-        """Test whether a steady tone is removed, by its frequency in Hz.
+    def _leaves_nothing(self, band: tuple[float, float] | None) -> bool:
+        """Test whether a steady tone or noise is removed, by the frequencies between which it lies, Hz.
 
-        Its level is 3 dB below its amplitude; what the band-pass leaves of it and of its image is 6 dB below silence.
+        The level of a tone is 3 dB below its amplitude; what the band-pass leaves of it and of its image is 6 dB below
+        silence.
         """
-        return (
-            tone is not None
-            and len(self.bands) == 1
-            and abs(tone - self.bands[0].baseband.carrier) <= self.bands[0].flat
-        )
+        if band is None or self.quiet or len(self.bands) > 1:
+            return band is not None and self.quiet
+        return max(abs(end - self.bands[0].baseband.carrier) for end in band) <= self.bands[0].flat
+
+    def left(self, frequencies: Floats) -> Floats:
+        """Return the gain of all band-stops at evenly spaced frequencies (F,) up to half the sampling rate."""
+        return np.asarray(np.prod([band.left(frequencies) for band in self.bands], axis=0))
 
     def rest_of(self, sound: ShortTimeSpectra) -> ShortTimeSpectra:
         """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""
-        left = np.ones(len(sound.frequencies))
-        for band in self.bands:
-            left *= band.left(sound.frequencies)
-        energy = sound.energy * left**2
+        energy = sound.energy * self.left(sound.frequencies) ** 2
         loud = energy.sum(axis=1) > _SILENT
         return ShortTimeSpectra(sound.frequencies, energy[loud], sound.weights[loud])
 

@@ -1,10 +1,12 @@
 // How the polynomials of a block and a path are laid out, lowest power first: one of the delay with DELAY_TERMS terms,
 // and cubics of the gains of all functions of frequency, the terms of equal power side by side. Where neighbouring paths
 // are expanded together they are [block][slots / BESIDE][terms][BESIDE]: a vector of paths reads them side by side, and
-// a path's own lie near each other when they are written. Where one path is at a time, because signals pause (SPARSE) or
-// for envelopes (DELAY_TERMS == 8), BESIDE is 1.
+// a path's own lie near each other when they are written. Where one path is at a time, because signals pause (SPARSE), BESIDE
+// is 1; for envelopes (DELAY_TERMS == 8) it is that of the widest vectors.
 
-#if DELAY_TERMS == 8 || SPARSE
+#if DELAY_TERMS == 8
+#define BESIDE 16
+#elif SPARSE
 #define BESIDE 1
 #else
 #define BESIDE 8

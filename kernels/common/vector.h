@@ -1,7 +1,15 @@
 // Vectors of LANES floats: explicit on CPUs, one lane per work-item on GPUs (LANES == 1).
 // Only operators and casts: some runtimes call, rather than inline, built-in functions on vectors.
 
-#if LANES == 8
+#if LANES == 16
+typedef float16 vec;
+typedef float16 __attribute__((aligned(4))) loose_vec;  // may start at any float
+typedef int16 ivec;
+typedef int16 __attribute__((aligned(4))) loose_ivec;
+#define AS_IVEC(x) as_int16(x)
+#define AS_VEC(x) as_float16(x)
+#define RAMP ((vec)(0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f, 8.0f, 9.0f, 10.0f, 11.0f, 12.0f, 13.0f, 14.0f, 15.0f))
+#elif LANES == 8
 typedef float8 vec;
 typedef float8 __attribute__((aligned(4))) loose_vec;  // may start at any float
 typedef int8 ivec;

@@ -4,7 +4,7 @@
 #if DELAY_TERMS == 8
 // Write the delay of the block between the middle two nodes, in samples less the whole delay, which is returned.
 static int write_septic(const double* delay, const double* rate, double sampling_rate, double half_block,
-                        double delay_samples, __global float* c)
+                        double delay_samples, int apart, __global float* c)
 {
     const double first = delay[1] * sampling_rate + delay_samples, whole = (first + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;
     double p[4], e[4], exact[8];
@@ -15,7 +15,7 @@ static int write_septic(const double* delay, const double* rate, double sampling
     septic(p, e, exact);
     const double more = (exact[0] + ROUNDING_DOUBLE) - ROUNDING_DOUBLE;  // whole samples from the block's start to its middle
     c[0] = (float)(exact[0] - more);
-    for (int i = 1; i < 8; i++) c[i] = (float)exact[i];
+    for (int i = 1; i < 8; i++) c[i * apart] = (float)exact[i];
     return (int)(whole + more);
 }
 
@@ -38,7 +38,7 @@ static float septic_error(const double* delay, const double* rate, double block_
 static int write_delay(const double* delay, const double* rates, int apart, double rate, double half_block, double delay_samples, __global float* c)
 {
 #if DELAY_TERMS == 8
-    return write_septic(delay, rates, rate, half_block, delay_samples, c);
+    return write_septic(delay, rates, rate, half_block, delay_samples, apart, c);
 #else
     const double p0 = delay[1] * rate + delay_samples, p1 = delay[2] * rate + delay_samples;
     const double e0 = rates[1] * half_block, e1 = rates[2] * half_block;

@@ -1,8 +1,57 @@
 // Sum of all paths of one receiver as a complex envelope: each path's envelope, delayed, and turned by the carrier's
-// phase of the exact delay. Work-item: dimension 0 counts WIDTH = VECTORS * LANES samples, dimension 1 receivers,
-// dimension 2 the receivers' CHANNELS channels, whose gains of a function stand side by side.
+// phase of the exact delay. Work-item: dimension 0 counts spans of GROUPS groups of LANES samples, dimension 1 receivers,
+// dimension 2 the receivers' CHANNELS channels, whose gains of a function stand side by side. Samples of a group share the
+// whole part of a path's delay, which is found for BATCH paths together.
 
-#define WIDTH (VECTORS * LANES)  // samples that share the whole part of a path's delay
+typedef struct {
+    int whole[BATCH];   // samples of the delay
+    float rest[BATCH];  // constant term of the delay less these
+} batch;
+
+// Round the delays at `middle` of a block.
+static void round_delays(__global const int* delay, __global const float* polynomials, float middle, batch* out)
+{
+    for (int p = 0; p < BATCH; p += LANES) {
+        __global const float* c = polynomials + place_of(0, p, FUNCTIONS * CHANNELS, 0);
+        vec moved = LOAD(c + (DELAY_TERMS - 1) * BESIDE);  // from the block's middle to that of these samples
+#pragma unroll
+        for (int i = DELAY_TERMS - 2; i >= 0; i--) moved = moved * middle + LOAD(c + i * BESIDE);
+        *(loose_ivec*)(out->whole + p) = *(__global const loose_ivec*)(delay + p) + nearest(moved);
+        *(loose_vec*)(out->rest + p) = LOAD(c) - rounded(moved);
+    }
+}
+
+// Add one path of a batch at samples `t` of its block; `branches` points at the first of these without delay.
+static void add_path(__global const float* branches, int stride, __constant int* first_row, int whole, float rest,
+                     __global const float* c, int channel, vec t, ulong turn_per_sample, float half_turns_per_sample,
+                     vec* real_sum, vec* imaginary_sum)
+{
+    vec mu = c[(DELAY_TERMS - 1) * BESIDE], real = 0.0f, imaginary = 0.0f, cosine, sine;
+#pragma unroll
+    for (int i = DELAY_TERMS - 2; i >= 0; i--) mu = mu * t + (i > 0 ? c[i * BESIDE] : rest);
+#if FUNCTIONS <= 8
+#pragma unroll
+#endif
+    for (int k = 0; k < FUNCTIONS; k++) {
+        const int count = first_row[k + 1] - first_row[k], power = FUNCTIONS * CHANNELS * BESIDE;
+        __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride - whole;
+        __global const float* y = x + count * (long)stride;
+        __global const float* g = c + (DELAY_TERMS + k * CHANNELS + channel) * BESIDE;
+        vec a = LOAD(x), b = LOAD(y);
+        for (int q = 1; q < count; q++) {
+            x -= stride;
+            y -= stride;
+            a = a * mu + LOAD(x);
+            b = b * mu + LOAD(y);
+        }
+        const vec gain = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
+        real += gain * a;
+        imaginary += gain * b;
+    }
+    half_turns(mu * half_turns_per_sample + whole_turn(whole, turn_per_sample), &cosine, &sine);
+    *real_sum += real * cosine + imaginary * sine;
+    *imaginary_sum += imaginary * cosine - real * sine;
+}
 
 __kernel void baseband(__global const float* branches,  // [rows][stride], real rows of a function before imaginary ones
                        int stride,
@@ -13,8 +62,8 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
                        __global const int* activity,    // [block][slots]: subblocks in which it sounds, see activity.h
                        int slots,
                        int first_block,                 // of `delay` and `polynomials`, at the run's first sample
-                       __global const int* first_slot,  // [receivers + 1]
-                       int block_samples,
+                       __global const int* first_slot,  // [receivers + 1], multiples of BATCH
+                       int block_samples, int groups,   // in the run
                        __global const int* envelope_row,  // [receivers]
                        __global float* envelope,        // [2 rows][envelope_stride], real and imaginary, added to
                        int envelope_stride,
@@ -22,80 +71,37 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
                        ulong turn_per_sample,           // of the carrier; one turn is 2^64
                        float half_turns_per_sample)
 {
-    const int at = get_global_id(0) * WIDTH, receiver = get_global_id(1), channel = get_global_id(2);
-    const int block = at / block_samples, inside = at - block * block_samples;
-    const int row = first_block + block;
-    const float middle = ((float)inside + 0.5f * (WIDTH - 1)) * (2.0f / (float)block_samples) - 1.0f;
-    vec t[VECTORS], real_sum[VECTORS], imaginary_sum[VECTORS];
-    for (int j = 0; j < VECTORS; j++) {
-        t[j] = (RAMP + (float)(inside + j * LANES)) * (2.0f / (float)block_samples) - 1.0f;
-        real_sum[j] = imaginary_sum[j] = 0.0f;
-    }
-    for (int slot = first_slot[receiver]; slot < first_slot[receiver + 1]; slot++) {
+    const int first = get_global_id(0) * GROUPS, receiver = get_global_id(1), channel = get_global_id(2);
+    const int last = first + GROUPS < groups ? first + GROUPS : groups;
+    vec real_sum[GROUPS], imaginary_sum[GROUPS];
+    for (int g = 0; g < GROUPS; g++) real_sum[g] = imaginary_sum[g] = 0.0f;
+    batch paths;
+    for (int slot = first_slot[receiver]; slot < first_slot[receiver + 1]; slot += BATCH) {
+        for (int g = first; g < last; g++) {
+            const int at = g * LANES, block = at / block_samples, inside = at - block * block_samples, row = first_block + block;
+            const float middle = ((float)inside + 0.5f * (LANES - 1)) * (2.0f / (float)block_samples) - 1.0f;
+            const vec t = (RAMP + (float)inside) * (2.0f / (float)block_samples) - 1.0f;
+            __global const float* c = polynomials + place_of(row, slot, FUNCTIONS * CHANNELS, slots);
+            round_delays(delay + row * (long)slots + slot, c, middle, &paths);
+            vec real = 0.0f, imaginary = 0.0f;
+            for (int p = 0; p < BATCH; p++) {
 #if SPARSE
-        const int mask = activity[row * (long)slots + slot];
-        if ((inside + WIDTH - 1) / SUBBLOCK < MASK_FIRST(mask) || inside / SUBBLOCK >= MASK_END(mask)) continue;
+                const int mask = activity[row * (long)slots + slot + p];
+                if ((inside + LANES - 1) / SUBBLOCK < MASK_FIRST(mask) || inside / SUBBLOCK >= MASK_END(mask)) continue;
 #endif
-        __global const float* c = polynomials + place_of(row, slot, FUNCTIONS * CHANNELS, slots);
-        float moved = c[DELAY_TERMS - 1];  // whole samples from the block's middle to that of these samples
-#pragma unroll
-        for (int i = DELAY_TERMS - 2; i >= 0; i--) moved = moved * middle + c[i];
-        moved = (moved + ROUNDING) - ROUNDING;
-        const int whole = delay[row * (long)slots + slot] + (int)moved;
-        const float begin = whole_turn(whole, turn_per_sample);
-        vec mu[VECTORS], real[VECTORS], imaginary[VECTORS];
-#pragma unroll
-        for (int j = 0; j < VECTORS; j++) {
-            mu[j] = c[DELAY_TERMS - 1];
-            real[j] = imaginary[j] = 0.0f;
-        }
-#pragma unroll
-        for (int i = DELAY_TERMS - 2; i >= 0; i--) {
-            const float term = i > 0 ? c[i] : c[0] - moved;
-#pragma unroll
-            for (int j = 0; j < VECTORS; j++) mu[j] = mu[j] * t[j] + term;
-        }
-        for (int k = 0; k < FUNCTIONS; k++) {
-            const int count = first_row[k + 1] - first_row[k];
-            __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
-            __global const float* y = x + count * (long)stride;
-            __global const float* g = c + DELAY_TERMS + k * CHANNELS + channel;
-            const float g0 = g[0], g1 = g[FUNCTIONS * CHANNELS], g2 = g[2 * FUNCTIONS * CHANNELS], g3 = g[3 * FUNCTIONS * CHANNELS];
-            vec a[VECTORS], b[VECTORS];
-#pragma unroll
-            for (int j = 0; j < VECTORS; j++) {
-                a[j] = LOAD(x + j * LANES);
-                b[j] = LOAD(y + j * LANES);
+                add_path(branches + lead + at, stride, first_row, paths.whole[p], paths.rest[p],
+                         c + place_of(0, p, FUNCTIONS * CHANNELS, 0), channel, t, turn_per_sample, half_turns_per_sample, &real,
+                         &imaginary);
             }
-            for (int q = 1; q < count; q++) {
-                x -= stride;
-                y -= stride;
-#pragma unroll
-                for (int j = 0; j < VECTORS; j++) {
-                    a[j] = a[j] * mu[j] + LOAD(x + j * LANES);
-                    b[j] = b[j] * mu[j] + LOAD(y + j * LANES);
-                }
-            }
-#pragma unroll
-            for (int j = 0; j < VECTORS; j++) {
-                const vec gain = CUBIC(g0, g1, g2, g3, t[j]);
-                real[j] += gain * a[j];
-                imaginary[j] += gain * b[j];
-            }
-        }
-#pragma unroll
-        for (int j = 0; j < VECTORS; j++) {
-            vec cosine, sine;
-            half_turns(mu[j] * half_turns_per_sample + begin, &cosine, &sine);
-            real_sum[j] += real[j] * cosine + imaginary[j] * sine;
-            imaginary_sum[j] += imaginary[j] * cosine - real[j] * sine;
+            real_sum[g - first] += real;
+            imaginary_sum[g - first] += imaginary;
         }
     }
-    __global float* out = envelope + 2 * (envelope_row[receiver] + channel) * (long)envelope_stride + first_sample + at;
-    for (int j = 0; j < VECTORS; j++) {
-        __global loose_vec* re = (__global loose_vec*)(out + j * LANES);
-        __global loose_vec* im = (__global loose_vec*)(out + envelope_stride + j * LANES);
-        *re = *re + real_sum[j];
-        *im = *im + imaginary_sum[j];
+    for (int g = first; g < last; g++) {
+        __global float* out = envelope + 2 * (envelope_row[receiver] + channel) * (long)envelope_stride + first_sample + g * LANES;
+        __global loose_vec* re = (__global loose_vec*)out;
+        __global loose_vec* im = (__global loose_vec*)(out + envelope_stride);
+        *re = *re + real_sum[g - first];
+        *im = *im + imaginary_sum[g - first];
     }
 }

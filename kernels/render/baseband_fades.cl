@@ -26,15 +26,15 @@ __kernel void baseband_fades(
         const float both = weight((float)n - start[fade], per_ramp) - weight((float)n - end[fade], per_ramp);
         if (both == 0.0f) continue;
         float delayed = 0.0f, real = 0.0f, imaginary = 0.0f, cosine, sine;
-        for (int i = DELAY_TERMS - 1; i >= 0; i--) delayed = delayed * t + c[i];
+        for (int i = DELAY_TERMS - 1; i >= 0; i--) delayed = delayed * t + c[i * BESIDE];
         const float rest = rounded(delayed), mu = delayed - rest;
         const int whole = delay[node * (long)slots + slot] + (int)rest;
         for (int k = 0; k < FUNCTIONS; k++) {
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
-            __global const float* g = c + DELAY_TERMS + k * CHANNELS + channel;
-            const int power = FUNCTIONS * CHANNELS;
+            __global const float* g = c + (DELAY_TERMS + k * CHANNELS + channel) * BESIDE;
+            const int power = FUNCTIONS * CHANNELS * BESIDE;
             const float gain = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
             float a = *x, b = *y;
             for (int q = 1; q < count; q++) {

@@ -39,10 +39,12 @@ CASES = [
     moving(clsim.Signal.chirp(39e3, 41e3, 0.08, RATE), "abrupt chirp, order 3", 3),
     moving(clsim.Signal.tone(40e3, 0.08, RATE, fade=0.01), "faded tone, order 10", 10),
     replace(circles()[1], name="circle, order 10"),
+    moving(clsim.Signal.noise(0.08, RATE, 1, (20e3, 45e3)), "noise of 20 to 45 kHz, order 3", 3),
+    moving(clsim.Signal.chirp(30e3, 70e3, 0.08, RATE, window="tukey"), "chirp of 30 to 70 kHz, order 3", 3),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", few((pytest.param(case, id=case.name) for case in CASES), kept=(0, 3)))
+@pytest.mark.parametrize("case", few((pytest.param(case, id=case.name) for case in CASES), kept=(0, 3, 4)))
 def test_the_sum_is_what_the_oracle_hears(case: Case) -> None:
     case = replace(case, options=NARROW | {"duration": min(case.duration, 0.1)}, samples=500)
     assert case.plan().allocation.narrow

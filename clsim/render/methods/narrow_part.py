@@ -186,9 +186,9 @@ class _Upsampled:
 _SHARES = (1e-3, 1e-6, 1e-9, 1e-11)  # of the energy to either side of what is passed as it is
 _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
 _MOST_BANDS = 6
-_BINS = 10.0  # of short-time spectra: what a tone spreads in them
-_LEAST_EVERY = 4  # samples of the sound in one of the envelope
-_WINDOWS, _ENDS = 48, 4  # of short-time spectra that are looked at, and of these at either end
+_BINS, _SHARP_BINS = 10.0, 1.0  # added to bands: of short-time spectra what a tone spreads in them, of others the step
+_LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the cost decides
+_WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
 _LOOKED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
 _STRETCH = 0.02  # s
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
@@ -214,10 +214,10 @@ def cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, 
 
 
 def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
-    """Return the splits of a source's signal into narrow bands and a rest, for pairs of this source, by index.
+    """Return splits of a source's signal into narrow bands and a rest, for pairs of this source, by index.
 
     None where the sum of the costs that every split has exceeds the cost of rendering the whole, unless they are
-    requested.
+    requested. Splits are looked at from the lowest cost of their envelopes on, until none can be cheaper any more.
     """
     signal, sound, options, tracks = emission.signal, emission.sound, emission.options, emission.tracks
     usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
@@ -232,20 +232,26 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     of_all = (known.planned + samples * known.split) / path_samples
     if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
         return []
-    some, fades = _some(sound), _width_of_fades(tracks, pairs, error_db)
-    found = []
-    for bands in dict.fromkeys(_band_sets(signal, sound, tracks.max_rate(emission.source), fades)):
-        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db)
+    some, inner = _some(signal)
+    some = some if len(some.energy) else sound  # a train's pauses
+    spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
+    motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
+    sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
+    costs = {bands: of_all + sum(of_band + _envelope_cost(band, rate) for band, *_ in bands) for bands in sets}
+    found: list[NarrowOffer] = []
+    for bands in sorted(sets, key=costs.__getitem__):
+        if costs[bands] >= min((offer.cost for offer in found), default=math.inf):
+            break
+        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, inner)
         loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
-        cost = of_all + sum(of_band + _envelope_cost(band, rate) for band in split.bands) + emission.cost_of_rest(loud)
-        found.append(NarrowOffer(split, cost))
+        found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found
 
 
-def _envelope_cost(band: NarrowBand, rate: float) -> float:
+def _envelope_cost(band: Baseband, rate: float) -> float:
     """Return the processor time of a path's envelope in a sample of the sound, ns."""
     known = measured_costs()
-    return known.nodes + known.envelope * (band.baseband.sampling_rate or rate) / rate
+    return known.nodes + known.envelope * (band.sampling_rate or rate) / rate
 
 
 def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
@@ -277,10 +283,10 @@ def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
 
 
 def _band_sets(
-    signal: Signal, sound: ShortTimeSpectra, max_rate: float, fades: float
+    signal: Signal, sound: ShortTimeSpectra, bins: float, max_rate: float, fades: float
 ) -> Iterator[tuple[tuple[Baseband, float, float], ...]]:
     """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz."""
-    spread, spectrum = _BINS * float(sound.frequencies[1]), (sound.frequencies, sound.weights @ sound.energy)
+    spread, spectrum = bins * float(sound.frequencies[1]), (sound.frequencies, sound.weights @ sound.energy)
     for share, skirt in itertools.product(_SHARES, _SKIRTS):
         for ranges in ([shares(spectrum, share)], _ranges(spectrum, share, 2.0 * (spread + skirt))):
             bands = [_band(signal, *ends, spread, skirt, max_rate, fades) for ends in ranges]
@@ -318,16 +324,23 @@ def _band(
     return Baseband(carrier, width, rate / every), flat, half
 
 
-def _some(sound: ShortTimeSpectra) -> ShortTimeSpectra:
-    """Return some of the windows of a sound, those at its ends and others between."""
-    count = len(sound.energy)
-    if count <= _WINDOWS:
-        return sound
-    ends = np.r_[:_ENDS, count - _ENDS : count]
-    inner = np.linspace(_ENDS, count - _ENDS - 1, _WINDOWS - 2 * _ENDS).astype(np.int64)
-    weights = np.full(len(inner), sound.weights[_ENDS : count - _ENDS].sum() / len(inner))
-    rows = np.concatenate([ends, inner])
-    return ShortTimeSpectra(sound.frequencies, sound.energy[rows], np.concatenate([sound.weights[ends], weights]))
+def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
+    """Return some windows of a signal, relative to their own energy, and those of them that are not at its ends.
+
+    Hann's window would show skirts of -90 dB beside a wide band, which it makes itself.
+    """
+    length = 2 ** round(math.log2(2.0 * LEVEL_TIME * signal.sampling_rate))
+    last, hop, window = -(-signal.count // (length // 2)), length // 2, np.kaiser(length, _BETA)
+    inner = np.random.default_rng(0).integers(_ENDS, max(last - _ENDS, _ENDS + 1), _WINDOWS)
+    picked = np.unique(np.clip(np.r_[-1 : _ENDS - 1, inner, last - _ENDS : last], -1, last - 1)).tolist()
+    spectra = [np.abs(np.fft.rfft(signal.read(k * hop, k * hop + length) * window)) ** 2 for k in picked]
+    levels, weights = np.array([each.sum() for each in spectra]), np.gradient([*picked, last])[:-1]
+    loud = levels > 0.0
+    energy = np.array(spectra)[loud] / levels[loud, None]
+    within, weights = np.isin(picked, inner)[loud], weights[loud]
+    frequencies: Floats = np.arange(hop + 1) * (signal.sampling_rate / length)
+    all_of_them = ShortTimeSpectra(frequencies, energy, weights)
+    return all_of_them, ShortTimeSpectra(frequencies, energy[within], weights[within])
 
 
 def _obstacle(
@@ -374,11 +387,13 @@ def _obstacle(
 def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
     """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
     carrier, max_rate = narrow.baseband.carrier, tracks.max_rate(tracks.pairs[pair].source)
-    rate = 2.0 * (narrow.baseband.sampling_rate or 0.0)
+    # What is farther off than the skirts is folded, and stays outside.
+    shift, skirt = carrier * max_rate, narrow.half - narrow.flat
+    rate = min(2.0 * (narrow.baseband.sampling_rate or 0.0), 8.0 * (shift + skirt))
     count, rng = math.ceil(_STRETCH * rate), np.random.default_rng(pair)
     rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
     window, worst = np.kaiser(count, _BETA), 0.0
-    outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > carrier * max_rate + narrow.half - narrow.flat
+    outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > shift + skirt
     begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2])
     stretches = begins[:, None] + np.arange(count) / rate
     delays, _, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)

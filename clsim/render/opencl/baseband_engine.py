@@ -11,10 +11,12 @@ from clsim.opencl.launch import work
 from clsim.render.baseband import WIDEST_SUBBLOCK
 from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.engine import OpenclEngine, Run
+from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+_GROUPS = 8  # of samples with one whole delay, for which a batch of paths is summed together
 _PLACES = 8  # segments in which blocks are looked at before any is rendered
 _FEW = 2  # blocks that are looked at in each
 _FAR = 30.0  # times the tolerance: an error from which on the next shorter blocks will not do either
@@ -67,14 +69,16 @@ class _BasebandRun(Run):
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, begin = self._engine, segment * self._plan.segment
         self._render_fades(nodes, segment, end, block, first_block)
-        lanes = engine._layout.lanes
-        vectors = min(block, WIDEST_SUBBLOCK) // lanes if lanes > 1 else 1
-        spans = (end - begin) // (vectors * lanes)
-        size = work(spans, len(self._batch.pairs), self._channels, group=1 if lanes > 1 else math.gcd(spans, 32))
+        on_cpu = engine._layout.lanes > 1
+        lanes = min(block, WIDEST_SUBBLOCK) if on_cpu else 1
+        groups, together = (end - begin) // lanes, _GROUPS if on_cpu else 1
+        spans = -(-groups // together)
+        size = work(spans, len(self._batch.pairs), self._channels, group=1 if on_cpu else math.gcd(spans, 32))
         filters = self._filters
         constants = {
             "LANES": lanes,
-            "VECTORS": vectors,
+            "GROUPS": together,
+            "BATCH": BATCH if on_cpu else 1,
             "SUBBLOCK": filters.bank.subblock,
             "FUNCTIONS": self._functions,
             "CHANNELS": self._channels,
@@ -82,8 +86,8 @@ class _BasebandRun(Run):
         kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
         kernel(
             engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),
-            **self._envelope_arguments(begin), first_row=filters.rows, first_slot=self._first_slot, block_samples=block,
-            envelope_row=self._rows,
+            **self._envelope_arguments(begin), first_row=filters.rows, first_slot=self._first_slot,
+            block_samples=block, groups=groups, envelope_row=self._rows,
         )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _CELL = 4  # nodes from one at which costly gains are taken to the next
 _PATHS_EACH = 128  # paths of a pair that one thread makes at a time
-_BESIDE = 8  # paths whose terms stand side by side, as in polynomials.h
+_BESIDE = {4: 8, 8: 16}  # paths whose terms stand side by side, by the terms of delays, as in polynomials.h
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,8 +122,7 @@ class HostNodeMaker:
             residual[1, :, i] = squares[1]
             wrong, heard = np.sqrt(squares)
             np.maximum(error, wrong / np.maximum(heard, 1e-30), out=error)
-        beside = 1 if plan.delay_terms == 8 else _BESIDE
-        laid_out = cubics.reshape(*cubics.shape[:2], -1, beside).swapaxes(1, 2)
+        laid_out = cubics.reshape(*cubics.shape[:2], -1, _BESIDE[plan.delay_terms]).swapaxes(1, 2)
         shortest, longest = min(found.shortest for _, found in made), max(found.longest for _, found in made)
         return Nodes(self._upload(whole), self._upload(laid_out), None, error, residual, shortest, longest)
 

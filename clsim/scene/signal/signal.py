@@ -102,8 +102,8 @@ class Signal:
             return self
         return Signal(self.waveform.pulse, self.waveform.pulse_rate)
 
-    def steady_frequency(self, first: int, last: int) -> float | None:
-        """Return the frequency of a tone where its level is constant.
+    def steady_band(self, first: int, last: int) -> tuple[float, float] | None:
+        """Return the frequencies between which a tone or noise of a band lies where its level is constant.
 
         Parameters
         ----------
@@ -112,14 +112,14 @@ class Signal:
 
         Returns
         -------
-        float or None
-            Hz; None unless all of these samples are one tone at full level.
+        (low, high) or None
+            Hz, beyond which there is -120 dB of it; None unless all of these samples are at full level.
         """
-        tone = self.waveform
-        if not isinstance(tone, Tone):
+        wave = self.waveform
+        if not isinstance(wave, Tone | Noise):
             return None
-        fade = math.ceil(tone.fade * self.sampling_rate)
-        return tone.frequency if fade <= first and last <= self.count - 1 - fade else None
+        fade = math.ceil(wave.fade * self.sampling_rate)
+        return wave.steady_band(self.sampling_rate) if fade <= first and last <= self.count - 1 - fade else None
 
     def read(self, start: int, stop: int) -> Floats:
         """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut.

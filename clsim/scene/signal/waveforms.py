@@ -23,6 +23,7 @@ _TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
 _NOISE_HALF = 384  # taps on either side of the noise's band filter
 _NOISE_SHAPE = 12.3  # of the window
+_NOISE_EDGE = 0.0051  # of the sampling rate, from the ends of the band to -120 dB
 SEQUENCES = ("mls", "gold")
 # Feedback taps of preferred pairs of maximum-length sequences (R. Gold, IEEE Trans. Inf. Theory 13, 1967), as in
 # scipy.signal.max_len_seq: the exponents between 0 and the register's length of each polynomial.
@@ -73,6 +74,10 @@ class Tone:
     @property
     def centre_frequency(self) -> float:
         return self.frequency
+
+    def steady_band(self, sampling_rate: float) -> tuple[float, float]:
+        """Return the frequencies that it has between its fades, Hz."""
+        return self.frequency, self.frequency
 
     def count(self, sampling_rate: float) -> int:
         return _count(self.duration, sampling_rate)
@@ -199,6 +204,11 @@ class Noise:
     @property
     def centre_frequency(self) -> float | None:
         return None if self.band is None else 0.5 * (self.band[0] + self.band[1])
+
+    def steady_band(self, sampling_rate: float) -> tuple[float, float] | None:
+        """Return the frequencies beyond which its filter stops it, Hz."""
+        beyond = _NOISE_EDGE * sampling_rate
+        return None if self.band is None else (self.band[0] - beyond, self.band[1] + beyond)
 
     def count(self, sampling_rate: float) -> int:
         return _count(self.duration, sampling_rate)

@@ -1,4 +1,4 @@
-"""What narrow parts leave of a tone, where it is known to be nothing without filtering."""
+"""What narrow parts leave of a tone or noise, where it is known to be nothing without filtering."""
 
 import numpy as np
 import pytest
@@ -22,16 +22,30 @@ def test_the_rest_of_a_tone_is_that_of_its_samples(frequency: float, fade: float
         rest = SPLIT.rest(tone, first, last)
         np.testing.assert_array_equal(rest, SPLIT.rest(samples, first, last))
         sounding += bool(np.any(rest))
-    assert tone.steady_frequency(*RANGES[1]) == frequency
+    assert tone.steady_band(*RANGES[1]) == (frequency, frequency)
     assert sounding >= 3 if frequency < 41e3 else sounding == len(RANGES)
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.02])
 def test_a_tone_is_steady_where_its_level_is_whole(fade: float) -> None:
     tone, steady = (Signal.tone(1e3, 0.1, 48e3, fade=f) for f in (fade, 0.0))
-    inside = [n for n in range(tone.count) if tone.steady_frequency(n, n + 1)]
+    inside = [n for n in range(tone.count) if tone.steady_band(n, n + 1)]
     assert len(inside) > 0.9 * (0.1 - 2.0 * fade) * 48e3
     first, last = inside[0], inside[-1] + 1
     np.testing.assert_array_equal(tone.read(first, last), steady.read(first, last))
-    assert tone.steady_frequency(first - 1, last) is tone.steady_frequency(first, last + 2) is None
-    assert Signal.chirp(1e3, 2e3, 0.1, 48e3).steady_frequency(first, last) is None
+    assert tone.steady_band(first - 1, last) is tone.steady_band(first, last + 2) is None
+    assert Signal.chirp(1e3, 2e3, 0.1, 48e3).steady_band(first, last) is None
+
+
+@pytest.mark.parametrize("fade", [0.0, 0.02])
+def test_the_rest_of_noise_is_that_of_its_samples(fade: float) -> None:
+    noise = Signal.noise(0.4, RATE, 1, (39e3, 41e3), fade=fade)
+    samples = Signal.from_array(noise.read(0, noise.count), RATE)
+    split = Split.into((NarrowBand.designed(Baseband(40e3, 8e3, 12e3), 2000.0, 3000.0, RATE, -90.0),), -90.0)
+    low, high = noise.steady_band(*RANGES[1]) or (0.0, 0.0)
+    assert 38e3 < low < 39e3
+    assert 41e3 < high < 42e3
+    found = [split.rest(noise, *ends) for ends in RANGES]
+    for ends, rest in zip(RANGES, found, strict=True):
+        np.testing.assert_array_equal(rest, split.rest(samples, *ends))
+    assert [bool(np.any(rest)) for rest in found] == [not fade, False, False, True, True]
