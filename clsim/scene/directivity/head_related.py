@@ -348,4 +348,7 @@ def _spectra(head: HeadRelated, frequencies: bytes) -> Complexes:
     components, f = head.parts[1], np.frombuffer(frequencies)
     count = components.shape[2]
     times = (np.arange(count) + count // 2) % count - count // 2  # the second half is before time 0
-    return np.asarray(components @ np.exp(-2j * np.pi / head.sampling_rate * np.outer(times, f)))
+    turn = np.exp(-2j * np.pi / head.sampling_rate * np.outer(times, f))
+    # One product of real matrices: of stacks of complex ones each has its own.
+    made = components.reshape(-1, count) @ np.ascontiguousarray(turn).view(np.float64)
+    return np.asarray(made.view(np.complex128).reshape(*components.shape[:2], len(f)))
