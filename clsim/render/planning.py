@@ -27,7 +27,6 @@ from clsim.render.plan import (
     SEGMENT,
     Allocation,
     ChannelPart,
-    EarPart,
     NarrowPart,
     Plan,
     chunk_of,
@@ -256,9 +255,9 @@ def allocate(
 ) -> tuple[tuple[SourceFilters, ...], Allocation]:
     """Return the filters of what each source emits, and the allocation, for a recording of a length in samples."""
     convolved = Allocation(static.pairs_at_rest(tracks, options))
-    convolved = replace(convolved, ears=_ear_parts(emissions, tracks, options, samples, convolved.convolved))
+    convolved = replace(convolved, ears=ears.parts_of(emissions, tracks, options, samples, convolved.convolved))
     rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
-    made: list[SourceFilters] = []
+    others, made = ears.without(tracks, convolved.ears), list[SourceFilters]()
     narrow: list[tuple[int, NarrowFilters]] = []
     channels: list[tuple[int, sampled_channel.ChannelOffer]] = []
     notes: list[str] = []
@@ -269,7 +268,7 @@ def allocate(
             at_rest = bool(mine) and not pairs
             signal, until = emitted.at_rate(options.sampling_rate), samples / rate
             sound, spectrum = spectra(signal)
-            drawn = cache(partial(Draw.of, _without(tracks, convolved.ears), i, until))
+            drawn = cache(partial(Draw.of, others, i, until))
             emission = Emission(i, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
             split, why = narrow_part.cheapest_split(emission, pairs)
             notes += [why] if why else []
@@ -311,50 +310,6 @@ def _narrow_part(
     alone, builders = Allocation(frozenset(others)), [PER_SAMPLE]
     plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
     return NarrowPart(plan, tuple(mine), upsampler)
-
-
-def _without(tracks: Tracks, parts: Sequence[EarPart]) -> Tracks:
-    """Return the tracks of the pairs that are in no part."""
-    of_scene, claimed = tracks.of_scene, frozenset[int]().union(*(part.pairs for part in parts))
-    if of_scene is None or not claimed:
-        return tracks
-    kept = [i for i in range(len(of_scene.pairs)) if i not in claimed]
-    return replace(
-        of_scene,
-        pairs=tuple(of_scene.pairs[i] for i in kept),
-        pair_paths=tuple(of_scene.pair_paths[i] for i in kept),
-    )
-
-
-def _ear_parts(
-    emissions: Sequence[tuple[Signal, float]],
-    tracks: Tracks,
-    options: RenderOptions,
-    samples: int,
-    others: frozenset[int],
-) -> tuple[EarPart, ...]:
-    """Return the pairs with receivers whose channels differ over frequency, with a plan for what arrives there."""
-    pairs = [i for i in range(len(tracks.pairs)) if i not in others and ears.can(tracks, options, i) is None]
-    if not pairs or tracks.of_scene is None:
-        return ()
-    centres, rate = ears.centre_tracks(tracks.of_scene, pairs), options.sampling_rate
-    made = []
-    with with_blas_threads(1):
-        for i, (emitted, start) in enumerate(emissions):
-            signal = emitted.at_rate(rate)
-            sound, spectrum = spectra(signal)
-            drawn, at_rest = (
-                cache(partial(Draw.of, centres, i, samples / rate)),
-                all(p.source != i for p in centres.pairs),
-            )
-            made.append(
-                design_source_filters(
-                    Emission(i, signal, start, sound, centres, options, samples / rate, at_rest, spectrum, drawn)
-                )
-            )
-    chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, centres.channels)), centres.longest_delay)
-    plan = Plan(options, centres, Allocation(), tuple(made), rate, samples, chunk, SEGMENT, BLOCKS, [])
-    return (EarPart(plan, frozenset(pairs)),)
 
 
 def _channel_part(
