@@ -45,7 +45,7 @@ def test_ears_that_turn_hear_each_sample_as_their_pose_says(kind, measured):
             pytest.skip(f"{HEAD} is not there")
         pytest.importorskip("sofar")
         head = clsim.HeadRelated.from_sofa(HEAD)
-    pose, way = turning(4.0), clsim.Trajectory.line(PLACE + [2.0, -1.0, 0.5], PLACE + [2.0, 1.0, 0.0], 0.3)
+    pose, way = turning(4.0), clsim.Trajectory.line((22.0, 19.0, 20.5), (22.0, 21.0, 20.0), 0.3)
     sound = clsim.Signal.noise(0.025, RATE, 5, band=(300.0, 9e3), fade=0.01)
     receivers = [clsim.Receiver.binaural("head", pose, head), clsim.Receiver("omni", clsim.Trajectory.fixed(PLACE))]
     room = clsim.Shoebox(size=(40.0, 40.0, 40.0), walls=clsim.Material.from_reflection(0.5))
