@@ -141,10 +141,14 @@ class Ears:
         return lines
 
     def digest(self) -> str:
-        """Return a text that changes with any tap."""
-        found = hashlib.sha256()
+        """Return a text that changes with any tap, and with the responses, of which some are looked at."""
+        found, c = hashlib.sha256(), self.scene.air.speed_of_sound
         for part in self.parts:
             found.update(PathSum(part.plan).digest().encode())
+            for receiver in sorted({pair.receiver for pair in part.plan.tracks.pairs}):
+                ears = self.scene.receivers[receiver].directivity
+                some = np.clip(np.geomspace(100.0, 0.4 * part.plan.sampling_rate, 8), *ears.band)
+                found.update(np.ascontiguousarray(ears.gain_towards(np.eye(3)[:, None], some, c)).tobytes())
         return found.hexdigest()
 
     def begin(self) -> _Adding:
