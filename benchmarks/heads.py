@@ -7,6 +7,7 @@ import argparse
 import time
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,19 @@ def cases(duration: float) -> dict[str, tuple[Callable[[], Any], Callable[[], An
     return found
 
 
+def measured_heads(files: list[str], duration: float) -> dict[str, tuple[Callable[[], Any], Callable[[], Any] | None]]:
+    """Return heads of SOFA files, still and turning."""
+    poses = {"still": clsim.Trajectory.fixed(PLACE), "turning": turning(duration)}
+    return {
+        f"{Path(file).stem}, {name}, 25 paths": (
+            case(clsim.Receiver.binaural("r", pose, file), 2, duration, absorption=True),
+            None,
+        )
+        for file in files
+        for name, pose in poses.items()
+    }
+
+
 def seconds(call: Callable[[], Any], repeat: int) -> float:
     """Return the least processor time of a call, s."""
     spent = []
@@ -89,12 +103,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--duration", type=float, default=1.0, help="s of sound (default: 1)")
     parser.add_argument("--repeat", type=int, default=3, metavar="N", help="counted calls of each (default: 3)")
+    parser.add_argument("--hrtf", nargs="*", default=[], metavar="FILE", help="SOFA files of heads that are timed, too")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     print("| receiver | processor time, s | one receiver, s | ratio |\n" + "|---" * 4 + "|")
-    for name, (call, other) in cases(options.duration).items():
-        own, its = seconds(call, options.repeat), seconds(other, options.repeat)
-        print(f"| {name} | {own:.2f} | {its:.2f} | {own / its:.2f} |", flush=True)
+    for name, (call, other) in (cases(options.duration) | measured_heads(options.hrtf, options.duration)).items():
+        own = seconds(call, options.repeat)
+        its = "|  |" if other is None else f"| {(one := seconds(other, options.repeat)):.2f} | {own / one:.2f} |"
+        print(f"| {name} | {own:.2f} {its}", flush=True)
 
 
 if __name__ == "__main__":

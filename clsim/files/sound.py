@@ -217,9 +217,13 @@ def wav_header(sampling_rate: float, channels: int, samples: int, names: Sequenc
     Above 4 GiB it is an RF64 file (EBU Tech 3306), which has the lengths in a chunk ``ds64``.
     """
     rate, frame = _whole_rate(sampling_rate), 4 * channels
+    if frame >= 2**16:
+        raise InputError("channels", f"must be at most {2**14 - 1} in a WAV file, but are {channels}; use --store zarr")
     data = frame * samples
     more = _names_of_tracks(names)
-    form = struct.pack("<4sIHHIIHHH", b"fmt ", 18, _IEEE_FLOAT, channels, rate, rate * frame, frame, 32, 0)
+    form = struct.pack(
+        "<4sIHHIIHHH", b"fmt ", 18, _IEEE_FLOAT, channels, rate, min(rate * frame, 2**32 - 1), frame, 32, 0
+    )
     if 4 + len(form) + len(more) + 20 + data <= _LARGEST_WAV:
         fact = struct.pack("<4sII", b"fact", 4, samples)
         riff = struct.pack("<4sI4s", b"RIFF", 4 + len(form) + len(more) + len(fact) + 8 + data, b"WAVE")

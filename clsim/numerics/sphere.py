@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _SAME = 1e-5  # rad, between directions that count as one
 _SAME_CIRCLE = 1e-4  # rad, between circles of a grid that count as one
 _NEIGHBOURS = 4
+_QUADRATIC = 2  # degree of the functions beside fifth powers
 _TOGETHER = 2048  # directions whose distances to all others are held at a time
 
 
@@ -143,29 +144,35 @@ class OnGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadialOnSphere:
-    """Radial functions as of `ScatterOnSphere`, by products of matrices: quick for very many values."""
+    """Sums of fifth powers of distances and of quadratic functions, by products of matrices: for very many values."""
 
     directions: Floats  # (n, 3)
-    factors: Floats  # (n + 4, u), of the cubes of distances, then of 1 and the direction
+    factors: Floats  # (n + 9, u), of the powers, then of quadratic functions
 
     @classmethod
     def through(cls, directions: Floats, values: Floats) -> RadialOnSphere:
-        """Return the function of direction that goes through real values (n, u) in directions (n, 3)."""
-        linear = np.column_stack([np.ones(len(directions)), directions])
-        system = np.block([[_cubes(directions, directions), linear], [linear.T, np.zeros((4, 4))]])
-        return cls(directions, np.linalg.solve(system, np.concatenate([values, np.zeros((4, values.shape[1]))])))
+        """Return the function of direction that goes through real values (n, u) in directions (n, 3).
+
+        As of `ScatterOnSphere`, one derivative smoother.
+        """
+        smooth = real_harmonics(_QUADRATIC, directions)
+        count = smooth.shape[1]
+        system = np.block([[_powers(directions, directions), smooth], [smooth.T, np.zeros((count, count))]])
+        return cls(directions, np.linalg.solve(system, np.concatenate([values, np.zeros((count, values.shape[1]))])))
 
     def __call__(self, directions: Floats) -> Floats:
         """Return values (m, u) in directions (m, 3), unit vectors."""
-        linear = self.factors[len(self.directions)] + directions @ self.factors[len(self.directions) + 1 :]
-        cubes = (_cubes(some, self.directions) for some in np.array_split(directions, 1 + len(directions) // _TOGETHER))
-        return np.asarray(np.concatenate([c @ self.factors[: len(self.directions)] for c in cubes]) + linear)
+        own, smooth = np.split(self.factors, [len(self.directions)])
+        parts = np.array_split(directions, 1 + len(directions) // _TOGETHER)
+        return np.concatenate(
+            [_powers(p, self.directions) @ own + real_harmonics(_QUADRATIC, p) @ smooth for p in parts]
+        )
 
 
-def _cubes(some: Floats, others: Floats) -> Floats:
-    """Return the cubes (m, n) of distances between unit vectors (m, 3) and (n, 3)."""
+def _powers(some: Floats, others: Floats) -> Floats:
+    """Return the fifth powers (m, n) of distances between unit vectors (m, 3) and (n, 3)."""
     squares = np.maximum(2.0 - 2.0 * (some @ others.T), 0.0)
-    return np.asarray(squares * np.sqrt(squares))
+    return np.asarray(squares * squares * np.sqrt(squares))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -241,7 +241,7 @@ PROGRAMS = {
         frozenset(
             {
                 "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
-                "DELAY_TERMS", "FUNCTIONS", "CHANNELS",
+                "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "APART",
             }
         ),
     ),

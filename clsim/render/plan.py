@@ -414,6 +414,14 @@ class ChannelPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class EarPart:
+    """Pairs with receivers whose channels differ over frequency: each path is filtered on its own."""
+
+    plan: Plan  # of an omnidirectional receiver at each receiver's centre
+    pairs: frozenset[int]  # indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Allocation:
     """The pairs and bands that each rendering method claims; whatever no other method claims is rendered per sample."""
 
@@ -422,6 +430,7 @@ class Allocation:
     # Bands that are rendered as complex envelopes, for all other pairs of their sources.
     narrow: tuple[NarrowPart, ...] = ()
     channels: tuple[ChannelPart, ...] = ()  # pairs of which impulse responses are sampled
+    ears: tuple[EarPart, ...] = ()  # pairs with receivers whose channels differ over frequency; one part at most
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
@@ -429,12 +438,12 @@ class Allocation:
     @property
     def plans(self) -> list[Plan]:
         """Plans of the parts that have one of their own."""
-        return [part.plan for part in self.narrow] + [part.plan for part in self.channels]
+        return [part.plan for parts in (self.narrow, self.channels, self.ears) for part in parts]
 
     @property
     def claimed(self) -> frozenset[int]:
         """Indices of the pairs that are not rendered path by path."""
-        return self.convolved.union(*(part.pairs for part in self.channels))
+        return self.convolved.union(*(part.pairs for parts in (self.channels, self.ears) for part in parts))
 
     def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
         """Return the same with diffuse tails."""

@@ -19,7 +19,7 @@ from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, s
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import NarrowFilters, design_envelope, design_split
 from clsim.render.memory import with_blas_threads
-from clsim.render.methods import narrow_part, per_sample, sampled_channel, static
+from clsim.render.methods import ears, narrow_part, per_sample, sampled_channel, static
 from clsim.render.options import RenderOptions
 from clsim.render.plan import (
     BLOCKS,
@@ -255,19 +255,20 @@ def allocate(
 ) -> tuple[tuple[SourceFilters, ...], Allocation]:
     """Return the filters of what each source emits, and the allocation, for a recording of a length in samples."""
     convolved = Allocation(static.pairs_at_rest(tracks, options))
+    convolved = replace(convolved, ears=ears.parts_of(emissions, tracks, options, samples, convolved.convolved))
     rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
-    made: list[SourceFilters] = []
+    others, made = ears.without(tracks, convolved.ears), list[SourceFilters]()
     narrow: list[tuple[int, NarrowFilters]] = []
     channels: list[tuple[int, sampled_channel.ChannelOffer]] = []
     notes: list[str] = []
     with with_blas_threads(1):
         for i, (emitted, start) in enumerate(emissions):
             mine = [k for k, pair in enumerate(tracks.pairs) if pair.source == i]
-            pairs = [k for k in mine if k not in convolved.convolved]
+            pairs = [k for k in mine if k not in convolved.claimed]
             at_rest = bool(mine) and not pairs
             signal, until = emitted.at_rate(options.sampling_rate), samples / rate
             sound, spectrum = spectra(signal)
-            drawn = cache(partial(Draw.of, tracks, i, until))
+            drawn = cache(partial(Draw.of, others, i, until))
             emission = Emission(i, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
             split, why = narrow_part.cheapest_split(emission, pairs)
             notes += [why] if why else []
@@ -346,7 +347,8 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 
     narrow = tuple(replace(part, plan=moved(part.plan)) for part in allocation.narrow)
     channels = tuple(replace(part, plan=moved(part.plan)) for part in allocation.channels)
-    return replace(allocation, narrow=narrow, channels=channels)
+    heard = tuple(replace(part, plan=moved(part.plan)) for part in allocation.ears)
+    return replace(allocation, narrow=narrow, channels=channels, ears=heard)
 
 
 PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
@@ -356,6 +358,7 @@ BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
     methodcaller("where_claimed", "channels", sampled_channel.build),
+    methodcaller("where_claimed", "ears", ears.build),
     methodcaller("where_claimed", "tails", DiffuseTail),
 ]
 

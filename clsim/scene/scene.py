@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import FARTHEST, as_count, as_number, short_repr
+from clsim.arrays import FARTHEST, as_count, as_number, row_name, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.pictures.view_page import (
@@ -177,6 +177,7 @@ class Scene:
             if not given:
                 raise InputError(name, "must hold at least one, but is empty")
             object.__setattr__(self, name, with_carriers(given, self.bodies))
+        _check_rows(self.receivers)
         distance = as_number("min_distance", self.min_distance, at_least=_NEAREST, at_most=FARTHEST, unit="m")
         object.__setattr__(self, "min_distance", distance)
         checked_room(self.room)
@@ -328,6 +329,20 @@ def _checked_list(name: str, values: Any, kind: type[End | Body | Scatterer]) ->
             raise InputError(f"{name}[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
         seen[value.name] = i
     return tuple(values)
+
+
+def _check_rows(receivers: Sequence[Receiver]) -> None:
+    """Refuse receivers whose rows in recordings have the names of others: of an array, or of a channel."""
+    arrays = {receiver.element.array for receiver in receivers if receiver.element is not None}
+    seen: dict[str, int] = {}
+    for i, receiver in enumerate(receivers):
+        if receiver.element is None and receiver.name in arrays:
+            raise InputError(f"receivers[{i}].name", f"must be unique, but an array is {receiver.name!r} too")
+        for name in map(row_name, receiver.rows):
+            if seen.setdefault(name, i) != i:
+                raise InputError(
+                    f"receivers[{i}].name", f"must be unique with its channel, but [{seen[name]}] has {name!r} too"
+                )
 
 
 def _check_bands(scene: Scene) -> None:

@@ -77,15 +77,15 @@ def load_recording(
     baseband: Any = file.render["baseband"]
     carrier = None if baseband is None else float(baseband[0])
     stores = [name for kind in STORES.values() if kind.packages for name in kind.names([]) if name in record.files]
-    kept = file_names(tuple(names))
-    files = stores or [f"{kept[r]}.wav" for r in rows]
+    sounds = [] if stores else _sounds(file.scene, rows)
+    files = stores or list(dict.fromkeys(name for name, _ in sounds))
     if verify:
         _refuse_changed(folder, record, [COMPLETED, *files])
     chosen = [file.scene.receivers[r] for r in rows]
     channels = [row for end in chosen for row in end.rows]
     samples, rate = (
         _stored(folder, _rows_of(file.scene, rows)) if stores
-        else _read([folder / name for name in files], carrier)
+        else _read([(folder / name, channel) for name, channel in sounds], carrier)
     )  # fmt: skip
     found = None
     if paths:
@@ -123,6 +123,20 @@ def _rows_of(scene: Scene, receivers: list[int]) -> list[int]:
     return [sum(counts[:r]) + channel for r in receivers for channel in range(counts[r])]
 
 
+def _sounds(scene: Scene, receivers: list[int]) -> list[tuple[str, int]]:
+    """Return the WAV file and the channel in it of each row of some receivers of a scene."""
+    count: dict[str, int] = {}
+    places = []
+    for end in scene.receivers:
+        mine = []
+        for name, _ in end.rows:
+            mine.append((name, count.get(name, 0)))
+            count[name] = count.get(name, 0) + 1
+        places.append(mine)
+    files = dict(zip(count, file_names(tuple(count)), strict=True))
+    return [(f"{files[name]}.wav", channel) for r in receivers for name, channel in places[r]]
+
+
 def _rows(scene: Scene, wanted: str) -> list[int]:
     """Find the receiver of a name, or the elements of an array."""
     names = [receiver.name for receiver in scene.receivers]
@@ -132,20 +146,16 @@ def _rows(scene: Scene, wanted: str) -> list[int]:
     return [i for i, (name, array) in enumerate(zip(names, arrays, strict=True)) if wanted in (name, array)]
 
 
-def _read(paths: list[Path], carrier: float | None) -> tuple[NDArray[Any], float]:
-    """Return the samples (rows, n) of WAV files of one length, and their rate, Hz."""
+def _read(sounds: list[tuple[Path, int]], carrier: float | None) -> tuple[NDArray[Any], float]:
+    """Return the samples (rows, n) of channels of WAV files of one length, and their rate, Hz."""
     import soundfile
 
     try:
-        parts, kind = (1, SoundFile) if carrier is None else (2, EnvelopeFile)
-        files = [
-            kind(path, channel)
-            for path in paths
-            for channel in range(soundfile.info(os.fsencode(path)).channels // parts)
-        ]
+        kind = SoundFile if carrier is None else EnvelopeFile
+        files = [kind(path, channel) for path, channel in sounds]
         samples = np.empty((len(files), len(files[0])), dtype=np.float32 if carrier is None else np.complex64)
         for row, sound in zip(samples, files, strict=True):
             row[:] = sound[0 : len(row)]
-        return samples, float(soundfile.info(os.fsencode(paths[0])).samplerate)
+        return samples, float(soundfile.info(os.fsencode(sounds[0][0])).samplerate)
     except (OSError, ValueError, soundfile.LibsndfileError) as error:
         raise InputError("folder", f"must hold the sound that was written, but {error}") from error

@@ -74,7 +74,7 @@ class PlannedScene:
         positions = np.concatenate([receiver.trajectory.position(np.zeros(1)) for receiver in receivers])
         positions = np.repeat(positions, np.diff(plan.first_rows), axis=0)
         return StoredSound(
-            plan.channels, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk,
+            plan.recorded, plan.units, positions, plan.sampling_rate, plan.samples, plan.chunk,
             self.completed(folder), __version__, plan.carrier,
         )  # fmt: skip
 

@@ -1,7 +1,24 @@
 // Sum of all paths of one receiver over SUBBLOCKS subblocks of samples, for neighbouring functions of frequency and
 // CHANNELS channels, FUNCTIONS gains in all. Gains of a function come for each channel of the receiver side by side.
 // Work-item (or work-group of WORKERS): dimension 0 counts spans, dimension 1 receivers. Paths come sorted by delay and
-// are walked in tiles, so that the branch signals in play stay in cache.
+// are walked in tiles, so that the branch signals in play stay in cache. Where paths are to be kept APART, each slot has a
+// row of the pressure.
+
+static void clear(vec sum[FUNCTIONS][VECTORS])
+{
+    for (int k = 0; k < FUNCTIONS; k++) {
+        for (int j = 0; j < VECTORS; j++) sum[k][j] = 0.0f;
+    }
+}
+
+// Add the sums of a channel to samples of a subblock.
+static void put(const vec sum[FUNCTIONS][VECTORS], int channel, int worker, __global float* out)
+{
+    for (int j = 0; j < VECTORS; j++) {
+        __global loose_vec* at = (__global loose_vec*)(out + (worker * VECTORS + j) * LANES);
+        for (int k = channel; k < FUNCTIONS; k += CHANNELS) *at = *at + sum[k][j];
+    }
+}
 
 __kernel __attribute__((reqd_work_group_size(WORKERS, 1, 1)))
 void render(__global const float* branches,     // [rows][stride], those of one function after those of another
@@ -36,11 +53,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
     SHARED uchar active[SUBBLOCKS][TILE];  // paths of a tile in each group
     SHARED int count[SUBBLOCKS];          // of them
 #endif
-    for (int g = 0; g < SUBBLOCKS; g++) {
-        for (int k = 0; k < FUNCTIONS; k++) {
-            for (int j = 0; j < VECTORS; j++) sum[g][k][j] = 0.0f;
-        }
-    }
+    for (int g = 0; g < SUBBLOCKS; g++) clear(sum[g]);
     for (int tile = first_slot[receiver]; tile < first_slot[receiver + 1]; tile += TILE) {
         const int tile_end = min(tile + TILE, first_slot[receiver + 1]);
 #if SPARSE
@@ -56,15 +69,17 @@ void render(__global const float* branches,     // [rows][stride], those of one 
             if (count[g - first_subblock] == 0) continue;
 #endif
             vec subblock_sum[FUNCTIONS][VECTORS];
-            for (int k = 0; k < FUNCTIONS; k++) {
-                for (int j = 0; j < VECTORS; j++) subblock_sum[k][j] = 0.0f;
-            }
+            clear(subblock_sum);
 #if SPARSE
             for (int i = 0; i < count[g - first_subblock]; i++) {
                 const int slot = tile + active[g - first_subblock][i];
                 expand(delay[row * (long)slots + slot], polynomials + place_of(row, slot, functions, slots), functions,
                        first_gain, t, per_sample, &paths);
                 add_path(rows + g * SUBBLOCK, stride, first_row + first_function, functions_here, &paths, 0, worker, subblock_sum);
+#if APART
+                put(subblock_sum, 0, worker, pressure + slot * (long)pressure_stride + first_sample + g * SUBBLOCK);
+                clear(subblock_sum);
+#endif
             }
 #else
             for (int slot = tile; slot < tile_end; slot += BATCH) {
@@ -72,7 +87,14 @@ void render(__global const float* branches,     // [rows][stride], those of one 
                        first_gain, t, per_sample, worker, &paths);
                 SYNCHRONISE;
                 for (int p = 0; p < BATCH; p++) {
+#if APART
+                    if (paths.gain[0][p] == 0.0f && paths.slope[0][p] == 0.0f) continue;  // silent, or fills up the batch
+#endif
                     add_path(rows + g * SUBBLOCK, stride, first_row + first_function, 1, &paths, p, worker, subblock_sum);
+#if APART
+                    put(subblock_sum, 0, worker, pressure + (slot + p) * (long)pressure_stride + first_sample + g * SUBBLOCK);
+                    clear(subblock_sum);
+#endif
                 }
                 SYNCHRONISE;
             }
@@ -82,13 +104,11 @@ void render(__global const float* branches,     // [rows][stride], those of one 
             }
         }
     }
+#if !APART
     for (int g = first_subblock; g < last_subblock; g++) {
         for (int c = 0; c < CHANNELS; c++) {
-            __global float* out = pressure + (pressure_row[receiver] + c) * (long)pressure_stride + first_sample + g * SUBBLOCK;
-            for (int j = 0; j < VECTORS; j++) {
-                __global loose_vec* at = (__global loose_vec*)(out + (worker * VECTORS + j) * LANES);
-                for (int k = c; k < FUNCTIONS; k += CHANNELS) *at = *at + sum[g - first_subblock][k][j];
-            }
+            put(sum[g - first_subblock], c, worker, pressure + (pressure_row[receiver] + c) * (long)pressure_stride + first_sample + g * SUBBLOCK);
         }
     }
+#endif
 }

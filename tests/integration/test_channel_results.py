@@ -32,6 +32,11 @@ electronics = { self_noise_db = 20.0, low_cut = 20.0 }
 name = "omni"
 trajectory = { kind = "fixed", position = [6.0, 4.0, 1.2] }
 
+[[receivers]]
+name = "head"
+trajectory = { kind = "fixed", position = [6.0, 3.0, 1.2] }
+directivity = { kind = "spherical-head" }
+
 [paths]
 max_order = 1
 
@@ -55,14 +60,49 @@ def test_runs_keep_all_channels(scene, tmp_path, store, more):
     file = clsim.load_scene(scene)
     expected = clsim.render(clsim.find_paths(file.scene, max_order=1), 16e3, duration=0.25)
     found = clsim.load_recording(folder)
-    assert found.channels == (*(("hoa", f"ACN{i}") for i in range(4)), ("omni", ""))
+    ears = ("head", "left"), ("head", "right")
+    assert found.channels == (*(("hoa", f"ACN{i}") for i in range(4)), ("omni", ""), *ears)
     np.testing.assert_array_equal(found.samples, expected.samples)
-    np.testing.assert_array_equal(clsim.load_recording(folder, ["omni"]).samples, expected.samples[4:])
+    np.testing.assert_array_equal(clsim.load_recording(folder, ["omni"]).samples, expected.samples[4:5])
     if store == "wav":
         frames, rate = soundfile.read(folder / "hoa.wav", dtype="float32")
         assert rate == 16e3
         np.testing.assert_array_equal(frames.T, expected.samples[:4])
         assert b"<NAME>ACN3</NAME>" in (folder / "hoa.wav").read_bytes()[:2000]
+
+
+ARRAY = """
+[[receivers]]
+name = "array"
+positions = { kind = "grid", x = [-0.1, 0.1, 3], y = 0.0, z = 0.0 }
+trajectory = { kind = "line", start = [4.0, 2.0, 1.5], end = [4.4, 2.0, 1.5], duration = 1.0 }
+electronics = { self_noise_db = 20.0, low_cut = 20.0 }
+
+[paths]
+"""
+
+
+@pytest.mark.parametrize(("store", "more"), [("wav", []), ("zarr", ["--workers", "2"])])
+def test_an_array_is_one_file_of_as_many_channels(scene, tmp_path, store, more):
+    """Elements are found by the name of the array, and alone."""
+    scene.write_text(SCENE.replace("\n[paths]\n", ARRAY))
+    folder = tmp_path / "results"
+    assert main(["run", str(scene), "-o", str(folder), "--store", store, "--no-plots", *more]) == 0
+    expected = clsim.render(clsim.find_paths(clsim.load_scene(scene).scene, max_order=1), 16e3, duration=0.25)
+    found = clsim.load_recording(folder)
+    assert found.channels == expected.channels
+    assert found.channels[-3:] == (("array", "0"), ("array", "1"), ("array", "2"))
+    np.testing.assert_array_equal(found.samples, expected.samples)
+    np.testing.assert_array_equal(clsim.load_recording(folder, ["array"]).samples, expected.samples[7:])
+    np.testing.assert_array_equal(clsim.load_recording(folder, ["array 1"]).samples, expected.samples[8:9])
+    if store == "wav":
+        assert sorted(path.name for path in folder.glob("*.wav")) == ["array.wav", "head.wav", "hoa.wav", "omni.wav"]
+        frames, _ = soundfile.read(folder / "array.wav", dtype="float32")
+        np.testing.assert_array_equal(frames.T, expected.samples[7:])
+        assert b"<NAME>2</NAME>" in (folder / "array.wav").read_bytes()[:2000]
+    else:
+        with clsim.open_store(folder) as opened:
+            assert opened["channel"].values.tolist()[-3:] == ["0", "1", "2"]
 
 
 def damaged(kind, path):

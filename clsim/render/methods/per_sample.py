@@ -120,6 +120,8 @@ class ReferenceEngine:
         plan = self._plan
         pressure = np.zeros((plan.row_count, stop - start), dtype=float if plan.baseband is None else complex)
         for i, pair in enumerate(plan.tracks.pairs):
+            if i in plan.allocation.claimed:
+                continue
             functions, rows = len(plan.source_filters[pair.source].basis), plan.rows_of_pair(i)
             step = min(max(_NUMBERS // (len(pair) * functions * (rows.stop - rows.start)), 256), 4096)
             for first in range(start, stop, step):
@@ -134,13 +136,21 @@ class ReferenceEngine:
 
 def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Complexes:
     """Return the sum of a pair's paths over samples `first` to `last` by channel, shape (C, n)."""
+    total: Any = np.zeros((1, last - first))
+    for _, pressure in path_pressures(plan, pair, first, last):
+        total = total + pressure
+    return np.asarray(total)
+
+
+def path_pressures(plan: Plan, pair: int, first: int, last: int) -> Iterator[tuple[int, Floats | Complexes]]:
+    """Yield paths of a pair, by their rows, and the pressure of each over samples `first` to `last`, (C, n)."""
     tracks, member = plan.tracks, plan.tracks.pairs[pair]
     filters = plan.source_filters[member.source]
     times = np.arange(first, last) / plan.sampling_rate
     ramp = 0.5 * tracks.transition
     rows = np.flatnonzero((member.start - ramp <= times[-1]) & (member.end + ramp >= times[0]))
     if not len(rows):
-        return np.zeros((1, last - first))
+        return
     delay, _, gain = tracks.evaluate(pair, times, filters.basis, rows)
     weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
     gain = np.where(weight > 0.0, gain, 0.0) * weight
@@ -148,17 +158,9 @@ def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Comp
     whole = np.rint(delay_samples)
     weighted: Any = gain * filters.carrier_phase(delay_samples)
     samples = filters.oversampling * np.arange(first, last)
-    return _sum_paths(plan, filters, samples - whole.astype(np.int64), delay_samples - whole, weighted)
-
-
-def _sum_paths(
-    plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, gain: Floats | Complexes
-) -> Floats | Complexes:
-    """Apply taps and gains (C, K, P, n) to the streams around the emitted samples (P, n), and sum over paths."""
-    total: Any = np.zeros((len(gain), emitted.shape[1]), dtype=gain.dtype)
-    for p, delayed in delayed_streams(plan, filters, emitted, mu, np.any(gain, axis=(0, 1, 3))):
-        total += np.einsum("fn,cfn->cn", delayed, gain[:, :, p])
-    return np.asarray(total)
+    emitted, active = samples - whole.astype(np.int64), np.any(weighted, axis=(0, 1, 3))
+    for p, delayed in delayed_streams(plan, filters, emitted, delay_samples - whole, active):
+        yield int(rows[p]), np.einsum("fn,cfn->cn", delayed, weighted[:, :, p])
 
 
 def delayed_streams(

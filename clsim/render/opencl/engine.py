@@ -192,10 +192,13 @@ class Task:
 class Run:
     """Carries out a task, choosing the block length for each segment."""
 
+    _apart = False  # whether each path has a row of its own
+
     def __init__(self, engine: OpenclEngine, task: Task) -> None:
         self._engine, self._plan, self._task = engine, engine._plan, task
         self._source, self._batch, self._branches = task.source, task.batch, task.branches
         self._pressure, self._length, self._start = task.pressure, task.length, task.start
+        self._origin, self._stride = 0, task.length  # first sample of the chunk in the pressure, and samples of a row
         self._first_slot = engine._upload(task.batch.first_slot)
         self._rows = task.batch.row
         self._channels = len(self._plan.tracks.pairs[task.batch.pairs[0]].channels)  # of each pair of the batch
@@ -275,6 +278,7 @@ class Run:
         for first in range(0, self._channels, _CHANNELS):
             channels = min(_CHANNELS, self._channels - first)
             constants = {"FUNCTIONS": together * channels, "CHANNELS": channels, "DELAY_TERMS": self._plan.delay_terms}
+            constants["APART"] = int(self._apart)
             kernel = engine._compiler.kernel("render", layout | constants)
             for k in range(0, self._functions, together):
                 kernel(
@@ -282,13 +286,13 @@ class Run:
                     functions=self._gains, first_gain=k * self._channels + first, first_function=k,
                     functions_here=min(together, self._functions - k), first_slot=self._first_slot,
                     block_subblocks=block // subblock, subblocks=subblocks, pressure_row=self._rows + np.int32(first),
-                    pressure=self._pressure, pressure_stride=self._length, first_sample=begin,
+                    pressure=self._pressure, pressure_stride=self._stride, first_sample=begin - self._origin,
                 )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         """Render the blocks in which paths begin or end, and take them out of the polynomials."""
         engine, begin = self._engine, segment * self._plan.segment
-        fades = self._batch.fades(self._start + begin, block, -(-(end - begin) // block))
+        fades = self._fades(self._start + begin, block, -(-(end - begin) // block))
         if fades is None:
             return
         filters = self._plan.source_filters[self._source]
@@ -299,9 +303,13 @@ class Run:
             engine._queue, self._fade_work(fades, block), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
             functions=self._functions, channels=self._channels, first_row=filters.rows, pressure=self._pressure,
-            pressure_stride=self._length, first_sample=begin,
+            pressure_stride=self._stride, first_sample=begin - self._origin,
         )  # fmt: skip
         self._clear_gains(nodes, slot, at)
+
+    def _fades(self, start: int, block: int, blocks: int) -> Fades | None:
+        """Return the beginnings and ends of paths within some blocks from a sample on."""
+        return self._batch.fades(start, block, blocks)
 
     def _polynomial_constants(self, nodes: Any) -> dict[str, int]:
         """Return the constants of the layout of block polynomials."""

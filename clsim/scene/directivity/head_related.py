@@ -14,7 +14,7 @@ from clsim.acoustics.sphere import sphere_surface_field
 from clsim.arrays import Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.convolution import advanced, arrival_times
-from clsim.numerics.sphere import RadialOnSphere, largest_hole, merged
+from clsim.numerics.sphere import RadialOnSphere, fibonacci_sphere, largest_hole, merged, real_harmonics
 from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage
 from clsim.scene.directivity.sofa_hrtf import read_hrtf
 
@@ -32,6 +32,9 @@ _KEPT = 1e-7  # of the largest component of all responses, below which one is le
 _LONGEST = 2**14  # samples of a response
 _SLOWEST = 200.0  # m/s, below which no sound in air is
 _DEGREE = 5  # of the polynomial of lateness
+_IN_GAPS = 700  # directions evenly over the sphere, of which those in gaps are taken
+_GAP, _LEAST_GAP = 2.5, 0.2  # times the median distance of neighbours, and rad, beyond which there is a gap
+_COARSE, _STIFF = 4, 1e-3  # order of the harmonics that fill gaps, and their stiffness
 _NEAR = 0.1  # least cosine between a direction and an ear's axis at which its time of arrival is taken as it is
 
 
@@ -63,8 +66,9 @@ class HeadRelated(ChannelDirectivity):
     A response's time of arrival is where it is most like its minimum-phase version (J. Nam, J. S. Abel and J. O. Smith,
     AES Convention 125, 2008, paper 7612). A sphere is fitted to the times of each ear on its own side; behind the head
     they jump. Responses are advanced by the sphere's times, as for phase-corrected spherical harmonics (Z. Ben-Hur et
-    al., IEEE/ACM Trans. Audio Speech Lang. Process. 27 (12), 2019), and interpolated over the sphere by cubic radial
-    functions, which go through the values at given directions. Over frequency, a response is its Fourier sum.
+    al., IEEE/ACM Trans. Audio Speech Lang. Process. 27 (12), 2019). Fifth powers of distances and quadratic functions
+    interpolate them over the sphere, through the values at given directions. Gaps wider than 2.5 times the distance of
+    neighbours are filled by harmonics of order 4 first. Over frequency, a response is its Fourier sum.
     """
 
     directions: Floats
@@ -73,7 +77,8 @@ class HeadRelated(ChannelDirectivity):
     _: KW_ONLY
     outside: str | None = None
     name: str = ""
-    parts: tuple[Floats, Floats] = field(init=False, repr=False)  # (n, R) weights, (R, 2, N) components
+    beside: Floats = field(init=False, repr=False)  # (k, 3) directions in gaps, by which these are filled
+    parts: tuple[Floats, Floats] = field(init=False, repr=False)  # (n + k, R) weights, (R, 2, N) components
     times: Floats = field(init=False, repr=False)  # (2, 2) of each ear: lateness at the middle, and of a radius, s
 
     is_complex: ClassVar[bool] = True
@@ -101,10 +106,11 @@ class HeadRelated(ChannelDirectivity):
             raise InputError("directions", f"must be at most {_MOST}, but are {len(directions)}")
         times = _fitted_times(directions, arrival_times(responses) / rate)
         aligned = advanced(responses, rate * _late(times, directions)).reshape(len(directions), -1)
-        weights, components = _components(aligned)
+        beside = _gaps(directions)
+        weights, components = _components(np.concatenate([aligned, _coarse(directions, aligned, beside)]))
         kept = read_only(weights), read_only(components.reshape(len(components), 2, -1))
         values = {"directions": read_only(directions), "responses": read_only(responses), "sampling_rate": rate}
-        for key, value in (values | {"parts": kept, "times": read_only(times)}).items():
+        for key, value in (values | {"parts": kept, "beside": read_only(beside), "times": read_only(times)}).items():
             object.__setattr__(self, key, value)
 
     @property
@@ -322,7 +328,30 @@ _WOODWORTH = _woodworth()
 @lru_cache(maxsize=8)
 def _weights(head: HeadRelated) -> Any:
     """Return the function of direction (m, 3) whose values are the weights of a head's components (m, R)."""
-    return RadialOnSphere.through(head.directions, head.parts[0])
+    return RadialOnSphere.through(np.concatenate([head.directions, head.beside]), head.parts[0])
+
+
+def _gaps(directions: Floats) -> Floats:
+    """Return directions (k, 3) in gaps among others (n, 3), where these are farther than they are from each other."""
+    from scipy.spatial import KDTree
+
+    tree, even = KDTree(directions), fibonacci_sphere(_IN_GAPS)
+    apart = float(np.median(np.asarray(tree.query(directions, k=2)[0])[:, 1]))
+    return even[tree.query(even)[0] > max(_GAP * apart, _LEAST_GAP)]
+
+
+def _coarse(directions: Floats, values: Floats, at: Floats) -> Floats:
+    """Return values (k, m) in gaps by regularised harmonics of a low order through values (n, m) of directions (n, 3).
+
+    R. Duraiswami, D. N. Zotkin and N. A. Gumerov, "Interpolation and range extrapolation of HRTFs", ICASSP 2004:
+    least squares with ``1 + l (l + 1)`` times the square of each coefficient of degree l.
+    """
+    if not len(at):
+        return np.zeros((0, values.shape[1]))
+    harmonics, degree = real_harmonics(_COARSE, directions), np.floor(np.sqrt(np.arange((_COARSE + 1) ** 2)))
+    stiff = np.diag(_STIFF * len(directions) * (1.0 + degree * (degree + 1.0)))
+    found = np.linalg.solve(harmonics.T @ harmonics + stiff, harmonics.T @ values)
+    return np.asarray(real_harmonics(_COARSE, at) @ found)
 
 
 def _fitted_times(directions: Floats, late: Floats) -> Floats:
@@ -348,4 +377,7 @@ def _spectra(head: HeadRelated, frequencies: bytes) -> Complexes:
     components, f = head.parts[1], np.frombuffer(frequencies)
     count = components.shape[2]
     times = (np.arange(count) + count // 2) % count - count // 2  # the second half is before time 0
-    return np.asarray(components @ np.exp(-2j * np.pi / head.sampling_rate * np.outer(times, f)))
+    turn = np.exp(-2j * np.pi / head.sampling_rate * np.outer(times, f))
+    # One product of real matrices: of stacks of complex ones each has its own.
+    made = components.reshape(-1, count) @ np.ascontiguousarray(turn).view(np.float64)
+    return np.asarray(made.view(np.complex128).reshape(*components.shape[:2], len(f)))

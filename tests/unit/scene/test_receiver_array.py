@@ -233,3 +233,22 @@ def test_a_run_tells_the_truth_about_all_and_draws_some(
         assert truth["radial_speed"].shape == truth["delay"].shape == (1, 23, len(times))
     again = load_scene(out / "scene.completed.toml")
     assert len(again.scene.receivers) == 23
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (clsim.Receiver("array", clsim.Trajectory.fixed((2.0, 2.0, 1.0))), "an array is 'array' too"),
+        (clsim.Receiver("hoa ACN0", clsim.Trajectory.fixed((2.0, 2.0, 1.0))), r"but \[2\] has 'hoa ACN0' too"),
+    ],
+)
+def test_rows_with_the_same_name_are_refused(other, message) -> None:
+    """A receiver with the name of an array, or of another one's channel, would hide it in files and stores."""
+    pose = clsim.Trajectory.fixed((3.0, 3.0, 1.0))
+    receivers = clsim.receiver_array("array", [[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]], pose)
+    receivers += [clsim.Receiver.ambisonic("hoa", clsim.Trajectory.fixed((5.0, 3.0, 1.0))), other]
+    tone = clsim.Signal.tone(1e3, duration=0.1, sampling_rate=16e3)
+    source = clsim.Source("s", tone, clsim.Trajectory.fixed((1.0, 1.0, 1.0)))
+    room = clsim.Shoebox((8.0, 6.0, 3.0), clsim.Material.from_reflection(0.5))
+    with pytest.raises(clsim.InputError, match=message):
+        clsim.Scene(room, clsim.Air(), [source], receivers)

@@ -1,0 +1,248 @@
+"""Receivers whose channels differ over frequency: the sound of each path at the centre, through responses that turn."""
+
+from __future__ import annotations
+
+import hashlib
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.paths.path_set import PathSet
+from clsim.render.contributions import Stateless
+from clsim.render.ear_frames import EarFrames
+from clsim.render.memory import with_blas_threads
+from clsim.render.methods.per_sample import PathSum, path_pressures
+from clsim.render.opencl.batches import Fades
+from clsim.render.opencl.engine import OpenclEngine, Run
+from clsim.render.plan import BLOCKS, SEGMENT, Allocation, EarPart, Plan, chunk_of
+from clsim.render.source_filters import Emission, design_source_filters
+from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.directivity.patterns import Omni
+from clsim.scene.signal.occupied_bandwidth import spectra
+from clsim.tracks.sampled import Draw
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from clsim.render.options import RenderOptions
+    from clsim.scene.scene import Scene
+    from clsim.scene.signal.signal import Signal
+    from clsim.tracks.tracks import SceneTracks, Tracks
+
+_BYTES = 64 * 2**20  # of path signals on the device at a time
+
+
+def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
+    """Return the reason against rendering a pair by this method, by its index; None if there is none."""
+    of_scene = tracks.of_scene
+    if of_scene is None:
+        return "tracks without a scene"
+    directivity = of_scene.paths.scene.receivers[tracks.pairs[pair].receiver].directivity
+    if not isinstance(directivity, ChannelDirectivity) or directivity.is_flat:
+        return "its channels are alike over frequency"
+    return "envelopes" if options.baseband is not None or options.responses == "centre" else None
+
+
+def centre_tracks(tracks: SceneTracks, pairs: Sequence[int]) -> SceneTracks:
+    """Return the tracks of pairs as an omnidirectional receiver at each receiver's centre has them."""
+    scene = copy(tracks.paths.scene)
+    receivers = [copy(receiver) for receiver in scene.receivers]
+    for i in {tracks.pairs[pair].receiver for pair in pairs}:
+        object.__setattr__(receivers[i], "directivity", Omni())
+    object.__setattr__(scene, "receivers", tuple(receivers))
+    families = {id(family): copy(family) for family in tracks.paths.families}
+    for family in families.values():
+        object.__setattr__(family, "scene", scene)
+    once = {tracks.paths_of(pair): pair for pair in reversed(pairs)}  # both ears have the same paths
+    kept = sorted(once.values())
+    return replace(
+        tracks,
+        paths=PathSet(scene, tuple(families.values())),
+        pairs=tuple(replace(tracks.pairs[i], channels=range(1)) for i in kept),
+        pair_paths=tuple(
+            replace(tracks.pair_paths[i], family=families[id(tracks.pair_paths[i].family)], channels=range(1))
+            for i in kept
+        ),
+    )
+
+
+def without(tracks: Tracks, parts: Sequence[EarPart]) -> Tracks:
+    """Return the tracks of the pairs that are in no part."""
+    of_scene, claimed = tracks.of_scene, frozenset[int]().union(*(part.pairs for part in parts))
+    if of_scene is None or not claimed:
+        return tracks
+    kept = [i for i in range(len(of_scene.pairs)) if i not in claimed]
+    return replace(
+        of_scene,
+        pairs=tuple(of_scene.pairs[i] for i in kept),
+        pair_paths=tuple(of_scene.pair_paths[i] for i in kept),
+    )
+
+
+def parts_of(
+    emissions: Sequence[tuple[Signal, float]],
+    tracks: Tracks,
+    options: RenderOptions,
+    samples: int,
+    others: frozenset[int],
+) -> tuple[EarPart, ...]:
+    """Return the pairs with receivers whose channels differ over frequency, with a plan for what arrives there."""
+    pairs = [i for i in range(len(tracks.pairs)) if i not in others and can(tracks, options, i) is None]
+    if not pairs or tracks.of_scene is None:
+        return ()
+    centres, rate = centre_tracks(tracks.of_scene, pairs), options.sampling_rate
+    until = samples / rate
+    made = []
+    with with_blas_threads(1):
+        for i, (emitted, start) in enumerate(emissions):
+            signal = emitted.at_rate(rate)
+            sound, spectrum = spectra(signal)
+            drawn, silent = cache(partial(Draw.of, centres, i, until)), all(pair.source != i for pair in centres.pairs)
+            emission = Emission(i, signal, start, sound, centres, options, until, silent, spectrum, drawn)
+            made.append(design_source_filters(emission))
+    chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, centres.channels)), centres.longest_delay)
+    plan = Plan(options, centres, Allocation(), tuple(made), rate, samples, chunk, SEGMENT, BLOCKS, [])
+    return (EarPart(plan, frozenset(pairs)),)
+
+
+def build(plan: Plan) -> Ears:
+    """Make the contribution of a plan's receivers whose channels differ over frequency."""
+    assert plan.tracks.of_scene is not None, "ears are those of scenes"
+    return Ears(plan.allocation.ears, plan.tracks.of_scene.paths.scene, plan.first_rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ears:
+    """Contribution of receivers whose channels differ over frequency."""
+
+    parts: tuple[EarPart, ...]
+    scene: Scene
+    first_rows: NDArray[np.int32]  # of each receiver in the pressure
+
+    @property
+    def name(self) -> str:
+        """Name of its kind."""
+        return "ears"
+
+    def describe(self) -> list[str]:
+        """Describe the paths, and the filters and errors of each source."""
+        lines = []
+        for part in self.parts:
+            receivers = len({pair.receiver for pair in part.plan.tracks.pairs})
+            lines.append(
+                f"{part.plan.path_count} paths to {receivers} receivers with ears: each is filtered on its own"
+            )
+            lines += PathSum(part.plan).describe()
+        return lines
+
+    def digest(self) -> str:
+        """Return a text that changes with any tap, and with the responses, of which some are looked at."""
+        found, c = hashlib.sha256(), self.scene.air.speed_of_sound
+        for part in self.parts:
+            found.update(PathSum(part.plan).digest().encode())
+            for receiver in sorted({pair.receiver for pair in part.plan.tracks.pairs}):
+                ears = self.scene.receivers[receiver].directivity
+                some = np.clip(np.geomspace(100.0, 0.4 * part.plan.sampling_rate, 8), *ears.band)
+                found.update(np.ascontiguousarray(ears.gain_towards(np.eye(3)[:, None], some, c)).tobytes())
+        return found.hexdigest()
+
+    def begin(self) -> _Adding:
+        """Return an object that adds it."""
+        return _Adding(self)
+
+
+class _Adding(Stateless):
+    """Adds what ears receive; the engine starts with the first piece."""
+
+    def __init__(self, ears: Ears) -> None:
+        self._ears = ears
+        self._engines: list[EarEngine] = []
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add what ears receive from sample `start` on to the pressure (rows, n), Pa."""
+        for i, part in enumerate(self._ears.parts):
+            plan = part.plan
+            frames = EarFrames(plan, self._ears.scene, (self._ears.first_rows, pressure), start)
+            begin = max(start - frames.after, 0) // plan.segment * plan.segment
+            end = start + pressure.shape[1] + frames.before
+            if plan.options.engine == "reference":
+                _add_exactly(frames, begin, end)
+                continue
+            if len(self._engines) <= i:
+                self._engines.append(EarEngine(plan))
+            self._engines[i].filter(frames, begin, end)
+
+    def warn(self) -> None:
+        """Warn of residuals above the requested error."""
+        for engine in self._engines:
+            engine.warn()
+
+
+def _add_exactly(frames: EarFrames, begin: int, end: int) -> None:
+    """Add paths in float64."""
+    plan = frames.plan
+    for first in range(begin, end, plan.segment):
+        last = min(first + plan.segment, end)
+        for pair, member in enumerate(plan.tracks.pairs):
+            signals = np.zeros((len(member), last - first))
+            for row, heard in path_pressures(plan, pair, first, last):
+                signals[row] = heard[0]
+            frames.add(pair, np.arange(len(member)), signals, first)
+
+
+class EarEngine(OpenclEngine):
+    """Renders the sound of each path at receivers' centres, and has it filtered."""
+
+    frames: EarFrames
+
+    def filter(self, frames: EarFrames, begin: int, end: int) -> None:
+        """Add paths that arrive at centres from a sample to another to frames."""
+        self.frames = frames
+        self.add(np.zeros((self._plan.row_count, end - begin), np.float32), begin)
+
+    @property
+    def run(self) -> type[Run]:
+        """Class that renders a batch of receivers."""
+        return _EarRun
+
+
+class _EarRun(Run):
+    """Renders the paths of a batch one by one."""
+
+    _engine: EarEngine
+    _apart = True
+
+    def _fades(self, start: int, block: int, blocks: int) -> Fades | None:
+        """Return the beginnings and ends of paths, each slot with a row of its own."""
+        fades = self._batch.fades(start, block, blocks)
+        if fades is None:
+            return None
+        first = np.arange(len(fades.slot) + 1, dtype=np.int32)
+        return Fades(fades.slot, fades.block, fades.start, fades.end, first, fades.slot, fades.block)
+
+    def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        import pyopencl as cl
+
+        engine, count, length = self._engine, self._batch.count, self._plan.segment
+        step = length * max(_BYTES // (4 * count * length), 1)
+        for at in range(segment * length, end, step):
+            stop = min(at + step, end)
+            self._origin, self._stride, size = at, stop - at, 4 * count * (stop - at)
+            self._pressure = engine._scratch.take("apart", size)
+            cl.enqueue_fill_buffer(engine._queue, self._pressure, np.zeros(1, np.float32), 0, size)
+            later = (at - segment * length) // block
+            super()._render(nodes, at // length, stop, block, first_block + later)
+            shape = count, stop - at
+            made: Any = cl.enqueue_map_buffer(
+                engine._queue, self._pressure, cl.map_flags.READ, 0, shape, np.dtype("f4")
+            )[0]
+            for i, pair in enumerate(self._batch.pairs):
+                here = np.arange(count)[self._batch.of_pair(i)]
+                here = here[~self._batch.padding[here]]
+                engine.frames.add(pair, self._batch.path[here], made[here], self._start + at)
+            made.base.release(engine._queue)
