@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.render.memory import with_blas_threads
 from clsim.render.methods.per_sample import delayed_streams
 from clsim.render.plan import Allocation
 from clsim.sensitivity.linear_map import scene_tracks, through_ends
@@ -60,10 +61,12 @@ def _by_moments(
     if not np.any(moments):
         return
     blocks, paths, functions, _ = moments.shape
-    made, at_nodes = moments.astype(np.float64) @ _powers().T, np.zeros((functions, paths, blocks + 3))
+    at_nodes = np.zeros((paths, blocks + 3, functions))
+    made = (_powers() @ moments.reshape(-1, 4).T.astype(np.float64)).reshape(4, blocks, paths, functions)
     for i in range(4):
-        at_nodes[:, :, i : i + blocks] += made[..., i].transpose(2, 1, 0)
-    pulled.add(pair, rows, start, block, at_nodes)
+        at_nodes[:, i : i + blocks] += made[i].swapaxes(0, 1)
+    with with_blas_threads(1):  # matrices are small
+        pulled.add(pair, rows, start, block, at_nodes)
 
 
 def adjoint_signal(plan: Plan, source: int, weights: Floats) -> Floats:
@@ -111,18 +114,18 @@ def _arriving(
 def _at_nodes(
     linear: LinearMap, pair: int, filters: SourceFilters, row: Floats, start: int, block: int, blocks: int
 ) -> Floats | None:
-    """Return weighted arrivals (K, P, nodes) of all functions, brought to the nodes of blocks; None for silence."""
+    """Return weighted arrivals (P, nodes, K) of all functions, brought to the nodes of blocks; None for silence."""
     plan = linear.plan
     stop = min(start + block * blocks, plan.samples)
     _, emitted, mu, weight = _arriving(plan, pair, filters, start, stop)
     weight = weight * row[start:stop]
     out, cubics = None, _lagrange(block)
     for p, delayed in delayed_streams(linear.shared, filters, emitted, mu, np.any(weight, axis=1)):
-        out = np.zeros((len(delayed), len(emitted), blocks + 3)) if out is None else out
+        out = np.zeros((len(emitted), blocks + 3, len(delayed))) if out is None else out
         full = np.zeros((len(delayed), blocks * block))
         full[:, : stop - start] = delayed * weight[p]
         for i, moved in enumerate(np.moveaxis(full.reshape(-1, blocks, block) @ cubics, 2, 0)):
-            out[:, p, i : i + blocks] += moved
+            out[p, i : i + blocks] += moved.T
     return out
 
 
@@ -135,4 +138,3 @@ def _lagrange(block: int) -> Floats:
 def _powers() -> Floats:
     """Return the coefficients (4, 4) on [-1, 1] of the cubics that are 1 at one node and 0 at the others."""
     return np.asarray(np.linalg.inv(np.vander([-3.0, -1.0, 1.0, 3.0], 4, increasing=True)).T, dtype=np.float64)
-

@@ -70,7 +70,7 @@ class Knot:
         """Return their rates (..., 3), 1/s."""
         knots = self.spread.derivative.x
         inside = (time >= knots[0]) & (time <= knots[-1])
-        return self._along(self.spread.derivative, time) * inside[..., None]
+        return np.asarray(self._along(self.spread.derivative, time) * inside[..., None])
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
         """Return bounds (n,) of the speed between two times, 1/s."""

@@ -13,7 +13,7 @@ from clsim.render.plan import Allocation, Plan
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
 from clsim.sensitivity.displaced import varied
-from clsim.sensitivity.parameters import check_differentiable
+from clsim.sensitivity.parameters import check_differentiable, whole_shift
 from clsim.sensitivity.tangents import TangentPaths
 from clsim.tracks.tracks import SceneTracks, track
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from clsim.sensitivity.parameters import Parameter
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
+_LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
 _PER_SAMPLE: dict[str, Any] = {"convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None}
 
 
@@ -59,7 +60,9 @@ class LinearMap:
         """Design the filters."""
         plan = plan_of(paths, options)
         few = _representatives(scene_tracks(plan), parameters)
-        shared = plan_paths(few, replace(plan.options, duration=plan.duration)) if few is not None else plan
+        allowed = min(plan.options.response_error_db + _LESS_DB, _MOST_DB)
+        own = replace(plan.options, duration=plan.duration, response_error_db=allowed)
+        shared = plan_paths(few, own) if few is not None else plan
         return cls(plan, tuple(parameters), shared)
 
     def plan_of(self, tracks: SceneTracks) -> Plan:
@@ -158,5 +161,5 @@ def _of_kind(tracks: SceneTracks, parameters: list[Parameter], source: int, coun
             paths = pair.family.part(pair.index)
             mine = np.flatnonzero(parameter.touched(paths))
             if len(mine):
-                yield TangentPaths.of(paths.part(mine), parameter, tracks.kinematics)
+                yield TangentPaths.of(paths.part(mine), whole_shift(parameter), tracks.kinematics)
                 break

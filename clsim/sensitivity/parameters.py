@@ -94,6 +94,8 @@ class Parameter:
     @property
     def kind(self) -> str:
         """The name without things and axes: what responses by parameters of one kind have in common."""
+        if self.acts == "shift":
+            return "shift"
         return re.sub(r"\[\d+\]|\.[xyz]$|(?<=walls).*(?=\.)", "", self.name)
 
     def touched(self, paths: PathFamily) -> NDArray[np.bool_]:
@@ -239,6 +241,17 @@ def _of_thing(scene: Scene, name: str, kind: str, index: int, what: str) -> Iter
 def _shifted(name: str, shift: Curve, with_thing: Any, acts: str, own: dict[str, Any]) -> Parameter:
     change = partial(with_thing, partial(_displaced, shift))
     return Parameter(name, "m", _STEP, change, **own, acts=acts, shift=shift)
+
+
+def whole_shift(parameter: Parameter) -> Parameter:
+    """Return the displacement of a whole trajectory in place of that of one of its points; all else stays."""
+    if not isinstance(parameter.shift, Knot):
+        return parameter
+    kind = "receivers" if parameter.source is None else "sources"
+    index = int(parameter.receiver or 0) if parameter.source is None else parameter.source
+    own = {"source": parameter.source, "receiver": parameter.receiver}
+    with_thing = partial(_with_thing, kind, index)
+    return _shifted(parameter.name, Static(np.eye(3)[parameter.shift.axis]), with_thing, "shift", own)
 
 
 def _knots(name: str, curve: Curve) -> Iterator[tuple[int, Knot]]:

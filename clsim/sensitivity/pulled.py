@@ -9,7 +9,7 @@ import numpy as np
 from clsim.paths.response import NEPERS, SceneResponse, covered
 from clsim.render.plan import node_times
 from clsim.sensitivity.displaced import Knot
-from clsim.sensitivity.images import Images, in_closed_form, turned_back
+from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
 from clsim.sensitivity.linear_map import scene_tracks
 from clsim.sensitivity.tangents import TangentPaths, clock_change
 
@@ -50,10 +50,10 @@ class Pulled:
         return any(True for _ in self._parameters(self._tracks.pair_paths[pair]))
 
     def add(self, pair: int, rows: NDArray[np.int64], start: int, block: int, at_nodes: Floats) -> None:
-        """Add the products of some paths, of arrivals (K, P, nodes) at the nodes of blocks from a sample on."""
+        """Add the products of some paths, of arrivals (P, nodes, K) at the nodes of blocks from a sample on."""
         paths, plan = self._tracks.pair_paths[pair].part(rows), self._linear.plan
         basis = self._linear.shared.source_filters[paths.source].basis
-        times = node_times(start, block, at_nodes.shape[2] - 3, plan.sampling_rate)
+        times = node_times(start, block, at_nodes.shape[1] - 3, plan.sampling_rate)
         now = times + self._tracks.scene.receivers[paths.receiver].clock_error(times)
         family, index = paths.family, paths.index
         at = SceneResponse(self._tracks.scene, paths.source, basis.nodes)
@@ -80,11 +80,11 @@ class Pulled:
 
 
 def _at_frequencies(basis: Basis, at_nodes: Floats) -> Complexes:
-    """Return weights (P, nodes, F) of responses of which arrivals (K, P, nodes) take the gains."""
-    count, each = len(basis.nodes), np.ascontiguousarray(at_nodes.transpose(1, 2, 0))
-    weights = (each @ basis.projection[:, :count]).astype(np.complex128)
-    if basis.parts == 2:
-        weights.imag = each @ basis.projection[:, count:]
+    """Return weights (P, nodes, F) of responses of which arrivals (P, nodes, K) take the gains."""
+    count, each = len(basis.nodes), at_nodes.reshape(-1, len(basis))
+    weights = np.empty((*at_nodes.shape[:2], count), dtype=np.complex128)
+    weights.real = (each @ basis.projection[:, :count]).reshape(weights.shape)
+    weights.imag = (each @ basis.projection[:, count:]).reshape(weights.shape) if basis.parts == 2 else 0.0
     return weights
 
 
@@ -103,7 +103,7 @@ class _OfImages:
 
     def __init__(self, images: Images, forces: Forces, weights: Complexes, at: SceneResponse) -> None:
         self._images, self._forces, self._weights, self._at = images, forces, weights, at
-        self._apart = forces.apart.sum(axis=1)  # (P, 3)
+        self._apart, self._product = forces.apart.sum(axis=1), forces.product.sum(axis=1)  # (P, 3) and (P, F)
 
     def by(self, parameters: list[Parameter]) -> Any:
         """Return the derivatives by a parameter, or by the points of a trajectory."""
@@ -137,8 +137,8 @@ class _OfImages:
         """Return the derivative by the displacement of a wall, by which the offsets of images change."""
         images = self._images
         part: Any = images.family.part(images.rows)
-        ahead, behind = (part.in_scene(parameter.moved(part.scene, s * parameter.step)) for s in (1.0, -1.0))
-        offset = (ahead.legs[0].offset - behind.legs[0].offset) / (2.0 * parameter.step)
+        moved = part.in_scene(parameter.moved(part.scene, 1.0))  # offsets are linear in walls
+        offset = moved.legs[0].offset - part.legs[0].offset
         return -float(np.sum(self._apart * turned_back(images.matrix, offset[:, None])[:, 0]))
 
     def _by_reflection(self, parameter: Parameter) -> float:
@@ -150,20 +150,26 @@ class _OfImages:
         if material.depends_on_angle or np.min(np.abs(factor)) < _LEAST_FACTOR or family.scene.panels:
             return self._by_scene(parameter)
         met = np.sum(family.walls[images.rows] == parameter.wall, axis=1)
-        each = np.einsum("p,ptf->f", met.astype(np.float64), self._forces.product)
-        return float(np.sum((each / factor).real))
+        return float(np.sum((met.astype(np.complex128) @ self._product / factor).real))
 
     def _by_scene(self, parameter: Parameter) -> float:
         """Return the derivative by what changes responses and the speed of sound."""
-        images, values, speeds = self._images, [], []
-        source = int(images.family.source[images.rows][0])
-        for sign in (1.0, -1.0):
-            moved: Any = images.family.part(images.rows)
-            moved = moved.in_scene(parameter.moved(moved.scene, sign * parameter.step))
-            there = SceneResponse(moved.scene, source, self._at.frequencies)
-            values.append(moved.response(slice(None), images.found, images.times, there))
-            speeds.append(moved.medium(source).speed_of_sound)
-        changed = float(np.sum((np.conj(self._weights) * (values[0] - values[1])).real))
+        images, family = self._images, self._images.family
+        source = int(family.source[images.rows][0])
+        scenes = [parameter.moved(family.scene, sign * parameter.step) for sign in (1.0, -1.0)]
+        ats = [SceneResponse(scene, source, self._at.frequencies) for scene in scenes]
+        walls = np.arange(len(self._at.angular) - 1)[:, None]
+        if is_simple(family, images.rows, self._at) and np.array_equal(
+            ats[0].reflection(walls), ats[1].reflection(walls)
+        ):
+            beyond = np.einsum("pt,ptf->f", images.found.through - 1.0, self._forces.product.real)
+            changed = float(beyond @ (ats[1].nepers - ats[0].nepers))
+        else:
+            moved = zip((family.in_scene(scene) for scene in scenes), ats, strict=True)
+            each = [paths.response(images.rows, images.found, images.times, at) for paths, at in moved]
+            changed = float(np.sum((np.conj(self._weights) * (each[0] - each[1])).real))
+        frequency = family.scene.sources[source].emitted.centre_frequency
+        speeds = [scene.air.speed_at(frequency) for scene in scenes]
         return (changed + float(self._forces.speed.sum()) * (speeds[0] - speeds[1])) / (2.0 * parameter.step)
 
 
