@@ -11,6 +11,7 @@ import numpy as np
 from clsim.render.memory import with_blas_threads
 from clsim.render.methods.per_sample import delayed_streams
 from clsim.render.plan import Allocation
+from clsim.sensitivity.images import has_beams
 from clsim.sensitivity.linear_map import scene_tracks, through_ends
 from clsim.sensitivity.moments import MomentEngine
 from clsim.sensitivity.pulled import Pulled
@@ -44,7 +45,8 @@ def adjoint(linear: LinearMap, weights: Floats) -> Floats:
         MomentEngine(shared).taken(weights, partial(_by_moments, pulled))
         return pulled.found
     for pair, member in enumerate(plan.tracks.pairs):
-        block = _SHORT_BLOCK if scene_tracks(plan).pair_paths[pair].family.varies else _BLOCK
+        paths = scene_tracks(plan).pair_paths[pair]
+        block = _SHORT_BLOCK if paths.family.varies or has_beams(paths) else _BLOCK
         filters, row = linear.shared.source_filters[member.source], weights[plan.rows_of_pair(pair).start]
         for start in range(0, plan.samples if pulled.concerned(pair) else 0, _RUN):
             blocks = -(-min(_RUN, plan.samples - start) // block)

@@ -12,7 +12,7 @@ from clsim.scene.directivity.patterns import Omni
 if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import PathFamily, Rows
+    from clsim.paths.family import PairPaths, PathFamily, Rows
     from clsim.paths.response import SceneResponse
 
 _INSTANT = 1e-6  # s, half of that over which accelerations are taken
@@ -181,6 +181,11 @@ class Forces:
     velocity: Floats  # (P, T, 3) by changes of the source's velocity, s/m
     later: Floats  # by changes of the time of reception, 1/s
     speed: Floats  # by changes of the speed of sound, s/m
+
+
+def has_beams(paths: PairPaths) -> bool:
+    """Test if an end of the paths of a pair sounds or hears otherwise in some directions."""
+    return not all(isinstance(end.directivity, Omni) for end in paths.family.ends(paths.rows))
 
 
 def is_simple(family: Any, rows: Rows, at: SceneResponse) -> bool:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.render.opencl.engine import OpenclEngine, Run
+from clsim.sensitivity.images import has_beams
 from clsim.tracks.basis import flat_basis
 
 if TYPE_CHECKING:
@@ -56,7 +57,8 @@ class MomentEngine(OpenclEngine):
         """Return the number of blocks of a length whose moments are added up, where responses change slowly."""
         tracks = self._plan.tracks.of_scene
         assert tracks is not None
-        slow = block == self._plan.blocks[0] and not tracks.pair_paths[batch.pairs[0]].family.costly
+        paths = tracks.pair_paths[batch.pairs[0]]
+        slow = block == self._plan.blocks[0] and not paths.family.costly and not has_beams(paths)
         return _TOGETHER if slow else 1
 
     def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:

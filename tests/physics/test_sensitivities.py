@@ -231,8 +231,8 @@ def turning(air: clsim.Air) -> PathSet:
     times, half = np.linspace(0.0, 0.1, 4), 0.5 * np.linspace(0.2, 0.6, 4)
     turns = np.stack([0.0 * half, 0.0 * half, np.sin(half), np.cos(half)], axis=1)
     way = clsim.Trajectory.waypoints(times, KNOTS, orientations=turns)
-    back = clsim.Trajectory.waypoints(times, KNOTS[::-1] + [2.0, 0.8, 0.3], orientations=turns)
-    soft = clsim.Material.impedance(8.0)
+    back = clsim.Trajectory.waypoints(times, KNOTS[::-1] + np.array([2.0, 0.8, 0.3]), orientations=turns)
+    soft = clsim.Material.from_impedance([1e3, 48e3], [8.0 + 1.0j, 8.0 + 1.0j])
     walls = {"x_max": soft} | dict.fromkeys(
         ("x_min", "y_min", "y_max", "z_min", "z_max"), clsim.Material.from_reflection(0.7)
     )
