@@ -128,11 +128,11 @@ MOMENTS = (
         "first_row": taken("int", "FUNCTIONS + 1"),
         **BLOCKS,
         "start": taken("float", "slots"), "end": taken("float", "slots"), "per_ramp": FLOAT, "block_subblocks": INT,
-        "row": taken("int", "slots"), "weights": taken("float", "rows, weight_stride"), "weight_stride": INT,
-        "first_sample": INT,
-        "taken": made("float", "blocks, slots, FUNCTIONS, 4"),
+        "blocks": INT, "row": taken("int", "slots"), "weights": taken("float", "rows, weight_stride"),
+        "weight_stride": INT, "first_sample": INT,
+        "taken": made("float", "groups, slots, FUNCTIONS, 4"),
     },
-    frozenset({"LANES", "SUBBLOCK", "OVERSAMPLING", "DELAY_TERMS", "SPARSE", "FUNCTIONS"}),
+    frozenset({"LANES", "SUBBLOCK", "OVERSAMPLING", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "TOGETHER"}),
 )  # fmt: skip
 ROOM = {
     "tolerance": DOUBLE, "thickness": DOUBLE, "plane": taken("double4", "walls"), "sphere": taken("double4", "walls"),

@@ -15,9 +15,10 @@ from clsim.scene.motion.orientation import quaternion_product
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+    from scipy.interpolate import PPoly
 
     from clsim.arrays import Floats
-    from clsim.scene.motion.curves import Curve
+    from clsim.scene.motion.curves import Curve, Piecewise
     from clsim.scene.room.faces import Faces
     from clsim.scene.room.protocol import Room
 
@@ -54,22 +55,34 @@ class Displaced:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pushed:
-    """A velocity along an axis without a displacement."""
+class Knot:
+    """Displacement along an axis by one point of a motion; `spread` has the curves of all points side by side."""
 
+    spread: Piecewise
+    number: int
     axis: int
 
     def position(self, time: Floats) -> Floats:
-        """Return zeros (..., 3), m."""
-        return np.zeros((*time.shape, 3))
+        """Return displacements (..., 3), m/m."""
+        return self._along(self.spread.polynomial, time)
 
     def velocity(self, time: Floats) -> Floats:
-        """Return the axis (..., 3), m/s."""
-        return np.broadcast_to(np.eye(3)[self.axis], (*time.shape, 3))
+        """Return their rates (..., 3), 1/s."""
+        knots = self.spread.derivative.x
+        inside = (time >= knots[0]) & (time <= knots[-1])
+        return np.asarray(self._along(self.spread.derivative, time) * inside[..., None])
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return ones (n,), m/s."""
-        return np.ones(len(begin))
+        """Return bounds (n,) of the speed between two times, 1/s."""
+        return self.spread.speed_over(begin, end)
+
+    def _along(self, polynomial: PPoly, time: Floats) -> Floats:
+        from scipy.interpolate import PPoly
+
+        own = PPoly.construct_fast(np.ascontiguousarray(polynomial.c[:, :, self.number]), polynomial.x)
+        out = np.zeros((*time.shape, 3))
+        out[..., self.axis] = own(np.clip(time, polynomial.x[0], polynomial.x[-1]))
+        return out
 
 
 def displaced(motion: T, shift: Curve, by: float) -> T:

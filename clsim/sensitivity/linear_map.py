@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.paths.arrivals import Kinematics
 from clsim.paths.path_set import PathSet
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.plan import Allocation, Plan
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
 from clsim.sensitivity.displaced import varied
-from clsim.sensitivity.parameters import check_differentiable
+from clsim.sensitivity.parameters import check_differentiable, whole_shift
 from clsim.sensitivity.tangents import TangentPaths
 from clsim.tracks.tracks import SceneTracks, track
 
@@ -23,54 +21,49 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from clsim.arrays import Floats
-    from clsim.paths.family import PairPaths
+    from clsim.paths.arrivals import Kinematics
+    from clsim.paths.family import PathFamily
     from clsim.render.options import RenderOptions
     from clsim.sensitivity.parameters import Parameter
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
+_LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
 _PER_SAMPLE: dict[str, Any] = {"convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearMap:
-    """Tangents of a scene's paths by some parameters, and the functions of frequency that all of them share.
+    """Parameters of a scene, and the functions of frequency that the tangents of its paths by all of them share.
 
     Attributes
     ----------
     plan : Plan
         Of the sum over the paths themselves, sample by sample.
-    tangents : tuple of SceneTracks
-        Tracks of the tangents by each parameter.
     shared : Plan
         With the filters for the responses of all tangents.
     """
 
     plan: Plan
     parameters: tuple[Parameter, ...]
-    tangents: tuple[SceneTracks, ...]
     shared: Plan
 
-    def tracks_of(self, parameter: Parameter) -> SceneTracks:
-        """Return the tracks of the tangents by one more parameter."""
-        options, kinematics = self.plan.options, scene_tracks(self.plan).kinematics
-        tangents = tangents_of(scene_tracks(self.plan).paths, parameter, kinematics)
+    def tracks_of(self, parameter: Parameter) -> SceneTracks | None:
+        """Return the tracks of the tangents by a parameter; None of none."""
+        options, own = self.plan.options, scene_tracks(self.plan)
+        tangents = tangents_of(own.paths, parameter, own.kinematics)
+        if tangents is None:
+            return None
         return track(tangents, motion=options.motion, amplitude=options.amplitude, transition=options.transition)
 
     @classmethod
     def of(cls, paths: PathSet, parameters: Sequence[Parameter], options: RenderOptions) -> LinearMap:
-        """Make the tangents and design the filters."""
+        """Design the filters."""
         plan = plan_of(paths, options)
-        paths, options = scene_tracks(plan).paths, plan.options
-        kinematics = Kinematics(options.motion, options.amplitude)
-        sets = [tangents_of(paths, parameter, kinematics) for parameter in parameters]
-        shared = plan_paths(_representatives(paths, parameters, sets), replace(options, duration=plan.duration))
-        own: dict[str, Any] = {
-            "motion": options.motion,
-            "amplitude": options.amplitude,
-            "transition": options.transition,
-        }
-        tracks = tuple(track(tangents, **own) for tangents in sets)
-        return cls(plan, tuple(parameters), tracks, shared)
+        few = _representatives(scene_tracks(plan), parameters)
+        allowed = min(plan.options.response_error_db + _LESS_DB, _MOST_DB)
+        own = replace(plan.options, duration=plan.duration, response_error_db=allowed)
+        shared = plan_paths(few, own) if few is not None else plan
+        return cls(plan, tuple(parameters), shared)
 
     def plan_of(self, tracks: SceneTracks) -> Plan:
         """Return the plan of the sum over tangents, by the filters that all share."""
@@ -81,8 +74,10 @@ class LinearMap:
 
     def forward(self) -> Iterator[Floats]:
         """Yield the derivative of all rows (rows, samples) by each parameter."""
-        for tracks in self.tangents:
-            yield received(self.plan_of(tracks))
+        for parameter in self.parameters:
+            tracks = self.tracks_of(parameter)
+            silent = np.zeros((self.plan.row_count, self.plan.samples))
+            yield silent if tracks is None else received(self.plan_of(tracks))
 
 
 def plan_of(paths: PathSet, options: RenderOptions) -> Plan:
@@ -132,32 +127,39 @@ def _without_noise(paths: PathSet) -> PathSet:
     return PathSet(scene, tuple(family.in_scene(scene) for family in paths.families))
 
 
-def tangents_of(paths: PathSet, parameter: Parameter, kinematics: Kinematics) -> PathSet:
-    """Return the tangents of all paths that depend on a parameter, a kind for each kind of path."""
+def tangents_of(paths: PathSet, parameter: Parameter, kinematics: Kinematics) -> PathSet | None:
+    """Return the tangents of all paths that depend on a parameter, a kind for each kind of path; None of none."""
     found = []
     for family in paths.families:
-        mine = np.ones(len(family), dtype=bool)
-        for own, index in ((family.source, parameter.source), (family.receiver, parameter.receiver)):
-            mine &= True if index is None else own == index
-        found.append(TangentPaths.of(family.part(np.flatnonzero(mine)), parameter, kinematics))
-    return PathSet(paths.scene, tuple(found))
+        mine = np.flatnonzero(parameter.touched(family))
+        if len(mine):
+            found.append(TangentPaths.of(family.part(mine), parameter, kinematics))
+    return PathSet(paths.scene, tuple(found)) if found else None
 
 
-def _representatives(paths: PathSet, parameters: Sequence[Parameter], sets: Sequence[PathSet]) -> PathSet:
+def _representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> PathSet | None:
     """Return tangents of a few pairs by parameters of all kinds, of which functions of frequency are designed."""
-    kinds: dict[str, list[PathSet]] = {}
-    for parameter, tangents in zip(parameters, sets, strict=True):
-        kinds.setdefault(parameter.kind, []).append(tangents)
-    found = []
-    for source in range(len(paths.scene.sources)):
-        of_kinds = (_pairs_of(mine, source) for mine in kinds.values())
-        in_turn = (pair for turn in zip_longest(*of_kinds) for pair in turn if pair is not None)
-        found += [pair for pair, _ in zip(in_turn, range(_MOST_PAIRS), strict=False)]
-    families = tuple(pair.family.part(pair.index) for pair in found)
-    return PathSet(paths.scene, families)
+    kinds: dict[str, list[Parameter]] = {}
+    for parameter in parameters:
+        kinds.setdefault(parameter.kind, []).append(parameter)
+    found: list[PathFamily] = []
+    for source in range(len(tracks.paths.scene.sources)):
+        each = max(_MOST_PAIRS // len(kinds), 2)
+        for mine in kinds.values():
+            found += _of_kind(tracks, mine, source, each)
+    return PathSet(tracks.paths.scene, tuple(found)) if found else None
 
 
-def _pairs_of(sets: Sequence[PathSet], source: int) -> Iterator[PairPaths]:
-    """Yield pairs of a source: the first of each parameter, then the second of each, and so on."""
-    each = [[pair for _, pair in tangents.pairs() if pair.source == source] for tangents in sets]
-    yield from (pair for turn in zip_longest(*each) for pair in turn if pair is not None)
+def _of_kind(tracks: SceneTracks, parameters: list[Parameter], source: int, count: int) -> Iterator[PathFamily]:
+    """Yield tangents by some parameters of a kind, those of each of another pair of a source."""
+    own = [p for p in parameters if p.source in (None, source)]
+    pairs = [pair for pair in tracks.pair_paths if pair.source == source]
+    for i in range(min(count, len(own) * len(pairs))):
+        parameter = own[i * len(own) // count if len(own) > count else i % len(own)]
+        first = i % len(pairs)
+        for pair in (pair for pair in pairs[first:] + pairs[:first] if parameter.receiver in (None, pair.receiver)):
+            paths = pair.family.part(pair.index)
+            mine = np.flatnonzero(parameter.touched(paths))
+            if len(mine):
+                yield TangentPaths.of(paths.part(mine), whole_shift(parameter), tracks.kinematics)
+                break

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.render.opencl.engine import OpenclEngine, Run
+from clsim.sensitivity.images import has_beams
+from clsim.tracks.basis import flat_basis
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -14,10 +17,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.render.opencl.batches import PathBatch
 
-    # Takes a pair, rows of its paths, a sample, samples in a block, and moments (blocks, paths, functions, 4).
-    Take = Callable[[int, NDArray[np.int64], int, int, Floats], None]
+    # Takes a pair, rows of its paths, a sample, samples in a group, and moments (groups, paths, functions, 4).
+    Take = Callable[[int, NDArray[np.int64], int, int, NDArray[np.float32]], None]
 
+_TOGETHER = 4  # long blocks between the nodes of tangents of images, whose directions change slowly
 _FAR = 2.0**23  # samples, up to which float32 counts
 
 
@@ -37,6 +42,24 @@ class MomentEngine(OpenclEngine):
         self.take, self.skips_silence = take, False
         for start in range(0, weights.shape[1], self._plan.chunk):
             self.add(weights[:, start : start + self._plan.chunk], start)
+
+    def maker(self, pair: int) -> Any:
+        """Return the maker of the nodes of a pair, with one gain in place of those of all functions."""
+        plan = self._plan
+        one = (replace(f, basis=flat_basis(f.signal.centre_frequency)) for f in plan.source_filters)
+        self._plan = replace(plan, source_filters=tuple(one), builders=[])
+        try:
+            return super().maker(pair)
+        finally:
+            self._plan = plan
+
+    def together(self, batch: PathBatch, block: int) -> int:
+        """Return the number of blocks of a length whose moments are added up, where responses change slowly."""
+        tracks = self._plan.tracks.of_scene
+        assert tracks is not None
+        paths = tracks.pair_paths[batch.pairs[0]]
+        slow = block == self._plan.blocks[0] and not paths.family.costly and not has_beams(paths)
+        return _TOGETHER if slow else 1
 
     def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
         """Leave the weights as they are."""
@@ -59,21 +82,22 @@ class _MomentRun(Run):
 
         engine, batch, plan = self._engine, self._batch, self._plan
         begin, subblock = segment * plan.segment, plan.subblock(self._source, block)
+        together = engine.together(batch, block)
         blocks, filters, ramp = (end - begin) // block, plan.source_filters[self._source], batch.bounds.ramp
-        out = np.empty((blocks, batch.count, self._functions, 4), dtype=np.float32)
+        out = np.empty((-(-blocks // together), batch.count, self._functions, 4), dtype=np.float32)
         on_device = engine._scratch.take("moments", out.nbytes)
         bounds = [np.clip(x - (self._start + begin), -_FAR, _FAR) for x in (batch.bounds.start, batch.bounds.end)]
         constants = {"SUBBLOCK": subblock, "FUNCTIONS": self._functions, "OVERSAMPLING": filters.oversampling}
-        layout = {"LANES": engine._layout.lanes, **self._polynomial_constants(nodes)}
+        layout = {"LANES": engine._layout.lanes, "TOGETHER": together, **self._polynomial_constants(nodes)}
         engine._compiler.kernel("moments", constants | layout)(
-            engine._queue, ((batch.count, blocks), (1, 1)), **self._branch_arguments(begin),
+            engine._queue, ((batch.count, len(out)), (1, 1)), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), first_row=filters.rows,
             start=np.where(batch.padding, _FAR, bounds[0]).astype(np.float32), end=bounds[1].astype(np.float32),
-            per_ramp=1.0 / ramp if ramp else 0.0, block_subblocks=block // subblock,
+            per_ramp=1.0 / ramp if ramp else 0.0, block_subblocks=block // subblock, blocks=blocks,
             row=np.repeat(batch.row, np.diff(batch.first_slot)), weights=engine.weights, weight_stride=self._length,
             first_sample=begin, taken=on_device,
         )  # fmt: skip
         cl.enqueue_copy(engine._queue, out, on_device)
         for i, pair in enumerate(batch.pairs):
             mine = np.flatnonzero(~batch.padding[batch.of_pair(i)]) + batch.of_pair(i).start
-            engine.take(pair, batch.path[mine], self._start + begin, block, out[:, mine].astype(np.float64))
+            engine.take(pair, batch.path[mine], self._start + begin, together * block, out[:, mine])

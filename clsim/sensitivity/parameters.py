@@ -11,15 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.paths.family import DIFFRACTION
+from clsim.paths.family import BODY, DIFFRACTION, SCATTERING, SPECULAR, TRANSMISSION
 from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.curves import Piecewise, Static, legs_through, spline_through
 from clsim.scene.transducer.electronics import Electronics
-from clsim.sensitivity.displaced import Pushed, displaced, turned, varied, with_wall
+from clsim.sensitivity.displaced import Knot, displaced, turned, varied, with_wall
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from numpy.typing import NDArray
+
+    from clsim.paths.family import PathFamily
     from clsim.paths.path_set import PathSet
     from clsim.render.options import RenderOptions
     from clsim.scene.motion.curves import Curve
@@ -67,8 +71,13 @@ class Parameter:
         The only source or receiver whose paths depend on it; None for all.
     gain_db : float
         By how many dB per unit all these paths get louder.
-    knot : Piecewise or None
-        How a trajectory changes with one coordinate of one of its points; None for other parameters.
+    acts : str
+        On what: "shift" of an end, "clock", "start" and "gain" of one, its "turn", a "wall", its "reflection", the
+        "air"; "scene" for all else.
+    shift : Curve or None
+        By which an end is displaced per unit; None for other parameters.
+    wall : int or None
+        The wall.
     """
 
     name: str
@@ -78,12 +87,34 @@ class Parameter:
     source: int | None = None
     receiver: int | None = None
     gain_db: float = 0.0
-    knot: Piecewise | None = None
+    acts: str = "scene"
+    shift: Curve | None = None
+    wall: int | None = None
 
     @property
     def kind(self) -> str:
-        """The name without numbers of things: what responses by parameters of one kind have in common."""
-        return re.sub(r"\[\d+\]", "", self.name)
+        """The name without things and axes: what responses by parameters of one kind have in common."""
+        if self.acts == "shift":
+            return "shift"
+        return re.sub(r"\[\d+\]|\.[xyz]$|(?<=walls).*(?=\.)", "", self.name)
+
+    def touched(self, paths: PathFamily) -> NDArray[np.bool_]:
+        """Test which paths (P,) may change."""
+        mine = np.ones(len(paths), dtype=bool)
+        for own, index in ((paths.source, self.source), (paths.receiver, self.receiver)):
+            mine &= True if index is None else own == index
+        scene, kinds = paths.scene, paths.interactions
+        if self.wall is not None:
+            by_wall = (paths.objects == self.wall) & ((kinds == SPECULAR) | (kinds == TRANSMISSION))
+            mine &= np.any(by_wall | (kinds == DIFFRACTION), axis=1)
+        if self.acts == "turn":
+            end = scene.sources[self.source] if self.source is not None else scene.receivers[self.receiver or 0]
+            mine &= not isinstance(end.directivity, Omni)
+        if self.name.startswith("scatterers"):
+            mine &= np.any(kinds == SCATTERING, axis=1)
+        if self.name.startswith("bodies"):
+            mine &= np.any((kinds == BODY) | (kinds == DIFFRACTION) | (kinds == SCATTERING), axis=1)
+        return mine
 
 
 def parameters_of(paths: PathSet, wrt: Sequence[str]) -> list[Parameter]:
@@ -127,7 +158,7 @@ def _named(paths: PathSet, name: str) -> Iterator[Parameter]:
 def _of_air(name: str, field: str) -> Iterator[Parameter]:
     unit, step = _OF_AIR[field]
     if field != "wind":
-        yield Parameter(name, unit, step, partial(_with_air, field))
+        yield Parameter(name, unit, step, partial(_with_air, field), acts="air")
         return
     for axis in range(3):
         yield Parameter(f"{name}.{_AXES[axis]}", unit, step, partial(_with_wind, axis))
@@ -166,10 +197,10 @@ def _of_wall(paths: PathSet, name: str, wall: str, what: str) -> Parameter:
         raise InputError("wrt", f"must name a wall of the room ({', '.join(names[:12])}), but has {name!r:.80}")
     index = names.index(wall)
     if what == "reflection":
-        return Parameter(name, "1", 1e-6, partial(_with_wall, index, "reflection"))
+        return Parameter(name, "1", 1e-6, partial(_with_wall, index, "reflection"), acts="reflection", wall=index)
     if bool((paths.interactions == DIFFRACTION).any()):
         raise InputError("wrt", f"must not have {name!r} in scenes with diffracted paths: edges move with walls")
-    return Parameter(name, "m", _STEP, partial(_with_wall, index, "along"))
+    return Parameter(name, "m", _STEP, partial(_with_wall, index, "along"), acts="wall", wall=index)
 
 
 def _with_wall(wall: int, what: str, scene: Scene, by: float) -> Scene:
@@ -180,56 +211,59 @@ def _of_thing(scene: Scene, name: str, kind: str, index: int, what: str) -> Iter
     own: dict[str, Any] = {kind[:-1]: index} if kind in ("sources", "receivers") else {}
     thing, prefix = getattr(scene, kind)[index], f"{kind}[{index}]"
     with_thing = partial(_with_thing, kind, index)
+    acts = "shift" if own else "scene"
     if what == "position":
         for axis in range(3):
-            shift = Static(np.eye(3)[axis])
-            yield Parameter(f"{name}.{_AXES[axis]}", "m", _STEP, partial(with_thing, partial(_displaced, shift)), **own)
+            yield _shifted(f"{name}.{_AXES[axis]}", Static(np.eye(3)[axis]), with_thing, acts, own)
     elif what == "trajectory":
-        for (number, axis), knot in _knots(name, thing.trajectory.curve):
-            label = f"{prefix}.trajectory.positions[{number}].{_AXES[axis]}"
-            change = partial(with_thing, partial(_displaced, knot))
-            yield Parameter(label, "m", _STEP, change, **own, knot=knot if own else None)
+        for number, knot in _knots(name, thing.trajectory.curve):
+            label = f"{prefix}.trajectory.positions[{number}].{_AXES[knot.axis]}"
+            yield _shifted(label, knot, with_thing, acts, own)
     elif what == "orientation" and own:
         for axis in range(3):
-            yield Parameter(f"{name}.{_AXES[axis]}", "°", 1e-3, partial(with_thing, partial(_turned, axis)), **own)
+            change = partial(with_thing, partial(_turned, axis))
+            yield Parameter(f"{name}.{_AXES[axis]}", "°", 1e-3, change, **own, acts="turn")
     elif what == "start" and kind == "sources":
-        yield Parameter(name, "s", 1e-7, partial(with_thing, _started), **own)
+        yield Parameter(name, "s", 1e-7, partial(with_thing, _started), **own, acts="start")
     elif what == "gain_db" and kind == "sources":
-        yield Parameter(name, "dB", 1e-3, _unmoved, **own, gain_db=1.0)
+        yield Parameter(name, "dB", 1e-3, _unmoved, **own, gain_db=1.0, acts="gain")
     elif what.removeprefix("electronics.") in _OF_ELECTRONICS and kind == "receivers":
         field = what.removeprefix("electronics.")
         unit, step = _OF_ELECTRONICS[field]
-        moved: Moved = _unmoved if field == "gain_db" else partial(with_thing, partial(_clocked, field))
-        yield Parameter(name, unit, step, moved, **own, gain_db=float(field == "gain_db"))
+        if field == "gain_db":
+            yield Parameter(name, unit, step, _unmoved, **own, gain_db=1.0, acts="gain")
+        else:
+            yield Parameter(name, unit, step, partial(with_thing, partial(_clocked, field)), **own, acts="clock")
     else:
         raise InputError("wrt", f"must name parameters that have a derivative, but has {name!r:.80}")
 
 
-def _knots(name: str, curve: Curve) -> Iterator[tuple[tuple[int, int], Piecewise]]:
-    """Yield knot and axis, and the curve by which the motion changes as that coordinate of the knot does."""
+def _shifted(name: str, shift: Curve, with_thing: Any, acts: str, own: dict[str, Any]) -> Parameter:
+    change = partial(with_thing, partial(_displaced, shift))
+    return Parameter(name, "m", _STEP, change, **own, acts=acts, shift=shift)
+
+
+def whole_shift(parameter: Parameter) -> Parameter:
+    """Return the displacement of a whole trajectory in place of that of one of its points; all else stays."""
+    if not isinstance(parameter.shift, Knot):
+        return parameter
+    kind = "receivers" if parameter.source is None else "sources"
+    index = int(parameter.receiver or 0) if parameter.source is None else parameter.source
+    own = {"source": parameter.source, "receiver": parameter.receiver}
+    with_thing = partial(_with_thing, kind, index)
+    return _shifted(parameter.name, Static(np.eye(3)[parameter.shift.axis]), with_thing, "shift", own)
+
+
+def _knots(name: str, curve: Curve) -> Iterator[tuple[int, Knot]]:
+    """Yield numbers of knots, and the curves by which the motion changes as one of their coordinates does."""
     if not isinstance(curve, Piecewise):
         raise InputError("wrt", f"must name positions, not the trajectory, of what has no knots, but has {name!r:.80}")
     times = curve.polynomial.x[1:-1]  # without what it is continued by
-    straight = not np.any(curve.polynomial.c[:2])
-    for knot in range(len(times)):
+    straight, each = not np.any(curve.polynomial.c[:2]), np.eye(len(times))
+    spread = legs_through(times, each) if straight else spline_through(times, each, "not-a-knot")
+    for number in range(len(times)):
         for axis in range(3):
-            places = np.zeros((len(times), 3))
-            places[knot, axis] = 1.0
-            shift = legs_through(times, places) if straight else spline_through(times, places, "not-a-knot")
-            yield (knot, axis), shift
-
-
-def displacements(knot: Parameter) -> list[Parameter]:
-    """Return the displacements of the end to which a knot belongs along all axes, and of a source its velocities."""
-    kind = "receivers" if knot.source is None else "sources"
-    index = knot.receiver if knot.source is None else knot.source
-    assert index is not None
-    shifts: list[Curve] = [Static(axis) for axis in np.eye(3)]
-    shifts += [] if knot.source is None else [Pushed(axis) for axis in range(3)]
-    return [
-        replace(knot, moved=partial(_with_thing, kind, index, partial(_displaced, shift)), knot=None)
-        for shift in shifts
-    ]
+            yield number, Knot(spread, number, axis)
 
 
 def _with_thing(kind: str, index: int, change: Callable[[Any, float], Any], scene: Scene, by: float) -> Scene:

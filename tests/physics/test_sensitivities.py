@@ -40,7 +40,7 @@ def shoebox(
         ("x_max", "y_min", "y_max", "z_min", "z_max"), clsim.Material.from_reflection(0.7)
     )
     ends = (
-        [clsim.Source("s", PULSE, source, start=start)],
+        [source if isinstance(source, clsim.Source) else clsim.Source("s", PULSE, source, start=start)],
         [clsim.Receiver("r", receiver, electronics=electronics, transducer=transducer)],
     )
     scene = clsim.Scene(
@@ -88,6 +88,14 @@ def ball(h: float, what: str) -> PathSet:
     )
 
 
+def aimed(turn: float, up: float = 0.0) -> Any:
+    """Return a source that moves, with a beam that is turned about the vertical axis, degrees."""
+    half = 0.5 * np.radians(20.0 + turn)
+    turning = FIXED((0, 0, 0), (0.0, 0.0, np.sin(half), np.cos(half))).turning
+    way = LINE((1.0, 1.2, 1.1 + up), (1.3, 1.1, 1.2 + up), 0.1)
+    return clsim.Source("s", PULSE, replace(way, turning=turning), directivity=clsim.Piston(0.008))
+
+
 def air(h: float = 0.0, **more: Any) -> clsim.Air:
     return clsim.Air(temperature_celsius=20.0 + h, **more)
 
@@ -130,6 +138,12 @@ CASES: dict[str, tuple[Callable[[float], PathSet], str, float]] = {
     "body": (lambda h: behind_a_plate(where=h * EYE[2]), "bodies[0].position.z", 4e-5),
     "receiver and body": (lambda h: behind_a_plate(receiver=h * EYE[0]), "receivers[0].position.x", 8e-5),
     "scatterer": (lambda h: ball(h, "ball"), "scatterers[0].position.x", 4e-5),
+    "orientation": (lambda h: shoebox(aimed(h)), "sources[0].orientation.z", 0.08),
+    "moving and directive": (lambda h: shoebox(aimed(0.0, h)), "sources[0].position.z", 8e-5),
+    "receiver and directive": (
+        lambda h: shoebox(aimed(0.0), FIXED((3.1, 2.3 + h, 1.4))), "receivers[0].position.y", 8e-5,
+    ),
+    "pressure": (lambda h: shoebox(air=clsim.Air(pressure=101325.0 + h)), "air.pressure", 400.0),
     "receiver and scatterer": (lambda h: ball(h, "receiver"), "receivers[0].position.x", 8e-5),
 }  # fmt: skip
 
@@ -210,6 +224,44 @@ def test_the_transpose(engine: str, rng: np.random.Generator) -> None:
     lengths = np.linalg.norm(ahead) * np.linalg.norm(weights)
     assert abs(back - np.sum(ahead * weights)) <= 1e-6 * lengths
     assert found["sources[0].trajectory"].shape == (4, 3)
+
+
+def turning(air: clsim.Air) -> PathSet:
+    """Return the paths between two beams that turn and move, by a wall that depends on the angle."""
+    times, half = np.linspace(0.0, 0.1, 4), 0.5 * np.linspace(0.2, 0.6, 4)
+    turns = np.stack([0.0 * half, 0.0 * half, np.sin(half), np.cos(half)], axis=1)
+    way = clsim.Trajectory.waypoints(times, KNOTS, orientations=turns)
+    back = clsim.Trajectory.waypoints(times, KNOTS[::-1] + np.array([2.0, 0.8, 0.3]), orientations=turns)
+    soft = clsim.Material.from_impedance([1e3, 48e3], [8.0 + 1.0j, 8.0 + 1.0j])
+    walls = {"x_max": soft} | dict.fromkeys(
+        ("x_min", "y_min", "y_max", "z_min", "z_max"), clsim.Material.from_reflection(0.7)
+    )
+    beam, clock = clsim.Piston(0.008), clsim.Electronics(clock_ppm=80.0)
+    ends = (
+        [clsim.Source("s", PULSE, way, directivity=beam)],
+        [clsim.Receiver("r", back, directivity=beam, electronics=clock)],
+    )
+    return clsim.find_paths(clsim.Scene(clsim.Shoebox((4.0, 3.0, 2.5), walls), air, *ends), 1)
+
+
+@pytest.mark.parametrize("dispersion", [False, True])
+def test_the_transpose_of_each_kind(dispersion: bool, rng: np.random.Generator) -> None:
+    """Of parameters of every kind, and of a scene in which responses depend on directions and on time."""
+    names = [
+        "sources[0].trajectory", "sources[0].orientation", "sources[0].start", "receivers[0].position",
+        "receivers[0].trajectory", "receivers[0].orientation", "receivers[0].electronics.clock_ppm",
+        "receivers[0].electronics.clock_offset", "receivers[0].electronics.gain_db", "air.temperature_celsius",
+        "air.relative_humidity", "room.walls.x_max.reflection", "room.walls.x_min.reflection",
+        "room.walls.x_max.displacement", "room.walls.z_min.displacement",
+    ]  # fmt: skip
+    paths = turning(clsim.Air(dispersion=dispersion))
+    jacobian = clsim.sensitivities(paths, names, RATE, engine="reference", duration=0.024).jacobian
+    weights = jacobian / np.linalg.norm(jacobian, axis=(1, 2), keepdims=True)
+    weights = np.tensordot(rng.standard_normal(len(jacobian)), weights, 1)
+    found = clsim.gradient(paths, weights, names, RATE, engine="reference")
+    back = np.concatenate([np.ravel(found[name]) for name in names])
+    lengths = np.linalg.norm(jacobian, axis=(1, 2)) * np.linalg.norm(weights)
+    np.testing.assert_allclose(back / lengths, np.tensordot(jacobian, weights, 2) / lengths, rtol=0, atol=1e-6)
 
 
 def test_paths_that_begin_and_end(engine: str, rng: np.random.Generator) -> None:

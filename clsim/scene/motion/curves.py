@@ -235,7 +235,7 @@ def _continued(coefficients: Floats, knots: Floats) -> Piecewise:
     outer = []
     for at, shift in ((knots[0], -CONTINUATION), (knots[-1], 0.0)):  # shift of the parabola's own zero
         x, v, a = (np.asarray(inner(at, nu=order), dtype=np.float64) for order in range(3))
-        outer.append(np.stack([np.zeros(3), a / 2, v + a * shift, x + v * shift + a / 2 * shift**2]))
+        outer.append(np.stack([np.zeros_like(a), a / 2, v + a * shift, x + v * shift + a / 2 * shift**2]))
     wide = np.concatenate([outer[0][:, None], coefficients, outer[1][:, None]], axis=1)
     ends = np.concatenate([[knots[0] - CONTINUATION], knots, [knots[-1] + CONTINUATION]])
     polynomial = PPoly(read_only(wide), read_only(ends))

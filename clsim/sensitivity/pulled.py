@@ -1,0 +1,194 @@
+"""Products of what arrives at nodes with the tangents of paths, for all parameters together."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.paths.response import NEPERS, SceneResponse, covered
+from clsim.render.plan import node_times
+from clsim.sensitivity.displaced import Knot
+from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
+from clsim.sensitivity.linear_map import scene_tracks
+from clsim.sensitivity.tangents import TangentPaths, clock_change
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.family import PairPaths
+    from clsim.scene.motion.curves import Piecewise
+    from clsim.sensitivity.images import Forces
+    from clsim.sensitivity.linear_map import LinearMap
+    from clsim.sensitivity.parameters import Parameter
+    from clsim.tracks.basis import Basis
+
+_LEAST_FACTOR = 1e-6  # of a wall, by which responses are divided
+
+
+class Pulled:
+    """Derivatives of a loss by parameters, from products of weights with what arrives at nodes of paths.
+
+    Of images the products are brought to the places and velocities of both ends first. What each parameter does to
+    these takes next to nothing, so that the costs hardly depend on their number. Others are multiplied by the
+    tangents by each parameter.
+    """
+
+    def __init__(self, linear: LinearMap) -> None:
+        self._linear, self.found = linear, np.zeros(len(linear.parameters))
+        self._tracks = scene_tracks(linear.plan)
+        self._families: dict[int, list[tuple[int, NDArray[np.bool_]]]] = {}
+        for family in self._tracks.paths.families:
+            touched = ((j, parameter.touched(family)) for j, parameter in enumerate(linear.parameters))
+            self._families[id(family)] = [(j, mine) for j, mine in touched if mine.any()]
+
+    def concerned(self, pair: int) -> bool:
+        """Test if any parameter changes a pair."""
+        return any(True for _ in self._parameters(self._tracks.pair_paths[pair]))
+
+    def add(self, pair: int, rows: NDArray[np.int64], start: int, block: int, at_nodes: Floats) -> None:
+        """Add the products of some paths, of arrivals (P, nodes, K) at the nodes of blocks from a sample on."""
+        paths, plan = self._tracks.pair_paths[pair].part(rows), self._linear.plan
+        basis = self._linear.shared.source_filters[paths.source].basis
+        times = node_times(start, block, at_nodes.shape[1] - 3, plan.sampling_rate)
+        now = times + self._tracks.scene.receivers[paths.receiver].clock_error(times)
+        family, index = paths.family, paths.index
+        at = SceneResponse(self._tracks.scene, paths.source, basis.nodes)
+        found = family.arrivals(index, now, self._tracks.kinematics)
+        own, weights = family.response(index, found, now, at), _at_frequencies(basis, at_nodes)
+        here = dict(self._parameters(paths))
+        if in_closed_form(family):
+            images = Images.of(family, index, now, found, self._tracks.kinematics)
+            of_images = _OfImages(images, images.forces(own, weights, at), weights, at)
+            for js in _together(self._linear.parameters, here):
+                self.found[js] += of_images.by([self._linear.parameters[j] for j in js])
+            here = {j: mine for j, mine in here.items() if self._linear.parameters[j].acts == "scene"}
+        for j, mine in here.items():
+            some = np.flatnonzero(mine)
+            part = TangentPaths.of(family.part(index[some]), self._linear.parameters[j], self._tracks.kinematics)
+            tangent = part.beside(slice(None), own[some], found.part(some), now, at)
+            self.found[j] += float(np.sum((np.conj(weights[some]) * tangent).real))
+
+    def _parameters(self, paths: PairPaths) -> Iterator[tuple[int, NDArray[np.bool_]]]:
+        """Yield the numbers of parameters that change some paths, and which of these (P,)."""
+        for j, mine in self._families[id(paths.family)]:
+            if mine[paths.rows].any():
+                yield j, mine[paths.rows]
+
+
+def _at_frequencies(basis: Basis, at_nodes: Floats) -> Complexes:
+    """Return weights (P, nodes, F) of responses of which arrivals (P, nodes, K) take the gains."""
+    count, each = len(basis.nodes), at_nodes.reshape(-1, len(basis))
+    weights = np.empty((*at_nodes.shape[:2], count), dtype=np.complex128)
+    weights.real = (each @ basis.projection[:, :count]).reshape(weights.shape)
+    weights.imag = (each @ basis.projection[:, count:]).reshape(weights.shape) if basis.parts == 2 else 0.0
+    return weights
+
+
+def _together(parameters: tuple[Parameter, ...], here: dict[int, Any]) -> list[list[int]]:
+    """List the numbers of parameters of images: those of one trajectory together, others alone."""
+    groups: dict[Any, list[int]] = {}
+    for j in here:
+        own = parameters[j]
+        if own.acts != "scene":
+            groups.setdefault((own.source, own.receiver) if isinstance(own.shift, Knot) else j, []).append(j)
+    return list(groups.values())
+
+
+class _OfImages:
+    """Products of the forces on some images with what parameters do."""
+
+    def __init__(self, images: Images, forces: Forces, weights: Complexes, at: SceneResponse) -> None:
+        self._images, self._forces, self._weights, self._at = images, forces, weights, at
+        self._apart, self._product = forces.apart.sum(axis=1), forces.product.sum(axis=1)  # (P, 3) and (P, F)
+
+    def by(self, parameters: list[Parameter]) -> Any:
+        """Return the derivatives by a parameter, or by the points of a trajectory."""
+        (parameter, *_), forces = parameters, self._forces
+        acts = parameter.acts
+        if acts in ("gain", "start"):
+            return NEPERS * forces.level.sum() if acts == "gain" else forces.delay.sum()
+        if acts == "shift":
+            return self._by_places(parameters)
+        if acts == "clock":
+            return np.sum(forces.later * clock_change(parameter, self._images.family.scene, self._images.times))
+        if acts == "wall":
+            return self._by_wall(parameter)
+        return self._by_reflection(parameter) if acts == "reflection" else self._by_scene(parameter)
+
+    def _by_places(self, parameters: list[Parameter]) -> Any:
+        """Return the derivatives by displacements of an end."""
+        images, forces, shift = self._images, self._forces, parameters[0].shift
+        assert shift is not None
+        if parameters[0].receiver is not None:
+            own = np.einsum("pij,ptj->ti", images.matrix, forces.apart)
+            if isinstance(shift, Knot):
+                return _at_knots(shift.spread, images.times, own, np.zeros_like(own), parameters)
+            return np.sum(own * shift.position(images.times))
+        if not isinstance(shift, Knot):
+            return -self._apart.sum(axis=0) @ shift.position(np.zeros(()))
+        when = images.found.emission_time.ravel()
+        return _at_knots(shift.spread, when, -forces.apart.reshape(-1, 3), forces.velocity.reshape(-1, 3), parameters)
+
+    def _by_wall(self, parameter: Parameter) -> float:
+        """Return the derivative by the displacement of a wall, by which the offsets of images change."""
+        images = self._images
+        part: Any = images.family.part(images.rows)
+        moved = part.in_scene(parameter.moved(part.scene, 1.0))  # offsets are linear in walls
+        offset = moved.legs[0].offset - part.legs[0].offset
+        return -float(np.sum(self._apart * turned_back(images.matrix, offset[:, None])[:, 0]))
+
+    def _by_reflection(self, parameter: Parameter) -> float:
+        """Return the derivative by the factor of a wall, which responses have once for each reflection."""
+        images, family = self._images, self._images.family
+        material = family.scene.room.faces.materials[parameter.wall or 0]
+        covering = covered(self._at.frequencies, material)
+        factor = material.reflection_at(covering, 1.0, family.scene.air.speed_of_sound)
+        if material.depends_on_angle or np.min(np.abs(factor)) < _LEAST_FACTOR or family.scene.panels:
+            return self._by_scene(parameter)
+        met = np.sum(family.walls[images.rows] == parameter.wall, axis=1)
+        return float(np.sum((met.astype(np.complex128) @ self._product / factor).real))
+
+    def _by_scene(self, parameter: Parameter) -> float:
+        """Return the derivative by what changes responses and the speed of sound."""
+        images, family = self._images, self._images.family
+        source = int(family.source[images.rows][0])
+        scenes = [parameter.moved(family.scene, sign * parameter.step) for sign in (1.0, -1.0)]
+        ats = [SceneResponse(scene, source, self._at.frequencies) for scene in scenes]
+        walls = np.arange(len(self._at.angular) - 1)[:, None]
+        if is_simple(family, images.rows, self._at) and np.array_equal(
+            ats[0].reflection(walls), ats[1].reflection(walls)
+        ):
+            beyond = np.einsum("pt,ptf->f", images.found.through - 1.0, self._forces.product.real)
+            changed = float(beyond @ (ats[1].nepers - ats[0].nepers))
+        else:
+            moved = zip((family.in_scene(scene) for scene in scenes), ats, strict=True)
+            each = [paths.response(images.rows, images.found, images.times, at) for paths, at in moved]
+            changed = float(np.sum((np.conj(self._weights) * (each[0] - each[1])).real))
+        frequency = family.scene.sources[source].emitted.centre_frequency
+        speeds = [scene.air.speed_at(frequency) for scene in scenes]
+        return (changed + float(self._forces.speed.sum()) * (speeds[0] - speeds[1])) / (2.0 * parameter.step)
+
+
+def _at_knots(
+    spread: Piecewise, times: Floats, places: Floats, velocities: Floats, parameters: list[Parameter]
+) -> Floats:
+    """Return products with the points of a motion, of products with places and velocities (n, 3) at times (n,).
+
+    Each cubic of the motion takes sums with the powers of the time on it, whatever the number of points.
+    """
+    knots, powers = spread.polynomial.x, spread.polynomial.c[::-1]  # (4, pieces, points)
+    inside = (times >= knots[0]) & (times <= knots[-1])
+    when = np.clip(times, knots[0], knots[-1])
+    piece = np.clip(np.searchsorted(knots, when, "right") - 1, 0, len(knots) - 2)
+    late, found = when - knots[piece], np.zeros((powers.shape[2], 3))
+    for axis in {p.shift.axis for p in parameters if isinstance(p.shift, Knot)}:
+        for m in range(len(powers)):
+            values = places[:, axis] * late**m
+            if m:
+                values = values + m * inside * velocities[:, axis] * late ** (m - 1)
+            found[:, axis] += np.bincount(piece, values, len(knots) - 1) @ powers[m]
+    return np.array([found[p.shift.number, p.shift.axis] for p in parameters if isinstance(p.shift, Knot)])
