@@ -414,6 +414,14 @@ class ChannelPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ShadowPart:
+    """Pairs by scatterers with shadows of outlines, summed path by path with filters of their own."""
+
+    plan: Plan  # of these pairs alone
+    pairs: frozenset[int]  # indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Allocation:
     """The pairs and bands that each rendering method claims; whatever no other method claims is rendered per sample."""
 
@@ -422,6 +430,7 @@ class Allocation:
     # Bands that are rendered as complex envelopes, for all other pairs of their sources.
     narrow: tuple[NarrowPart, ...] = ()
     channels: tuple[ChannelPart, ...] = ()  # pairs of which impulse responses are sampled
+    shadows: tuple[ShadowPart, ...] = ()  # pairs by scatterers with shadows of outlines; one part or none
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
@@ -429,12 +438,14 @@ class Allocation:
     @property
     def plans(self) -> list[Plan]:
         """Plans of the parts that have one of their own."""
-        return [part.plan for part in self.narrow] + [part.plan for part in self.channels]
+        of_pairs = [part.plan for part in self.channels] + [part.plan for part in self.shadows]
+        return [part.plan for part in self.narrow] + of_pairs
 
     @property
     def claimed(self) -> frozenset[int]:
         """Indices of the pairs that are not rendered path by path."""
-        return self.convolved.union(*(part.pairs for part in self.channels))
+        sampled, shaded = (part.pairs for part in self.channels), (part.pairs for part in self.shadows)
+        return self.convolved.union(*sampled, *shaded)
 
     def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
         """Return the same with diffuse tails."""

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from clsim.sensitivity.parameters import Parameter
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
-_PER_SAMPLE: dict[str, Any] = {"convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None}
+_PER_SAMPLE: dict[str, Any] = {
+    "convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None, "shadow_error_db": None,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
