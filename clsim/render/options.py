@@ -154,10 +154,6 @@ class RenderOptions:
         for name in ("narrowband", "channels"):
             if getattr(self, name) is not None:
                 checked[name] = as_flag(name, getattr(self, name))
-        if self.shadow_error_db is not None:
-            checked["shadow_error_db"] = as_number(
-                "shadow_error_db", self.shadow_error_db, at_least=-120.0, at_most=-40.0, unit="dB"
-            )
         if self.baseband is not None:
             if self.narrowband:
                 raise InputError("narrowband", "must not be True in baseband, which is narrow as a whole")
@@ -166,9 +162,9 @@ class RenderOptions:
             checked["baseband"] = as_baseband(self.baseband, rate)
             if not isinstance(self.interpolator, Bandlimited):
                 raise InputError("interpolator", f"must be Bandlimited in baseband, but is {self.interpolator!r:.80}")
-        if self.prune_below_db is not None:
-            level = as_number("prune_below_db", self.prune_below_db, at_least=-300.0, at_most=-20.0, unit="dB")
-            checked["prune_below_db"] = level
+        for name, least, most in (("prune_below_db", -300.0, -20.0), ("shadow_error_db", -120.0, -40.0)):
+            if getattr(self, name) is not None:
+                checked[name] = as_number(name, getattr(self, name), at_least=least, at_most=most, unit="dB")
         if self.duration is not None:
             checked["duration"] = as_number("duration", self.duration, above=0.0, unit="s")
         if self.chunk is not None:

@@ -108,10 +108,8 @@ def plan_paths(paths: PathSet, options: RenderOptions, progress: Callable[[float
         check_ends(scene)
     ringing = _check_receivers(scene, options.sampling_rate)
     tails = find_tails(paths, options, progress)
-    tracks, left_out = (
-        track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition),
-        "",
-    )
+    tracks = track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition)
+    left_out = ""
     if options.prune_below_db is not None:
         tracks, left_out = _pruned(tracks, options, options.prune_below_db)
     emissions = [(source.emitted, source.start) for source in scene.sources]
@@ -260,18 +258,17 @@ def allocate(
     shaded = _shaded(tracks, convolved, options)
     if not shaded:
         return _allocated(emissions, tracks, options, samples, convolved)
-    assert tracks.of_scene is not None, "shadows are those of scenes"
     # Their responses need many more functions of frequency than others, which these would all have to take.
     all_of_it, allowed_db = frozenset(range(len(tracks.pairs))), options.shadow_error_db
+    assert tracks.of_scene is not None, "shadows are those of scenes"
     assert allowed_db is not None, "pairs are shaded where a bound is given"
     within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
     own, rest = tracks.of_scene.among(sorted(shaded)), tracks.of_scene.among(sorted(all_of_it - shaded))
     filters, alone = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - shaded), own, costly=True)
     made, others = _allocated(emissions, tracks, options, samples, Allocation(convolved.convolved | shaded), rest)
-    rate, rows = options.sampling_rate, sum(map(len, tracks.channels))
-    chunk = chunk_of(within, samples, rate, SEGMENT, rows, tracks.longest_delay)
-    only = replace(alone, narrow=())
-    plan = Plan(within, tracks, only, filters, rate, samples, chunk, SEGMENT, BLOCKS, [PER_SAMPLE])
+    rate = options.sampling_rate
+    chunk = chunk_of(within, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)
+    plan = Plan(within, tracks, replace(alone, narrow=()), filters, rate, samples, chunk, SEGMENT, BLOCKS, [PER_SAMPLE])
     return made, replace(
         others, convolved=convolved.convolved, shadows=(ShadowPart(plan, shaded),), narrow=others.narrow + alone.narrow,
         notes=tuple(dict.fromkeys(others.notes + alone.notes)),
@@ -304,13 +301,14 @@ def _allocated(
     notes: list[str] = []
     with with_blas_threads(1):
         for i, (emitted, start) in enumerate(emissions):
-            mine = [k for k, pair in enumerate(tracks.pairs) if pair.source == i]
-            pairs = [k for k in mine if k not in claimed.claimed]
-            at_rest = bool(mine) and not pairs
+            mine = {k for k, pair in enumerate(tracks.pairs) if pair.source == i}
+            pairs = sorted(mine - claimed.claimed)
             signal, until = emitted.at_rate(options.sampling_rate), samples / rate
             sound, spectrum = spectra(signal)
             drawn = cache(partial(Draw.of, drawn_from or tracks, i, until, costly))
-            emission = Emission(i, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
+            emission = Emission(
+                i, signal, start, sound, tracks, options, until, bool(mine) and not pairs, spectrum, drawn
+            )
             split, why = narrow_part.cheapest_split(emission, pairs)
             notes += [why] if why else []
             if split is None:
@@ -392,16 +390,11 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
     return replace(allocation, narrow=narrow, channels=channels, shadows=shadows)
 
 
-def _shadows(plan: Plan) -> Contribution:
-    """Make the sum over paths with shadows of outlines."""
-    return per_sample.PathSum(plan.allocation.shadows[0].plan, "shadows")
-
-
 PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,
-    methodcaller("where_claimed", "shadows", _shadows),
+    methodcaller("where_claimed", "shadows", per_sample.of_shadows),
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
     methodcaller("where_claimed", "channels", sampled_channel.build),

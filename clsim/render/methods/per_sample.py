@@ -65,6 +65,11 @@ class PathSum:
         return _Sum(self.plan)
 
 
+def of_shadows(plan: Plan) -> PathSum:
+    """Make the sum over paths with shadows of outlines."""
+    return PathSum(plan.allocation.shadows[0].plan, "shadows")
+
+
 class _Sum(Stateless):
     """Adds the sum over paths; the engine starts with the first piece."""
 
