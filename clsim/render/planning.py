@@ -259,9 +259,8 @@ def allocate(
     if not shaded:
         return _allocated(emissions, tracks, options, samples, convolved)
     # Their responses need many more functions of frequency than others, which these would all have to take.
-    all_of_it, allowed_db = frozenset(range(len(tracks.pairs))), options.shadow_error_db
+    all_of_it, allowed_db = frozenset(range(len(tracks.pairs))), options.shadow_error_db or 0.0
     assert tracks.of_scene is not None, "shadows are those of scenes"
-    assert allowed_db is not None, "pairs are shaded where a bound is given"
     within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
     own, rest = tracks.of_scene.among(sorted(shaded)), tracks.of_scene.among(sorted(all_of_it - shaded))
     filters, alone = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - shaded), own, costly=True)
