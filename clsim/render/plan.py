@@ -422,6 +422,14 @@ class EarPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ShadowPart:
+    """Pairs by scatterers with shadows of outlines, summed path by path with filters of their own."""
+
+    plan: Plan  # of these pairs alone
+    pairs: frozenset[int]  # indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Allocation:
     """The pairs and bands that each rendering method claims; whatever no other method claims is rendered per sample."""
 
@@ -431,6 +439,7 @@ class Allocation:
     narrow: tuple[NarrowPart, ...] = ()
     channels: tuple[ChannelPart, ...] = ()  # pairs of which impulse responses are sampled
     ears: tuple[EarPart, ...] = ()  # pairs with receivers whose channels differ over frequency; one part at most
+    shadows: tuple[ShadowPart, ...] = ()  # pairs by scatterers with shadows of outlines; one part or none
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
@@ -438,12 +447,13 @@ class Allocation:
     @property
     def plans(self) -> list[Plan]:
         """Plans of the parts that have one of their own."""
-        return [part.plan for parts in (self.narrow, self.channels, self.ears) for part in parts]
+        return [part.plan for parts in (self.narrow, self.channels, self.ears, self.shadows) for part in parts]
 
     @property
     def claimed(self) -> frozenset[int]:
         """Indices of the pairs that are not rendered path by path."""
-        return self.convolved.union(*(part.pairs for parts in (self.channels, self.ears) for part in parts))
+        parts = (*self.channels, *self.ears, *self.shadows)
+        return self.convolved.union(*(part.pairs for part in parts))
 
     def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
         """Return the same with diffuse tails."""

@@ -18,6 +18,7 @@ from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import NarrowFilters, design_envelope, design_split
+from clsim.render.interpolator import Bandlimited
 from clsim.render.memory import with_blas_threads
 from clsim.render.methods import ears, narrow_part, per_sample, sampled_channel, static
 from clsim.render.options import RenderOptions
@@ -29,6 +30,7 @@ from clsim.render.plan import (
     ChannelPart,
     NarrowPart,
     Plan,
+    ShadowPart,
     chunk_of,
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
@@ -106,10 +108,8 @@ def plan_paths(paths: PathSet, options: RenderOptions, progress: Callable[[float
         check_ends(scene)
     ringing = _check_receivers(scene, options.sampling_rate)
     tails = find_tails(paths, options, progress)
-    tracks, left_out = (
-        track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition),
-        "",
-    )
+    tracks = track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition)
+    left_out = ""
     if options.prune_below_db is not None:
         tracks, left_out = _pruned(tracks, options, options.prune_below_db)
     emissions = [(source.emitted, source.start) for source in scene.sources]
@@ -256,20 +256,61 @@ def allocate(
     """Return the filters of what each source emits, and the allocation, for a recording of a length in samples."""
     convolved = Allocation(static.pairs_at_rest(tracks, options))
     convolved = replace(convolved, ears=ears.parts_of(emissions, tracks, options, samples, convolved.convolved))
+    shaded = _shaded(tracks, convolved, options)
+    if not shaded:
+        return _allocated(emissions, tracks, options, samples, convolved, ears.without(tracks, convolved.ears))
+    # Their responses need many more functions of frequency than others, which these would all have to take.
+    all_of_it, allowed_db = frozenset(range(len(tracks.pairs))), options.shadow_error_db or 0.0
+    of_ears = convolved.claimed - convolved.convolved
+    assert tracks.of_scene is not None, "shadows are those of scenes"
+    within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
+    own, rest = (tracks.of_scene.among(sorted(some)) for some in (shaded, all_of_it - shaded - of_ears))
+    filters, alone = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - shaded), own, costly=True)
+    others = replace(convolved, convolved=convolved.convolved | shaded)
+    made, others = _allocated(emissions, tracks, options, samples, others, rest)
+    rate = options.sampling_rate
+    chunk = chunk_of(within, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)
+    plan = Plan(within, tracks, replace(alone, narrow=()), filters, rate, samples, chunk, SEGMENT, BLOCKS, [PER_SAMPLE])
+    return made, replace(
+        others, convolved=convolved.convolved, shadows=(ShadowPart(plan, shaded),), narrow=others.narrow + alone.narrow,
+        notes=tuple(dict.fromkeys(others.notes + alone.notes)),
+    )  # fmt: skip
+
+
+def _shaded(tracks: Tracks, convolved: Allocation, options: RenderOptions) -> frozenset[int]:
+    """Return the pairs by scatterers of which any has an outline's shadow, where these have filters of their own."""
+    usable = options.engine == "opencl" and options.baseband is None and isinstance(options.interpolator, Bandlimited)
+    if tracks.of_scene is None or options.shadow_error_db is None or not usable:
+        return frozenset()
+    vertices = (getattr(pair.family, "vertex", None) for pair in tracks.of_scene.pair_paths)
+    return frozenset(i for i, v in enumerate(vertices) if getattr(v, "outlined", False)) - convolved.claimed
+
+
+def _allocated(
+    emissions: Sequence[tuple[Signal, float]],
+    tracks: Tracks,
+    options: RenderOptions,
+    samples: int,
+    claimed: Allocation,
+    drawn_from: Tracks | None = None,
+    costly: bool = False,
+) -> tuple[tuple[SourceFilters, ...], Allocation]:
+    """Return filters and allocation of pairs that are not claimed, by responses on some tracks; by few, if costly."""
     rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
-    others, made = ears.without(tracks, convolved.ears), list[SourceFilters]()
+    made: list[SourceFilters] = []
     narrow: list[tuple[int, NarrowFilters]] = []
     channels: list[tuple[int, sampled_channel.ChannelOffer]] = []
     notes: list[str] = []
     with with_blas_threads(1):
         for i, (emitted, start) in enumerate(emissions):
-            mine = [k for k, pair in enumerate(tracks.pairs) if pair.source == i]
-            pairs = [k for k in mine if k not in convolved.claimed]
-            at_rest = bool(mine) and not pairs
+            mine = {k for k, pair in enumerate(tracks.pairs) if pair.source == i}
+            pairs = sorted(mine - claimed.claimed)
             signal, until = emitted.at_rate(options.sampling_rate), samples / rate
             sound, spectrum = spectra(signal)
-            drawn = cache(partial(Draw.of, others, i, until))
-            emission = Emission(i, signal, start, sound, tracks, options, until, at_rest, spectrum, drawn)
+            drawn = cache(partial(Draw.of, drawn_from or tracks, i, until, costly))
+            emission = Emission(
+                i, signal, start, sound, tracks, options, until, bool(mine) and not pairs, spectrum, drawn
+            )
             split, why = narrow_part.cheapest_split(emission, pairs)
             notes += [why] if why else []
             if split is None:
@@ -282,9 +323,9 @@ def allocate(
                 made.append(rest)
                 narrow += [(i, filters) for filters in bands]
     carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
-    parts = tuple(_narrow_part(carrier, narrow, tracks, convolved, options, samples) for carrier in carriers)
+    parts = tuple(_narrow_part(carrier, narrow, tracks, claimed, options, samples) for carrier in carriers)
     sampled = tuple(_channel_part(i, offer, tuple(made), options, samples) for i, offer in channels)
-    return tuple(made), replace(convolved, narrow=parts, channels=sampled, notes=tuple(notes))
+    return tuple(made), replace(claimed, narrow=parts, channels=sampled, notes=tuple(notes))
 
 
 def _narrow_part(
@@ -303,7 +344,7 @@ def _narrow_part(
     band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
     upsampler = Upsampler.about(carrier[0], options.sampling_rate, first.mixer.every, 0.5 * band.bandwidth)
     within = replace(options, baseband=band, narrowband=None, chunk=None)
-    others = claimed.convolved | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
+    others = claimed.claimed | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
     blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
     count, segment = math.ceil(samples / upsampler.every) + upsampler.reach, segment_of(blocks)
     chunk = chunk_of(within, count, carrier[1], segment, sum(map(len, tracks.channels)), tracks.longest_delay)
@@ -347,14 +388,16 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 
     narrow = tuple(replace(part, plan=moved(part.plan)) for part in allocation.narrow)
     channels = tuple(replace(part, plan=moved(part.plan)) for part in allocation.channels)
-    heard = tuple(replace(part, plan=moved(part.plan)) for part in allocation.ears)
-    return replace(allocation, narrow=narrow, channels=channels, ears=heard)
+    of_ears = tuple(replace(part, plan=moved(part.plan)) for part in allocation.ears)
+    shadows = tuple(replace(part, plan=moved(part.plan)) for part in allocation.shadows)
+    return replace(allocation, narrow=narrow, channels=channels, ears=of_ears, shadows=shadows)
 
 
 PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,
+    methodcaller("where_claimed", "shadows", per_sample.of_shadows),
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
     methodcaller("where_claimed", "channels", sampled_channel.build),

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
 _LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
-_PER_SAMPLE: dict[str, Any] = {"convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None}
+_PER_SAMPLE: dict[str, Any] = {
+    "convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None, "shadow_error_db": None,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

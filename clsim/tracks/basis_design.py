@@ -12,7 +12,7 @@ import numpy as np
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import LONGEST, band_filters
 from clsim.tracks.basis import Basis, in_parts
-from clsim.tracks.sampled import GRIDS, Sample
+from clsim.tracks.sampled import Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,8 +57,8 @@ def scene_basis(drawn: Draw, band_at: Callable[[int], Band], sampling_rate: floa
     and given to the filters.
     """
     allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
-    late = drawn.common_delay(band_at(GRIDS[0]), sampling_rate)
-    for count in GRIDS:
+    late = drawn.common_delay(band_at(drawn.grids[0]), sampling_rate)
+    for count in drawn.grids:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
         sampled = drawn.responses(fine)
         unresolved = float(sampled.relative(_unresolved(sampled.responses)).max())

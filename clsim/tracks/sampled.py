@@ -37,6 +37,7 @@ GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked 
 SEED = 20_160_914
 _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
+_COSTLY, _FEWER = (192, 256), 33  # the same, and frequencies, of costly responses
 _TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 _FRAMES = 48  # of all pairs, about
 _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at least
@@ -173,14 +174,16 @@ class Draw:
     until: float  # end of the run, s
     rows: tuple[Picked, ...]  # of which functions are made, and at which they are checked
     held_out: tuple[Picked, ...] = ()  # likewise
+    grids: tuple[int, ...] = GRIDS  # frequencies of the band, the first number that resolves the responses
 
     @classmethod
-    def of(cls, tracks: Tracks, source: int, until: float) -> Draw:
-        """Draw paths of a source of a scene for a run that ends at `until`, s."""
+    def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False) -> Draw:
+        """Draw paths of a source of a scene for a run that ends at `until`, s: fewer, if responses are costly."""
+        counts, grids = (_COSTLY, (_FEWER, *GRIDS)) if costly else ((_ROWS, _HELD_OUT), GRIDS)
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
-        rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in (_ROWS, _HELD_OUT))
-        return cls(of_scene, source, until, rows, held_out)
+        rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in counts)
+        return cls(of_scene, source, until, rows, held_out, grids)
 
     def responses(self, band: Band, *, held_out: bool = False) -> Sample:
         """Responses over a band of the paths of which functions are made, or of those at which they are checked."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -331,6 +331,11 @@ class SceneTracks(Tracks):
         """Return the kind of paths, both ends, and where among all the paths stand."""
         paths = self.pair_paths[pair]
         return id(paths.family), paths.source, paths.receiver, len(paths), int(paths.index[0])
+
+    def among(self, pairs: Sequence[int]) -> SceneTracks:
+        """Return the tracks of some of the pairs, by their indices."""
+        paths = tuple(self.pair_paths[i] for i in pairs)
+        return replace(self, pairs=tuple(self.pairs[i] for i in pairs), pair_paths=paths)
 
     def costly(self, pair: int) -> bool:
         """Test the kind of paths, and whether the host works out the gains of several channels."""

@@ -84,6 +84,11 @@ class ScattererVertex:
         return any(scatterer.shape.is_complex for scatterer in self.scatterers)
 
     @property
+    def outlined(self) -> bool:
+        """Whether any scatterer has the shadow of its outline."""
+        return any(scatterer.shape.outlined for scatterer in self.scatterers)
+
+    @property
     def moves(self) -> bool:
         """Whether any scatterer moves or turns."""
         return not all(scatterer.is_static for scatterer in self.scatterers)

@@ -30,21 +30,17 @@ class PathSum:
     """The sum over paths."""
 
     plan: Plan  # what the engine carries out
-
-    @property
-    def name(self) -> str:
-        """Name of its kind."""
-        return "path sum"
+    name: str = "path sum"
 
     def describe(self) -> list[str]:
         """Describe the filters of each source for delays and responses, and the bound of the error."""
         lines = []
         for i, filters in enumerate(self.plan.source_filters):
             if not self.plan.is_claimed(i):
-                lines += [f"source {i}: {filters.describe_filters()}", f"source {i}: {filters.describe()}"]
-                lines.append(
-                    f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"
-                )
+                here = f"source {i}" if self.name == "path sum" else f"source {i}, {self.name}"
+                lines += [f"{here}: {filters.describe_filters()}", f"{here}: {filters.describe()}"]
+                promised_db = self.promised_db(i)
+                lines.append(f"{here}: all of it together within {promised_db:.0f} dB of what is heard in some 40 ms")
         return lines
 
     def promised_db(self, source: int) -> float:
@@ -67,6 +63,11 @@ class PathSum:
     def begin(self) -> _Sum:
         """Return an object that adds it."""
         return _Sum(self.plan)
+
+
+def of_shadows(plan: Plan) -> PathSum:
+    """Make the sum over paths with shadows of outlines."""
+    return PathSum(plan.allocation.shadows[0].plan, "shadows")
 
 
 class _Sum(Stateless):
