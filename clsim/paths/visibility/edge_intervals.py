@@ -82,8 +82,9 @@ class EdgeSearch:
         The side of the receiver is looked at while that of the source is there: most candidates are gone by then. The
         way between two edges comes last, on the host: mostly nothing stands there.
         """
-        row, receiver = np.arange(len(candidates.edge)), candidates.receiver
-        begin, end, evaluations = self.query.first[receiver], self.query.last[receiver], 0
+        receiver, evaluations = candidates.receiver, 0
+        always = np.arange(len(candidates.edge)), self.query.first[receiver], self.query.last[receiver]
+        row, begin, end = candidates.spans or always
         for side in (0, 1):
             found = self._find(candidates, side, row, (begin, end))
             row, begin, end = row[found.path], found.begin, found.end

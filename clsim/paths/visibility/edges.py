@@ -19,7 +19,7 @@ comes nearer to the other than δ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,8 @@ from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from clsim.acoustics.edge_gap import Crossing
@@ -64,6 +66,20 @@ class EdgeCandidates:
     end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself
     receiver: Rows  # (n,) to which
     between: NDArray[np.int32]  # (n, B) walls between two edges with air between, from the first one's side
+    spans: tuple[Rows, Floats, Floats] | None = (
+        None  # rows, and from and up to when these may be there, s; None: always
+    )
+
+    @staticmethod
+    def joined(parts: Sequence[EdgeCandidates]) -> EdgeCandidates:
+        """Return several with as many walls as one."""
+        columns = [np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(EdgeCandidates)[:-1]]
+        if parts[0].spans is None:
+            return EdgeCandidates(*columns)
+        first = np.cumsum([0, *(len(part.edge) for part in parts)])
+        spans = [(row + i, *when) for i, (row, *when) in zip(first, (part.spans for part in parts), strict=False)]
+        row, begin, end = (np.concatenate(column) for column in zip(*spans, strict=True))
+        return EdgeCandidates(*columns, (row, begin, end))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
