@@ -90,6 +90,10 @@ _NODE_CONSTANTS = {
     "GAIN_ERROR", "AIR_TERMS", "HARMONIC", "CHANNELS",
 }  # fmt: skip
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
+_EDGE_CONSTANTS = {
+    "CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE", "GAP", "NEWTON", "FOUND", "STEPS", "SMALL", "SPARE", "IN_AIR",
+    "OVERLAP_FIRST", "OVERLAP_LAST",
+}  # fmt: skip
 # What is between the ends, and how it is found where they are scattered.
 _KINDS = {
     "LEG", "STATIC", "MOVING", "MIRRORS", "VERTEX", "NONE", "EDGE", "SCATTERER", "POINT", "CAPSULE", "ELONGATED",
@@ -199,9 +203,12 @@ PROGRAMS = {
         frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS),
     ),
     "edge_intervals": Program(
-        (*_INTERVAL_FILES, "paths/edge.h", "paths/edge_evaluate.h", "paths/spans.h", "paths/edge_intervals.cl"),
+        (
+            *_INTERVAL_FILES, "paths/edge.h", "paths/edge_gap.h", "paths/edge_evaluate.h", "paths/gap_evaluate.h",
+            "paths/spans.h", "paths/edge_intervals.cl",
+        ),
         EDGE_INTERVALS | INTERVALS,
-        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {"CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE"}),
+        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | _EDGE_CONSTANTS),
     ),
     "rays": Program(*RAYS),
     "fades": Program(
