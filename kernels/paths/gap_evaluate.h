@@ -40,11 +40,11 @@ static int evaluate(const search* s, double time, double within, double* clear, 
     *reach = reach_about(s, time, time - at.delay, within);
     const double* legs = way.legs;
     const double least_leg = fmin(fmin(fmin(legs[0], legs[1]), legs[2]), fmin(source.r, receiver.r));
-    double moves[2], least = EVER;
+    double moves[2], left = EVER;
     triple apex[2];
     for (int edge = 0; edge < 2; edge++) {
         moves[edge] = *reach < SMALL * least_leg ? SPARE * *reach * way.slides[edge] : s->far;
-        least = fmin(least, fmin(way.places[edge], s->edge[edge]->length - way.places[edge]));
+        left = fmin(left, fmin(way.places[edge], s->edge[edge]->length - way.places[edge]));
         apex[edge] = sum(at_row(s->edge[edge]->start), times(way.places[edge], at_row(s->edge[edge]->along)));
     }
     const double most = fmax(moves[0], moves[1]);
@@ -53,14 +53,14 @@ static int evaluate(const search* s, double time, double within, double* clear, 
     if (s->side < 2) {
         const double across = fmin(source.r / legs[0] * (legs[1] + legs[2]), receiver.r / legs[2] * (legs[0] + legs[1]));
         const double off = fmin(fmin(in_air(s->edge[0], source), in_air(s->edge[1], receiver)), across);
-        least = fmin(least, off);
-        *clear = *reach * ratio(fabs(least), fmax(*reach, most));
-        if (off < 0.0) *clear = fmax(*clear, *reach * ratio(-off, *reach));  // wherever the places on the edges slide to
-        if (least < 0.0) return 0;
+        left = fmin(left, off);
+        *clear = *reach * ratio(fabs(left), fmax(*reach, most));
+        if (off < 0.0) *clear = fmax(*reach * ratio(-off, *reach), *clear);  // wherever the places on the edges slide to
+        if (left < 0.0) return 0;
         const int valid = path_status(&s->walls, s->sequence, s->side ? at.heard_at : at.emitted_at, apex[s->side], *reach,
                                       moves[s->side], nowhere, nowhere, &apart);
-        apart = *reach * ratio(apart, fmax(*reach, moves[s->side]));
-        *clear = valid ? fmin(*clear, apart) : apart;
+        apart = *reach * ratio(apart, fmax(moves[s->side], *reach));
+        *clear = valid ? fmin(apart, *clear) : apart;
         return valid;
     }
     double turn[2];

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.acoustics.diffraction import partner_reflections
-from clsim.paths.search.gap_parts import PARTS, Fans, Gaps, fans_of_ends, open_gaps
+from clsim.paths.search.gap_parts import PARTS, Fans, Gaps, fans_of_ends, open_gaps, unhidden
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.clearance import segments_apart
 from clsim.paths.visibility.edges import EdgeCandidates
@@ -50,7 +50,7 @@ def gap_candidates(
         return
     balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
     from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)]
-    match = _Match.of(finder, sides, longest)
+    match = _Match(finder, sides, longest)
     fewest = partner_reflections(edges.n).min(axis=1)
     numbers = [(b, n, m) for b in range(order + 1) for n in range(order + 1 - b) for m in range(order + 1 - b - n)]
     for done, (b, n, m) in enumerate(numbers):
@@ -87,67 +87,75 @@ def _between(pairs: Ints, from_edge: list[Sides], count: int) -> tuple[Ints, NDA
     return np.concatenate(which), np.concatenate(walls)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Match:
-    """Ways of ends to edges in cells of time, by edge and number of walls, and when they meet ways between edges."""
+    """Ways of ends to edges in cells of time, and when they meet ways between edges.
 
-    finder: EdgeSearch
-    sides: tuple[Sides, list[Sides]]
-    cuts: Floats  # (C + 1,) of time, s
-    before: list[list[Fans]]
-    after: list[list[list[Fans]]]  # of each receiver
+    longest: time that sound takes at most, s.
+    """
 
-    @staticmethod
-    def of(finder: EdgeSearch, sides: tuple[Sides, list[Sides]], longest: float) -> _Match:
-        """Make it for what sound takes at most, s."""
+    def __init__(self, finder: EdgeSearch, sides: tuple[Sides, list[Sides]], longest: float) -> None:
         query, tables = finder.query, finder.query.trajectory_tables
+        self._finder, self._sides = finder, [sides[0], *sides[1]]
         last = float(query.last.max(initial=0.0))
         travel = last * (tables.scales[0, 2] + tables.scales[1:, 2].max(initial=0.0))
-        sequences = max(sum(len(s) for of_edge in side for s in of_edge) for side in (sides[0], *sides[1]))
+        sequences = max(sum(len(s) for of_edge in side for s in of_edge) for side in self._sides)
         most = min(_MOST_CELLS, max(1, _MOST_FANS // max(sequences, 1)))
-        count = int(np.clip(math.ceil(travel / (_CELL * query.walls.size)), 1, most))
-        cuts = np.linspace(0.0, last, count + 1)
+        self._cuts = np.linspace(0.0, last, int(np.clip(math.ceil(travel / (_CELL * query.walls.size)), 1, most)) + 1)
+        self._balls = [self._balls_of(row, longest if row == 0 else 0.0) for row in range(len(self._sides))]
+        self._every = cache(self._fans)
+        self._open = cache(self._unhidden)
 
-        def fans(row: int, side: Sides, early: float) -> list[list[Fans]]:
-            still = tables.scales[row, 2] == 0.0
-            spans = [(cuts[0], cuts[-1])] if still else pairwise(cuts)
-            balls = [tables.sphere(row, begin - early, end) for begin, end in spans]
-            centre, radius = np.array([c for c, _ in balls]), np.array([r for _, r in balls])
-            return [[fans_of_ends(finder, e, s, centre, radius) for s in of_edge] for e, of_edge in enumerate(side)]
+    def _balls_of(self, row: int, early: float) -> tuple[Floats, Floats]:
+        """Balls (C, 3) and (C,) that hold an end in each cell and `early` s before, m; one for an end at rest."""
+        tables, cuts = self._finder.query.trajectory_tables, self._cuts
+        spans = [(cuts[0], cuts[-1])] if tables.scales[row, 2] == 0.0 else pairwise(cuts)
+        balls = [tables.sphere(row, begin - early, end) for begin, end in spans]
+        return np.array([centre for centre, _ in balls]), np.array([radius for _, radius in balls])
 
-        after = [fans(1 + r, side, 0.0) for r, side in enumerate(sides[1])]
-        return _Match(finder, sides, cuts, fans(0, sides[0], longest), after)
+    def _fans(self, row: int, edge: int, count: int) -> Fans:
+        """Ways of an end to an edge by a number of walls, hidden ones as well."""
+        return fans_of_ends(self._finder, edge, self._sides[row][edge][count], *self._balls[row])
+
+    def _unhidden(self, row: int, edge: int, count: int) -> Fans:
+        sequence, fans = self._sides[row][edge][count], self._every(row, edge, count)
+        return unhidden(self._finder, edge, sequence, *self._balls[row], fans)
 
     def cones(self, order: int) -> tuple[Fans, Fans]:
         """Fans (edges, parts) that hold those of all ways with up to so many walls, of the source and of receivers."""
-        every = [self.before], self.after
-        of_edges = range(len(self.finder.edges))
+        ends = range(1), range(1, len(self._sides))
         before, after = (
-            [Fans.hull([f for side in sides for f in side[e][: order + 1]]) for e in of_edges] for sides in every
+            [
+                Fans.hull([self._every(row, edge, count) for row in rows for count in range(order + 1)])
+                for edge in range(len(self._finder.edges))
+            ]
+            for rows in ends
         )
         return Fans.stacked(before), Fans.stacked(after).turned()
 
     def candidates(self, gaps: Gaps, i: int, before: int, after: int) -> Iterator[EdgeCandidates]:
         """Yield candidates over a gap with so many walls before and after it, of each receiver."""
-        (one, other), query = gaps.pair[i].tolist(), self.finder.query
-        first = gaps.fans[0].part(i).meet(self.before[one][before], 0)
-        for receiver, fans in enumerate(self.after) if first.any() else ():
-            last = gaps.fans[1].part(i).meet(fans[other][after].turned(), 1)
-            product = first.reshape(*first.shape[:2], PARTS**2) @ last.reshape(*last.shape[:2], PARTS**2).swapaxes(1, 2)
-            there = np.zeros((len(self.cuts) + 1, *product.shape[1:]), dtype=np.int8)  # none before and after
-            there[1:-1] = product > 0.0
-            rows = np.argwhere(there.any(axis=0))
-            if not len(rows):
+        (one, other), query = gaps.pair[i].tolist(), self._finder.query
+        first = _flat(gaps.fans[0].part(i).meet(self._open(0, one, before), 0))
+        for row in range(1, len(self._sides)) if first.any() else ():
+            last = _flat(gaps.fans[1].part(i).meet(self._open(row, other, after).turned(), 1))
+            there = np.zeros(
+                (len(self._cuts) + 1, first.shape[1], last.shape[1]), dtype=np.int8
+            )  # none before and after
+            there[1:-1] = first @ last.swapaxes(1, 2) > 0.0
+            i_j = np.argwhere(there.any(axis=0))
+            if not len(i_j):
                 continue
-            steps = np.diff(there[:, rows[:, 0], rows[:, 1]].T, axis=1)
-            (row, begin), (_, end) = np.nonzero(steps == 1), np.nonzero(steps == -1)
-            begins, ends = (
-                np.maximum(self.cuts[begin], query.first[receiver]),
-                np.minimum(self.cuts[end], query.last[receiver]),
-            )
-            count = len(rows)
+            steps = np.diff(there[:, i_j[:, 0], i_j[:, 1]].T, axis=1)
+            (which, begin), (_, end) = np.nonzero(steps == 1), np.nonzero(steps == -1)
+            begins = np.maximum(self._cuts[begin], query.first[row - 1])
+            ends, count = np.minimum(self._cuts[end], query.last[row - 1]), len(i_j)
             yield EdgeCandidates(
-                self.sides[0][one][before][rows[:, 0]], self.sides[1][receiver][other][after][rows[:, 1]],
+                self._sides[0][one][before][i_j[:, 0]], self._sides[row][other][after][i_j[:, 1]],
                 np.tile(gaps.pair[i], (count, 1)), np.full((count, 2), ACROSS_AIR), np.full(count, -1),
-                np.full(count, receiver), np.tile(gaps.walls[i], (count, 1)), (row, begins, ends),
+                np.full(count, row - 1), np.tile(gaps.walls[i], (count, 1)), (which, begins, ends),
             )  # fmt: skip
+
+
+def _flat(ways: Floats) -> Floats:
+    """Ways (C, n, parts, parts) with the parts of both edges along one axis."""
+    return ways.reshape(*ways.shape[:2], PARTS**2)

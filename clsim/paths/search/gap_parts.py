@@ -1,8 +1,13 @@
-"""Parts of edges between which, and from the ends of paths to which, sound may run over two edges with air between.
+"""Ways of sound between parts of edges, and from ends of paths to parts of edges.
 
-Edges are cut into parts and time into cells. A way over a part of each edge is ruled out, for all of a cell, where an end
-is inside the wedge of an edge, where it misses a wall that it is reflected by, where a wall hides all of it, or where no
-angles that it can have before and behind an edge are the same. All tests are of convex hulls, so that nothing is missed.
+Edges are cut into parts and time into cells. A way over a part of each of two edges is ruled out for a cell
+
+- where an end is inside the wedge of an edge,
+- where the way misses a wall that reflects it,
+- where a wall hides all of it,
+- where the angles with an edge before and behind it cannot be the same.
+
+All tests are of convex hulls, so that no way is missed.
 """
 
 from __future__ import annotations
@@ -63,9 +68,9 @@ class Fans:
         return Fans(self.free, -self.high, -self.low)
 
     def meet(self, ends: Fans, edge: int) -> Floats:
-        """Whether ways (parts, parts) between edges go on as ways (..., parts) of ends at the first edge, 0, or last one.
+        """Mask (..., parts, parts) of ways between edges that go on as ways (..., parts) of ends, as numbers.
 
-        Result (..., parts, parts), 1 where they do and else 0.
+        edge: 0 for the first one of both, 1 for the last one.
         """
         free, low, high = (np.expand_dims(getattr(ends, name), -2 if edge else -1) for name in _NAMES)
         return (self.free & free & (low <= self.high) & (high >= self.low)).astype(np.float32)
@@ -77,24 +82,31 @@ _NAMES = "free", "low", "high"
 def fans_of_ends(
     finder: EdgeSearch, edge: int, sequence: NDArray[np.int32], centre: Floats, radius: Floats
 ) -> Fans:  # fmt: skip
-    """Ways by sequences of walls (n, N) from balls (C, 3) and (C,), m, to an edge, (C, n, parts)."""
+    """Ways by sequences of walls (n, N) from balls (C, 3) and (C,), m, to an edge (C, n, parts), also hidden ones."""
     walls, edges, frame = finder.query.walls, finder.edges, finder.edges.frames[edge]
     shape, near = (len(radius), len(sequence), PARTS), CLEARLY * finder.query.walls.size
     ball, row = (x.ravel() for x in np.indices(shape[:2]))
-    met, image, size = sequence[row], centre[ball], radius[ball] + _OFF
-    for wall in met.T:
+    image, size = centre[ball], radius[ball] + _OFF
+    for wall in sequence[row].T:
         image = mirrored(walls, wall, image)
     x, y, z = ((image - frame[0]) @ frame[axis] for axis in (1, 2, 3))
-    air = _in_air(edges.n[edge], x, y, -near - size)
+    free = np.repeat(_in_air(edges.n[edge], x, y, -near - size)[:, None], PARTS, axis=1)
     places, r = np.linspace(0.0, edges.length[edge], PARTS + 1), np.hypot(x, y)
     heights = places[:-1] - (z + size)[:, None], places[1:] - (z - size)[:, None]
     low, high = _cotangents(*heights, np.maximum(r - size, near)[:, None], (r + size)[:, None])
-    free = np.repeat(air[:, None], PARTS, axis=1)
-    i, part = np.nonzero(free)
-    corners = centre[ball[i], None] + size[i, None, None] * _CUBE
-    ends = (frame[0] + places[:, None] * frame[3])[np.stack([part, part + 1], axis=1)]
-    free[i, part] = ways_open(walls, met[i], corners, ends)
     return Fans(free.reshape(shape), low.reshape(shape), high.reshape(shape))
+
+
+def unhidden(
+    finder: EdgeSearch, edge: int, sequence: NDArray[np.int32], centre: Floats, radius: Floats, fans: Fans
+) -> Fans:  # fmt: skip
+    """Return the ways of `fans_of_ends` without those that walls hide, or that miss walls they are reflected by."""
+    frame, free = finder.edges.frames[[edge]], fans.free.copy()
+    ball, row, part = np.nonzero(fans.free)
+    corners = centre[ball, None] + (radius[ball] + _OFF)[:, None, None] * _CUBE
+    ends = _places(frame, finder.edges.length[[edge]])[0, np.stack([part, part + 1], axis=1)]
+    free[ball, row, part] = ways_open(finder.query.walls, sequence[row], corners, ends)
+    return Fans(free, fans.low, fans.high)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
