@@ -12,6 +12,7 @@ from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.body_edge_pairs import EdgePairFinder, PairLook, on_edges
 from clsim.paths.search.body_edges import leg_is_free
 from clsim.paths.search.edge_chains import tied
+from clsim.paths.search.gap_parts import open_gaps
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.gap_events import GapPairs, GapPairSolver
 from clsim.paths.vertices.gap_pair import ACROSS_AIR, GapPairVertex
@@ -52,6 +53,10 @@ class _GapFinder(EdgePairFinder):
 
     on_faces: ClassVar[bool] = False
 
+    def __init__(self, search: BodySearch) -> None:
+        super().__init__(search)
+        self._hidden = self._find_hidden()
+
     def _look(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Any]:
         return _GapLook(self._search, self._faces, pair, chains)
 
@@ -67,6 +72,21 @@ class _GapFinder(EdgePairFinder):
             parts.append((before, after, *edges, shared, np.tile(walls, (len(before), 1))))
         return GapPairs(*(np.concatenate([part[i] for part in parts]) for i in range(7)))
 
+    def _find_hidden(self) -> NDArray[np.bool_]:
+        """Mask (E, E) of edges of one object of which neither sees the other."""
+        hidden, lines = np.zeros((len(self.lines), len(self.lines)), dtype=bool), self.lines
+        meshes = self._search.room, *(body.mesh for body in lines.bodies)
+        for owner, (mesh, edges) in enumerate(zip(meshes, lines.parts, strict=True), start=ROOM):
+            pair = np.argwhere(np.ones((len(edges), len(edges))))
+            seen, own = (
+                open_gaps(mesh.walls, edges, pair, np.empty((len(pair), 0), np.int32)).pair,
+                lines.owner == owner,
+            )
+            sees = np.zeros((len(edges), len(edges)), dtype=bool)
+            sees[tuple(seen.T)] = True
+            hidden[np.ix_(own, own)] = ~sees
+        return hidden
+
     def _all_rest(self, one: int, other: int, walls: NDArray[np.int32]) -> bool:
         """Whether two edges and the mirrors between them belong to the room."""
         owners = np.append(self._mirrors.owner, ROOM)[walls]
@@ -75,12 +95,13 @@ class _GapFinder(EdgePairFinder):
     def _gaps(self, source: int, span: Span) -> list[tuple[int, int, NDArray[np.int32]]]:
         """List pairs of edges that share no face, and mirrors (order,) by which one may be reached from the other."""
         (_, longest), (begin, end) = self._search.queries[source], span
-        found, lines = [], self.lines
+        found, lines, hidden = [], self.lines, self._hidden
         shared = (lines.faces[:, None, :, None] == lines.faces[None, :, None, :]).any(axis=(2, 3))
         for one, middle in enumerate(self._middles(0.5 * (begin - longest + end))):
             beams = self._beams(source, (middle, 0.5 * float(lines.length[one])), span)
             for other in np.flatnonzero(~shared[one]).tolist():
                 kept = [met[~self._held[one][met[:, 0]]] if met.shape[1] else met for met in beams[other]]
+                kept = kept[1:] if hidden[one, other] else kept
                 found += [(one, other, walls) for walls in self._padded(other, kept, backwards=False)]
         return found
 

@@ -56,7 +56,7 @@ def gap_candidates(
     for done, (b, n, m) in enumerate(numbers):
         if n == m == 0:
             kept = pairs[b + fewest[pairs].sum(axis=1) <= order]
-            gaps = open_gaps(finder, *_between(kept, from_edge, b), match.cones(order - b))
+            gaps = open_gaps(finder.query.walls, edges, *_between(kept, from_edge, b), match.cones(order - b))
         parts: list[EdgeCandidates] = []
         for i in np.flatnonzero(n + m + b + fewest[gaps.pair].sum(axis=1) <= order).tolist():
             parts += match.candidates(gaps, i, n, m)

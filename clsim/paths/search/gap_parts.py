@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.visibility.edge_intervals import EdgeSearch
+    from clsim.scene.room.edges import Edges
     from clsim.scene.room.walls import Walls
 
     Bools = NDArray[np.bool_]
@@ -122,10 +123,13 @@ class Gaps:
 
 
 def open_gaps(
-    finder: EdgeSearch, pair: NDArray[np.int64], between: NDArray[np.int32], ends: tuple[Fans, Fans]
-) -> Gaps:  # fmt: skip
+    walls: Walls,
+    edges: Edges,
+    pair: NDArray[np.int64],
+    between: NDArray[np.int32],
+    ends: tuple[Fans, Fans] | None = None,
+) -> Gaps:
     """Find the pairs of edges (n, 2) some parts of which may see each other by walls (n, B), and ends by fans."""
-    walls, edges = finder.query.walls, finder.edges
     frames = edges.frames[pair[:, 0]], seen_frames(walls, edges, pair[:, 1], between)
     length, real = edges.length[pair], edges.frames[pair[:, 1]]
     seen = [_places(frame, length[:, i]) for i, frame in enumerate(frames)]
@@ -135,7 +139,8 @@ def open_gaps(
     there = Fans(*(np.swapaxes(x, 1, 2) for x in (there.free, there.low, there.high))).turned()
     free = here.free & there.free
     here, there = Fans(free, here.low, here.high), Fans(free, there.low, there.high)
-    free = (here.meet(ends[0].part(pair[:, 0]), 0) * there.meet(ends[1].part(pair[:, 1]), 1)).astype(bool)
+    if ends is not None:
+        free = (here.meet(ends[0].part(pair[:, 0]), 0) * there.meet(ends[1].part(pair[:, 1]), 1)).astype(bool)
     g, i, j = np.nonzero(free)
     parts = [
         places[g[:, None], np.stack([part, part + 1], axis=1)]
@@ -163,7 +168,7 @@ def _seen(frame: Floats, n: Floats, other: Floats, length: Floats, near: float) 
     low = np.minimum(z[:, :-1], z[:, 1:])[:, None, :] - places[:, 1:, None]
     high = np.maximum(z[:, :-1], z[:, 1:])[:, None, :] - places[:, :-1, None]
     flat = np.stack([x, y], axis=2)
-    least, most = np.maximum(_off(flat[:, :-1], flat[:, 1:]), near), np.maximum(r[:, :-1], r[:, 1:])
+    least, most = np.maximum(_off(flat[:, :-1], flat[:, 1:]), near), np.maximum(np.maximum(r[:, :-1], r[:, 1:]), near)
     return Fans(np.repeat(air[:, None], PARTS, axis=1), *_cotangents(low, high, least[:, None], most[:, None]))
 
 
