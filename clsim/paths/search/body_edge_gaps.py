@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.paths.legs.mirrors import ROOM
+from clsim.acoustics.diffraction import ON_LINE
+from clsim.paths.legs.mirrors import ROOM, dot
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.body_edge_pairs import EdgePairFinder, PairLook, on_edges
-from clsim.paths.search.body_edges import leg_is_free
+from clsim.paths.search.body_edges import ABSENT, leg_is_free
 from clsim.paths.search.edge_chains import tied
-from clsim.paths.search.gap_parts import open_gaps
+from clsim.paths.search.gap_parts import cotangents, in_air, open_gaps, segment_off
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.gap_events import GapPairs, GapPairSolver
 from clsim.paths.vertices.gap_pair import ACROSS_AIR, GapPairVertex
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     Rows = NDArray[np.int64]
     Span = tuple[float, float]
 
+_LONGER = 1.2  # times a path as it is when received, as which it may have been before
 _IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in its air
 
 
@@ -46,6 +48,12 @@ def moving_gap_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chai
     more = {name: held[name] for name in ("shared", "between", "budget")}
     vertex = GapPairVertex(**own, **alike, last=last, **more, seen=np.zeros((len(held["edge"]), 4, 3)))
     return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
+
+
+def _apart(places: Floats, others: Floats) -> Floats:
+    """Largest distances (P, T) between places (P, T, k, 3) and others (P, T, l, 3), m."""
+    away = places[:, :, :, None] - others[:, :, None]
+    return np.asarray(np.sqrt(np.einsum("ptkli,ptkli->ptkl", away, away)).max(axis=(2, 3)))
 
 
 class _GapFinder(EdgePairFinder):
@@ -120,6 +128,79 @@ class _GapLook(PairLook):
     """How paths over two edges with air between are at some times, see `PairLook`."""
 
     solver: ClassVar[type[GapPairSolver]] = GapPairSolver
+
+    def __call__(self, rows: Rows, times: Floats) -> NDArray[Any]:
+        """Codes of paths at times (P, T), s."""
+        code = np.full(times.shape, ABSENT, dtype=np.int16)
+        p, t = np.nonzero(self._possible(self.pairs.part(rows), times))
+        if len(p):
+            code[p, t] = PairLook.__call__(self, rows[p], times[p, t][:, None])[:, 0]
+        return code
+
+    def _possible(self, pairs: Any, times: Floats) -> NDArray[np.bool_]:
+        """Mask (P, T) of paths that may be there, by where all is when sound is received, and how far it moves meanwhile."""
+        (edge, first, source, ahead), (last, second, receiver, back) = self._seen(pairs, times)
+        way = sum(_apart(*places) for places in ((source, first), (ahead, first), (receiver, second)))
+        slack = (self._fastest(pairs) * _LONGER / self.search.scene.air.slowest)[:, None] * way
+        return self._alike(edge, times, first, (source, ahead), slack) & self._alike(
+            last, times, second, (receiver, back), slack
+        )
+
+    def _seen(self, pairs: Any, times: Floats) -> list[tuple[Rows, Floats, Floats, Floats]]:
+        """What each edge sees: the edge, its ends (P, T, 2, 3), the end of the path, and the ends of the other edge, m."""
+        lines, between, none = self.faces.lines, pairs.between.T, np.zeros(times.shape)
+        first, last = (
+            np.stack(
+                [
+                    lines.placed(edge, none + along[:, None], times)
+                    for along in (0.0 * lines.length[edge], lines.length[edge])
+                ],
+                2,
+            )
+            for edge in (pairs.edge, pairs.last)
+        )
+        source, receiver = (end.position(times)[:, :, None] for end in self.pair.ends)
+        source, receiver = (
+            self._images(pairs.before.T, source, times),
+            self._images(pairs.after.T[::-1], receiver, times),
+        )
+        ahead, back = self._images(between[::-1], last, times), self._images(between, first, times)
+        return [(pairs.edge, first, source, ahead), (pairs.last, last, receiver, back)]
+
+    def _alike(
+        self, edge: Rows, times: Floats, own: Floats, seen: tuple[Floats, Floats], slack: Floats
+    ) -> NDArray[np.bool_]:
+        """Mask (P, T) of paths of which an end, and the other edge, are in the air of an edge, and may have one angle to it.
+
+        Shapes: slack (P, T) m, by which they may be elsewhere.
+        """
+        lines, possible, bounds = self.faces.lines, np.ones(times.shape, dtype=bool), []
+        axes, n, length = lines.axes(edge, times), lines.n[edge][:, None, None], lines.length[edge][:, None]
+        for places, sign in zip(seen, (-1.0, 1.0), strict=True):
+            x, y, z = (dot(places - own[:, :, :1], axis[:, :, None]) for axis in axes)
+            possible &= np.any(in_air(n, x, y, -slack[..., None]), axis=2)
+            least = np.maximum(segment_off(np.stack([x, y], axis=3)) - slack, ON_LINE)
+            heights = z.min(axis=2) - slack - length, z.max(axis=2) + slack
+            found = cotangents(*heights, least, np.hypot(x, y).max(axis=2) + slack)
+            bounds.append(found if sign > 0.0 else (-found[1], -found[0]))
+        return np.asarray(possible & (bounds[0][0] <= bounds[1][1]) & (bounds[1][0] <= bounds[0][1]))
+
+    def _images(self, walls: NDArray[np.int32], places: Floats, times: Floats) -> Floats:
+        """Places (P, T, k, 3), m, mirrored by mirrors (N, P) as they are at times (P, T), s."""
+        for met in walls:
+            plane = self.search.obstacles.mirrors.planes(met, times, np.zeros(times.shape), None)
+            off = dot(places, plane.normal[:, :, None]) - plane.offset[..., None]
+            places = places - 2.0 * off[..., None] * plane.normal[:, :, None]
+        return places
+
+    def _fastest(self, pairs: Any) -> Floats:
+        """Bounds (P,) of how fast what an edge sees moves, as it sees it, m/s."""
+        search, rates = self.search, self.pair.rates
+        source = float(rates.source.over(np.array([rates.bodies.first]), np.array([rates.bodies.last])).max())
+        size, owner = search.room.walls.size, np.append(search.obstacles.mirrors.owner, ROOM)
+        fastest = max(body.peak_speed + size * body.trajectory.peak_turn for body in rates.bodies.bodies)
+        met = sum(np.sum(owner[walls] != ROOM, axis=1) for walls in (pairs.before, pairs.between, pairs.after))
+        return np.asarray(source + fastest * (2.0 + 2.0 * met))
 
     def free(self, pairs: Any, events: Any, p: Rows, t: Rows) -> NDArray[np.bool_]:
         """Mask (n,) of some paths at times (n,) of which the way between both edges is free."""

@@ -91,10 +91,10 @@ def fans_of_ends(
     for wall in sequence[row].T:
         image = mirrored(walls, wall, image)
     x, y, z = ((image - frame[0]) @ frame[axis] for axis in (1, 2, 3))
-    free = np.repeat(_in_air(edges.n[edge], x, y, -near - size)[:, None], PARTS, axis=1)
+    free = np.repeat(in_air(edges.n[edge], x, y, -near - size)[:, None], PARTS, axis=1)
     places, r = np.linspace(0.0, edges.length[edge], PARTS + 1), np.hypot(x, y)
     heights = places[:-1] - (z + size)[:, None], places[1:] - (z - size)[:, None]
-    low, high = _cotangents(*heights, np.maximum(r - size, near)[:, None], (r + size)[:, None])
+    low, high = cotangents(*heights, np.maximum(r - size, near)[:, None], (r + size)[:, None])
     return Fans(free.reshape(shape), low.reshape(shape), high.reshape(shape))
 
 
@@ -168,24 +168,27 @@ def _seen(frame: Floats, n: Floats, other: Floats, length: Floats, near: float) 
     low = np.minimum(z[:, :-1], z[:, 1:])[:, None, :] - places[:, 1:, None]
     high = np.maximum(z[:, :-1], z[:, 1:])[:, None, :] - places[:, :-1, None]
     flat = np.stack([x, y], axis=2)
-    least, most = np.maximum(_off(flat[:, :-1], flat[:, 1:]), near), np.maximum(np.maximum(r[:, :-1], r[:, 1:]), near)
-    return Fans(np.repeat(air[:, None], PARTS, axis=1), *_cotangents(low, high, least[:, None], most[:, None]))
+    least, most = (
+        np.maximum(segment_off(np.stack([flat[:, :-1], flat[:, 1:]], axis=2)), near),
+        np.maximum(np.maximum(r[:, :-1], r[:, 1:]), near),
+    )
+    return Fans(np.repeat(air[:, None], PARTS, axis=1), *cotangents(low, high, least[:, None], most[:, None]))
 
 
-def _in_air(n: float, x: Floats, y: Floats, least: Floats) -> Bools:
-    """Mask (m,) of places at x and y about an edge that are in the air of its wedge, by at least so much, m."""
-    other = np.sin(np.pi * n) * x - np.cos(np.pi * n) * y
-    return np.asarray((y > least) & (other > least) if n < 1.0 else (y > least) | (other > least))
+def in_air(n: Floats | float, x: Floats, y: Floats, least: Floats | float) -> Bools:
+    """Mask (...) of places at x and y about edges that are in the air of their wedges, by at least so much, m."""
+    above, beside = y > least, np.sin(np.pi * n) * x - np.cos(np.pi * n) * y > least
+    return np.asarray(np.where(np.asarray(n) < 1.0, above & beside, above | beside))
 
 
-def _cotangents(low: Floats, high: Floats, least: Floats, most: Floats) -> tuple[Floats, Floats]:
+def cotangents(low: Floats, high: Floats, least: Floats, most: Floats) -> tuple[Floats, Floats]:
     """Least and largest ratios of heights from low to high over distances from least to most."""
     return low / np.where(low < 0.0, least, most), high / np.where(high > 0.0, least, most)
 
 
-def _off(a: Floats, b: Floats) -> Floats:
-    """Distances (...) of segments between places (..., 2) from the origin."""
-    along = b - a
+def segment_off(ends: Floats) -> Floats:
+    """Distances (...) of segments between places (..., k, 2) from the origin; of one place, its own."""
+    a, along = ends[..., 0, :], ends[..., -1, :] - ends[..., 0, :]
     share = np.clip(-np.sum(a * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-300), 0.0, 1.0)
     return np.asarray(np.linalg.norm(a + share[..., None] * along, axis=-1))
 
