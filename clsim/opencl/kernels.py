@@ -74,6 +74,7 @@ _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
     *_PROPAGATION, *_WALLS, "paths/wall_walk.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
 )  # fmt: skip
+_EDGES = "paths/edge.h", "paths/edge_gap.h", "paths/edge_evaluate.h", "paths/gap_evaluate.h"
 _POLYNOMIALS = ("common/polynomials.h",)
 _ROUNDING = ("common/rounding.h",)
 _GAINS = ("common/gains.h",)
@@ -91,8 +92,8 @@ _NODE_CONSTANTS = {
 }  # fmt: skip
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
 _EDGE_CONSTANTS = {
-    "CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE", "GAP", "NEWTON", "FOUND", "STEPS", "SMALL", "SPARE", "IN_AIR",
-    "OVERLAP_FIRST", "OVERLAP_LAST",
+    "CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE", "GAP", "NEWTON", "FOUND", "STEPS", "SMALL", "SPARE",
+    "IN_AIR", "OVERLAP",
 }  # fmt: skip
 # What is between the ends, and how it is found where they are scattered.
 _KINDS = {
@@ -203,11 +204,7 @@ PROGRAMS = {
         frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS),
     ),
     "edge_intervals": Program(
-        (
-            *_INTERVAL_FILES, "paths/edge.h", "paths/edge_gap.h", "paths/edge_evaluate.h", "paths/gap_evaluate.h",
-            "paths/spans.h", "paths/edge_intervals.cl",
-        ),
-        EDGE_INTERVALS | INTERVALS,
+        (*_INTERVAL_FILES, *_EDGES, "paths/spans.h", "paths/edge_intervals.cl"), EDGE_INTERVALS | INTERVALS,
         frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | _EDGE_CONSTANTS),
     ),
     "rays": Program(*RAYS),

@@ -63,12 +63,13 @@ static int evaluate(const search* s, double time, double within, double* clear, 
         *clear = valid ? fmin(apart, *clear) : apart;
         return valid;
     }
+    const double overlap[2] = OVERLAP;
     double turn[2];
     const double ahead = in_its_air(s->edge[0], s->seen, way.places[0], way.places[1], moves[1], turn);
     const double back = in_its_air(s->seen, s->edge[0], way.places[1], way.places[0], moves[0], turn + 1);
     const int free = fmin(ahead, back) > IN_AIR;
     const double beside = fmin(ratio(fabs(ahead - IN_AIR), turn[0]), ratio(fabs(back - IN_AIR), turn[1]));
-    const int clear_way = path_status(&s->walls, s->sequence, before_last(s, apex[0], apex[1], s->side == 2 ? OVERLAP_FIRST : OVERLAP_LAST),
+    const int clear_way = path_status(&s->walls, s->sequence, before_last(s, apex[0], apex[1], overlap[s->side - 2]),
                                       apex[s->side - 2], most, most, nowhere, nowhere, &apart);
     const double sure = ratio(apart, most);
     *clear = *reach * fmin(free ? (clear_way ? fmin(beside, sure) : sure) : (clear_way ? beside : fmax(beside, sure)), EVER);

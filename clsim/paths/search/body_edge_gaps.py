@@ -138,7 +138,7 @@ class _GapLook(PairLook):
         return code
 
     def _possible(self, pairs: Any, times: Floats) -> NDArray[np.bool_]:
-        """Mask (P, T) of paths that may be there, by where all is when sound is received, and how far it moves meanwhile."""
+        """Mask (P, T) of paths that may be there, as all is when sound is received, and by how far it moves."""
         (edge, first, source, ahead), (last, second, receiver, back) = self._seen(pairs, times)
         way = sum(_apart(*places) for places in ((source, first), (ahead, first), (receiver, second)))
         slack = (self._fastest(pairs) * _LONGER / self.search.scene.air.slowest)[:, None] * way
@@ -147,7 +147,7 @@ class _GapLook(PairLook):
         )
 
     def _seen(self, pairs: Any, times: Floats) -> list[tuple[Rows, Floats, Floats, Floats]]:
-        """What each edge sees: the edge, its ends (P, T, 2, 3), the end of the path, and the ends of the other edge, m."""
+        """Return both edges, each with its ends (P, T, 2, 3) and what it sees, m: an end, and the other edge's ends."""
         lines, between, none = self.faces.lines, pairs.between.T, np.zeros(times.shape)
         first, last = (
             np.stack(
@@ -170,7 +170,7 @@ class _GapLook(PairLook):
     def _alike(
         self, edge: Rows, times: Floats, own: Floats, seen: tuple[Floats, Floats], slack: Floats
     ) -> NDArray[np.bool_]:
-        """Mask (P, T) of paths of which an end, and the other edge, are in the air of an edge, and may have one angle to it.
+        """Mask (P, T) of paths with an end and the other edge in the air of an edge, at angles that may agree.
 
         Shapes: slack (P, T) m, by which they may be elsewhere.
         """

@@ -53,7 +53,7 @@ class Fans:
         """Fan (parts,) that holds several (..., parts)."""
         free, low, high = (np.concatenate([getattr(fan, name).reshape(-1, PARTS) for fan in every]) for name in _NAMES)
         lowest, highest = np.where(free, low, np.inf).min(axis=0, initial=np.inf), np.where(free, high, -np.inf)
-        return Fans(free.any(axis=0), lowest, highest.max(axis=0, initial=-np.inf))
+        return Fans(np.any(free, axis=0), lowest, highest.max(axis=0, initial=-np.inf))
 
     @staticmethod
     def stacked(every: list[Fans]) -> Fans:
@@ -74,7 +74,7 @@ class Fans:
         edge: 0 for the first one of both, 1 for the last one.
         """
         free, low, high = (np.expand_dims(getattr(ends, name), -2 if edge else -1) for name in _NAMES)
-        return (self.free & free & (low <= self.high) & (high >= self.low)).astype(np.float32)
+        return np.asarray(self.free & free & (low <= self.high) & (high >= self.low), dtype=np.float32)
 
 
 _NAMES = "free", "low", "high"
@@ -136,7 +136,7 @@ def open_gaps(
     here, there = (
         _seen(frames[i], edges.n[pair[:, i]], seen[1 - i], length[:, i], CLEARLY * walls.size) for i in (0, 1)
     )
-    there = Fans(*(np.swapaxes(x, 1, 2) for x in (there.free, there.low, there.high))).turned()
+    there = Fans(there.free.swapaxes(1, 2), there.low.swapaxes(1, 2), there.high.swapaxes(1, 2)).turned()
     free = here.free & there.free
     here, there = Fans(free, here.low, here.high), Fans(free, there.low, there.high)
     if ends is not None:
@@ -195,8 +195,8 @@ def segment_off(ends: Floats) -> Floats:
 
 def ways_open(walls: Walls, sequence: NDArray[np.int32], first: Floats, last: Floats) -> Bools:
     """Mask of sequences of walls (n, N) by which something of hulls (n, a, 3) may see something of others (n, b, 3)."""
-    parts = range(0, len(sequence), _TOGETHER)
-    found = [_ways_open(walls, *(x[i : i + _TOGETHER] for x in (sequence, first, last))) for i in parts]
+    parts = (slice(i, i + _TOGETHER) for i in range(0, len(sequence), _TOGETHER))
+    found = [_ways_open(walls, sequence[part], first[part], last[part]) for part in parts]
     return np.concatenate([np.empty(0, dtype=bool), *found])
 
 

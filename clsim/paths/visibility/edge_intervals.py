@@ -48,7 +48,7 @@ LONGEST = 1e-4  # s between these times, also where ends hardly move
 _CONSTANTS = {
     "AT_EDGE": 1, "CONTRACTIONS": CONTRACTIONS, "CONTRACTED": CONTRACTED, "HALF_TURN": np.pi, "ON_LINE": ON_LINE,
     "NEWTON": NEWTON, "FOUND": FOUND, "STEPS": STEPS, "SMALL": SMALL, "SPARE": SPARE, "IN_AIR": IN_AIR,
-    "OVERLAP_FIRST": OVERLAP[0], "OVERLAP_LAST": OVERLAP[1],
+    "OVERLAP": f"{{{OVERLAP[0]},{OVERLAP[1]}}}",
 }  # fmt: skip
 MOST_TOGETHER = 10_000_000  # evaluations of all paths of a batch: their intervals take 350 MB at most
 

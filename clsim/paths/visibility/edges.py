@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -73,13 +73,12 @@ class EdgeCandidates:
     @staticmethod
     def joined(parts: Sequence[EdgeCandidates]) -> EdgeCandidates:
         """Return several with as many walls as one."""
-        columns = [np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(EdgeCandidates)[:-1]]
-        if parts[0].spans is None:
-            return EdgeCandidates(*columns)
-        first = np.cumsum([0, *(len(part.edge) for part in parts)])
-        spans = [(row + i, *when) for i, (row, *when) in zip(first, (part.spans for part in parts), strict=False)]
-        row, begin, end = (np.concatenate(column) for column in zip(*spans, strict=True))
-        return EdgeCandidates(*columns, (row, begin, end))
+        names = [f.name for f in fields(EdgeCandidates) if f.name != "spans"]
+        columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        first = np.cumsum([0, *(len(part.edge) for part in parts[:-1])])
+        rows = [(part.spans[0] + i, *part.spans[1:]) for i, part in zip(first, parts, strict=True) if part.spans]
+        spans: Any = tuple(np.concatenate(column) for column in zip(*rows, strict=True)) if rows else None
+        return EdgeCandidates(**columns, spans=spans)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
