@@ -75,16 +75,13 @@ _INTERVAL_FILES = (
     *_PROPAGATION, *_WALLS, "paths/wall_walk.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
 )  # fmt: skip
 _EDGES = "paths/edge.h", "paths/edge_gap.h", "paths/edge_evaluate.h", "paths/gap_evaluate.h"
-_POLYNOMIALS = ("common/polynomials.h",)
-_ROUNDING = ("common/rounding.h",)
-_GAINS = ("common/gains.h",)
-_MASK = ("common/mask.h",)
+_POLYNOMIALS, _ROUNDING = ("common/polynomials.h",), ("common/rounding.h",)
+_GAINS, _MASK = ("common/gains.h",), ("common/mask.h",)
 
 _INTERVAL_CONSTANTS = {
     "ORDER", "DEPTH", "GRAZE_TIME", "ALONG", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE",
     "TOUCHING", "GROUPED", "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
 }  # fmt: skip
-_CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
 _NODE_CONSTANTS = {
     "CELL", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS",
     "CUBIC_COLUMNS", "MACH_EXPONENT", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL",
@@ -198,7 +195,7 @@ PROGRAMS = {
         frozenset(_NODE_CONSTANTS | {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}),
     ),
     "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), MEETINGS, frozenset({"PARALLEL"})),
-    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), CROSSINGS, frozenset(_CROSSING_CONSTANTS)),
+    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), CROSSINGS, frozenset({"MOST", "INNER", "PARALLEL"})),  # fmt: skip
     "intervals": Program(
         (*_INTERVAL_FILES, "paths/evaluate.h", "paths/spans.h", "paths/intervals.cl"), INTERVALS,
         frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS),

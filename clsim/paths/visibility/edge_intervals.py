@@ -116,18 +116,18 @@ class EdgeSearch:
         before, after, between = (x[row] for x in (candidates.before, candidates.after, candidates.between))
         mine = (before, after, between[:, ::-1], between[:, :0])[side]
         other = np.concatenate([before, after, between], axis=1) if across_air else (after, before)[side]
+        counts = np.array([other.shape[1], before.shape[1], after.shape[1], side], dtype=np.int32)
+        places = np.repeat(np.arange(len(row))[:, None], 2, axis=1) if across_air else candidates.face[row]
         columns: dict[str, NDArray[Any]] = {
-            "sequences": mine, "others": other, "edge_of": candidates.edge[row], "face_of": candidates.face[row],
+            "sequences": mine, "others": other, "edge_of": candidates.edge[row], "face_of": places,
             "end_of": candidates.end[row], "receiver_of": candidates.receiver[row],
-            "seen_of": np.arange(len(row)) * across_air,
         }  # fmt: skip
         every, asked = np.column_stack([edges.frames.reshape(-1, 12), edges.length, edges.n]), candidates.edge[row, 1]
         seen = every[asked] if across_air else every
         if across_air:
             seen[:, :12] = seen_frames(self.query.walls, edges, asked, between).reshape(-1, 12)
         others = {
-            "other_count": other.shape[1], "before_count": before.shape[1], "after_count": after.shape[1], "side": side,
-            "far": FAR * self.query.walls.size, "edges": every, "seen": seen,
+            "counts": counts, "far": FAR * self.query.walls.size, "edges": every, "seen": seen,
         }  # fmt: skip
         return self.device.settle("edge_intervals", _CONSTANTS | {"GAP": int(across_air)}, columns, spans, others)
 
