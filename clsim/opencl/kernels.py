@@ -74,7 +74,7 @@ _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
     *_PROPAGATION, *_WALLS, "paths/wall_walk.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
 )  # fmt: skip
-_EDGES = "paths/edge.h", "paths/edge_gap.h", "paths/edge_evaluate.h", "paths/gap_evaluate.h"
+_EDGES = "paths/edge.h", "paths/edge_gap.h", "paths/edge_evaluate.h", "paths/gap_evaluate.h", "paths/spans.h"
 _POLYNOMIALS, _ROUNDING = ("common/polynomials.h",), ("common/rounding.h",)
 _GAINS, _MASK = ("common/gains.h",), ("common/mask.h",)
 
@@ -82,13 +82,14 @@ _INTERVAL_CONSTANTS = {
     "ORDER", "DEPTH", "GRAZE_TIME", "ALONG", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE",
     "TOUCHING", "GROUPED", "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
 }  # fmt: skip
+_CROSSED = {"MOST", "INNER", "PARALLEL"}
 _NODE_CONSTANTS = {
     "CELL", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS",
     "CUBIC_COLUMNS", "MACH_EXPONENT", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL",
     "GAIN_ERROR", "AIR_TERMS", "HARMONIC", "CHANNELS",
 }  # fmt: skip
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
-_EDGE_CONSTANTS = {
+_EDGE_CONSTANTS = _DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {
     "CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE", "GAP", "NEWTON", "FOUND", "STEPS", "SMALL", "SPARE",
     "IN_AIR", "OVERLAP",
 }  # fmt: skip
@@ -195,14 +196,13 @@ PROGRAMS = {
         frozenset(_NODE_CONSTANTS | {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}),
     ),
     "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), MEETINGS, frozenset({"PARALLEL"})),
-    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), CROSSINGS, frozenset({"MOST", "INNER", "PARALLEL"})),  # fmt: skip
+    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), CROSSINGS, frozenset(_CROSSED)),
     "intervals": Program(
         (*_INTERVAL_FILES, "paths/evaluate.h", "paths/spans.h", "paths/intervals.cl"), INTERVALS,
         frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS),
     ),
     "edge_intervals": Program(
-        (*_INTERVAL_FILES, *_EDGES, "paths/spans.h", "paths/edge_intervals.cl"), EDGE_INTERVALS | INTERVALS,
-        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | _EDGE_CONSTANTS),
+        (*_INTERVAL_FILES, *_EDGES, "paths/edge_intervals.cl"), EDGE_INTERVALS | INTERVALS, frozenset(_EDGE_CONSTANTS)
     ),
     "rays": Program(*RAYS),
     "fades": Program(
