@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
     End = tuple[Floats, Floats]
 
-_STEPS = 80  # of the search for places on both edges
-_FOUND = 1e-11  # of the least leg: the last step along the edges
-_NEAR = 0.2  # of the least leg: steps that are shorter are Newton's
+STEPS = 80  # of the search for places on both edges
+FOUND = 1e-11  # of the least leg: the last step along the edges
+NEWTON = 0.2  # of the least leg: steps that are shorter are Newton's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class EdgeGap:
         given = [np.broadcast_to(x, r_s.shape).ravel() for x in (r_s, z_s, r_r, z_r, *pairs)]
         u, v = _parallel(*given)
         slides, left = np.empty((2, len(u))), np.arange(len(u))
-        for _ in range(_STEPS):
+        for _ in range(STEPS):
             some = [x[left] for x in given]
             u[left], v[left], found, slides[:, left] = _nearer(u[left], v[left], *some)
             left = left[~found]
@@ -116,14 +116,14 @@ def _nearer(
     determinant = np.maximum(a * d - b**2, 1e-300)
     step = np.stack([d * slope[0] - b * slope[1], a * slope[1] - b * slope[0]]) / determinant
     longest, scale = np.max(np.abs(step), axis=0), np.minimum(np.minimum(s, t), between)
-    near, moves = longest <= _NEAR * scale, (r_s / s**2, r_r / t**2)
+    near, moves = longest <= NEWTON * scale, (r_s / s**2, r_r / t**2)
     slides = np.stack([d * moves[0] + np.abs(b) * moves[1], a * moves[1] + np.abs(b) * moves[0]]) / determinant
     # Where that is far, each in turn with the other one as it is.
     place = edge_way(r_s, z_s, _off(apart, one), u - one).apex
     one, other = first + place - v * cosine, last + place * cosine - v
     apart = square + place**2 + v**2 + 2.0 * (place * first - v * last - place * v * cosine)
     behind = edge_way(r_r, z_r, _off(apart, other), v + other).apex
-    found = near & (longest <= _FOUND * scale)
+    found = near & (longest <= FOUND * scale)
     return np.where(near, u - step[0], place), np.where(near, v - step[1], behind), found, slides
 
 

@@ -164,9 +164,10 @@ INTERVALS = {
     "states": changed("progress", "paths"), "found": made("interval", "found"), "found_count": changed("int", "1"),
 }  # fmt: skip
 EDGE_INTERVALS = {
-    "others": taken("int", "paths, other_count"), "other_count": INT,
+    "others": taken("int", "paths, counts[0]"), "counts": taken("int", "4"),
+    "seen": taken("edge_of_room", "pairs of edges"),
     "edges": taken("edge_of_room", "edges of the room"), "edge_of": taken("int", "paths, 2"),
-    "face_of": taken("int", "paths, 2"), "end_of": taken("int", "paths"), "from_receiver": INT, "far": DOUBLE,
+    "face_of": taken("int", "paths, 2"), "end_of": taken("int", "paths"), "far": DOUBLE,
 }  # fmt: skip
 SCATTER = {
     "delay": taken("int", "blocks, slots"),

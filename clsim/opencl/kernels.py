@@ -74,22 +74,25 @@ _WALLS = ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
     *_PROPAGATION, *_WALLS, "paths/wall_walk.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
 )  # fmt: skip
-_POLYNOMIALS = ("common/polynomials.h",)
-_ROUNDING = ("common/rounding.h",)
-_GAINS = ("common/gains.h",)
-_MASK = ("common/mask.h",)
+_EDGES = "paths/edge.h", "paths/edge_gap.h", "paths/edge_evaluate.h", "paths/gap_evaluate.h", "paths/spans.h"
+_POLYNOMIALS, _ROUNDING = ("common/polynomials.h",), ("common/rounding.h",)
+_GAINS, _MASK = ("common/gains.h",), ("common/mask.h",)
 
 _INTERVAL_CONSTANTS = {
     "ORDER", "DEPTH", "GRAZE_TIME", "ALONG", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE",
     "TOUCHING", "GROUPED", "SOURCE_PERTURBATION", "RECEIVER_PERTURBATION",
 }  # fmt: skip
-_CROSSING_CONSTANTS = {"MOST", "INNER", "PARALLEL"}
+_CROSSED = {"MOST", "INNER", "PARALLEL"}
 _NODE_CONSTANTS = {
     "CELL", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "FREQUENCIES", "PARTS", "CELLS", "SIDE", "FACE_CELLS",
     "CUBIC_COLUMNS", "MACH_EXPONENT", "SOURCE_DIRECTIVITY", "RECEIVER_DIRECTIVITY", "OMNI", "AXIAL", "SPHERICAL",
     "GAIN_ERROR", "AIR_TERMS", "HARMONIC", "CHANNELS",
 }  # fmt: skip
 _DELAY_CONSTANTS = {"KNOT_COLUMNS", "NODES_AT_ONCE", "RETARDED", "STATIC_RECEIVERS", "WIND"}
+_EDGE_CONSTANTS = _DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {
+    "CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE", "GAP", "NEWTON", "FOUND", "STEPS", "SMALL", "SPARE",
+    "IN_AIR", "OVERLAP",
+}  # fmt: skip
 # What is between the ends, and how it is found where they are scattered.
 _KINDS = {
     "LEG", "STATIC", "MOVING", "MIRRORS", "VERTEX", "NONE", "EDGE", "SCATTERER", "POINT", "CAPSULE", "ELONGATED",
@@ -193,15 +196,13 @@ PROGRAMS = {
         frozenset(_NODE_CONSTANTS | {"KNOT_COLUMNS", "RETARDED", "STATIC_RECEIVERS"}),
     ),
     "meetings": Program((*_TRIPLES, *_WALLS, "paths/meetings.cl"), MEETINGS, frozenset({"PARALLEL"})),
-    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), CROSSINGS, frozenset(_CROSSING_CONSTANTS)),
+    "crossings": Program((*_TRIPLES, *_WALLS, "paths/crossings.cl"), CROSSINGS, frozenset(_CROSSED)),
     "intervals": Program(
         (*_INTERVAL_FILES, "paths/evaluate.h", "paths/spans.h", "paths/intervals.cl"), INTERVALS,
         frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS),
     ),
     "edge_intervals": Program(
-        (*_INTERVAL_FILES, "paths/edge.h", "paths/edge_evaluate.h", "paths/spans.h", "paths/edge_intervals.cl"),
-        EDGE_INTERVALS | INTERVALS,
-        frozenset(_DELAY_CONSTANTS | _INTERVAL_CONSTANTS | {"CONTRACTIONS", "CONTRACTED", "HALF_TURN", "ON_LINE"}),
+        (*_INTERVAL_FILES, *_EDGES, "paths/edge_intervals.cl"), EDGE_INTERVALS | INTERVALS, frozenset(_EDGE_CONSTANTS)
     ),
     "rays": Program(*RAYS),
     "fades": Program(

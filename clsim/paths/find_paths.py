@@ -79,7 +79,7 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     >>> len(clsim.find_paths(clsim.Scene(room, clsim.Air(), [robot], [ceiling]), max_order=3))
     63
     """
-    levels, edges = direct_levels(scene, options.direct), options.diffraction + options.edge_gaps
+    levels, edges = direct_levels(scene, options.direct), _KINDS[options.diffraction]
     finders = with_plugins(FAMILY_FINDERS, PATH_FAMILIES)
     steps = len(finders) + edges
     parts = _parts(options, steps + (steps + 1 if scene.bodies else 0))
@@ -165,7 +165,8 @@ def _specular_paths(scene: Scene, search: PathOptions) -> PathFamily:
     return find(scene, scene.room, search)
 
 
-OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths  # as many as `diffraction` is, and the last for `edge_gaps`
+_KINDS = 0, 1, 3  # of paths over edges, by `diffraction`
+OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths
 OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet

@@ -7,7 +7,6 @@ from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
 
 from clsim.arrays import as_choice, as_count, as_flag, as_number
-from clsim.errors import InputError
 
 if TYPE_CHECKING:
     from clsim.paths.family import PathFamily
@@ -34,10 +33,8 @@ class PathOptions:
         Largest number of reflections, 0 for the direct sound alone.
     diffraction : int
         Largest number of edges of a path: 0, 1 or 2. With 1, paths have one edge, of the room or of a body, and up to
-        `max_order` reflections before and after it. With 2, paths over two edges of one face are found as well.
-    edge_gaps : bool
-        Whether paths over two edges that share no face are found, too, as past two posts or screens; needs
-        `diffraction` 2. The search takes seconds for a box, and minutes for a room with several.
+        `max_order` reflections before and after it. With 2, paths over two edges are found as well: over two of one
+        face, or with air and reflections between them.
     diffraction_model : {"utd", "btm"}
         Law of the field at an edge. "utd" is the uniform theory of diffraction, for some 5 kHz and more. "btm" is the
         exact field of a wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two
@@ -88,7 +85,6 @@ class PathOptions:
     max_order: int
     _: KW_ONLY
     diffraction: int = 0
-    edge_gaps: bool = False
     diffraction_model: str = "utd"
     scattering_order: int = 0
     scatterers_in_row: int = 1
@@ -112,9 +108,6 @@ class PathOptions:
         checked["path_limit"] = as_count("path_limit", self.path_limit, at_least=1)
         as_choice("diffraction_model", self.diffraction_model, DIFFRACTION_MODELS)
         checked["diffraction"] = as_count("diffraction", self.diffraction, at_most=LARGEST_DIFFRACTION)
-        checked["edge_gaps"] = as_flag("edge_gaps", self.edge_gaps)
-        if checked["edge_gaps"] and checked["diffraction"] < LARGEST_DIFFRACTION:
-            raise InputError("edge_gaps", f"needs diffraction=2, but diffraction is {checked['diffraction']}")
         most = LARGEST_SCATTERING_ORDER
         checked["scattering_order"] = as_count("scattering_order", self.scattering_order, at_most=most)
         most = LARGEST_ROW

@@ -1,10 +1,12 @@
 // Intervals of time in which one side of paths over edges is there. Work-item: one path.
 
-__kernel void edge_intervals(__global const int* others,  // [paths][other_count]
-                             int other_count, __global const edge_of_room* edges, __global const int* edge_of,  // [paths][2]
-                             __global const int* face_of,      // [paths][2], see `search`
+__kernel void edge_intervals(__global const int* others,  // [paths][counts[0]]
+                             __global const int* counts,  // [4]: of others, with GAP of those before and after; side
+                             __global const edge_of_room* seen,  // see `search`
+                             __global const edge_of_room* edges, __global const int* edge_of,  // [paths][2]
+                             __global const int* face_of,      // [paths][2], see `search`; with GAP places in `seen`
                              __global const int* end_of,       // [paths]: which end of it, -1 for none
-                             int from_receiver, double far,    // see `search`
+                             double far,                      // see `search`
                              double tolerance, double thickness, __global const double4* plane,
                              __global const double4* sphere, __global const int* same, __global const int* first_edge,
                              __global const int* first_piece,
@@ -34,7 +36,8 @@ __kernel void edge_intervals(__global const int* others,  // [paths][other_count
     const search s = {{tolerance, thickness, plane, sphere, same, first_edge, first_piece, first_line, first_twin, edge,
                        line, twin, {box_count, box_middle, box_extent, box_wall, box_skip}}, trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 0),
                       trajectory_at(places, scales, knots, speeds, mounts, speed_of_sound, wind, 1 + receiver_of[path]),
-                      sequences + ORDER * (long)path, others + other_count * (long)path, other_count, from_receiver,
+                      sequences + ORDER * (long)path, others + counts[0] * (long)path, counts[0], counts[1], counts[2], counts[3],
+                      seen + (GAP ? face_of[2 * (long)path] : 0),
                       {edges + edge_of[2 * (long)path], edges + edge_of[2 * (long)path + 1]}, {face_of[2 * (long)path], face_of[2 * (long)path + 1]},
                       end_of[path], far, 1.0 / slowest};
     subdivide(&s, states + path, path, resolution, smallest_move, graze, budget, found, found_count);

@@ -1,7 +1,6 @@
 """The search for paths over edges on the device against its NumPy twin, and with one thing wrong at a time."""
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,9 +11,10 @@ from same_intervals import same
 
 import clsim
 from clsim.paths.propagation import UniformAir
-from clsim.paths.search.edges import _candidates, _edge_pairs, _edges_and_ends, _sequences
+from clsim.paths.search.edge_gaps import gap_candidates
+from clsim.paths.search.edges import EdgeReach, edge_pairs, edges_and_ends
 from clsim.paths.search.mesh import sides_of_air
-from clsim.paths.trajectory_tables import BoundingSpheres, trajectory_tables
+from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import EdgeCandidates
@@ -76,13 +76,11 @@ def search(name: str, on_device: bool = False) -> EdgeSearch:
 
 
 def candidates(name: str) -> list[EdgeCandidates]:
-    ends = trajectory_tables(*CASES[name])
-    spheres = BoundingSpheres(0.5 * (EDGES.start + EDGES.stop), 0.5 * EDGES.length)
-    finder = search(name)
-    reached = partial(_sequences, finder, spheres, ORDER)
+    finder, ends = search(name), trajectory_tables(*CASES[name])
+    reached = EdgeReach(finder, ORDER)
     sent, heard = reached(ends.sphere(0, -0.1)), [reached(ends.sphere(1 + r)) for r in range(len(CASES[name][1]))]
-    kinds = [kind(finder, reached, ORDER) for kind in (_edges_and_ends, _edge_pairs)]
-    return [c for kind in kinds for _, c in _candidates(ROOM.walls, (sent, heard), EDGES, ORDER, kind)]
+    kinds = edges_and_ends, edge_pairs, gap_candidates
+    return [c for kind in kinds for _, c in kind(finder, (sent, heard), reached, ORDER, 0.1)]
 
 
 @pytest.fixture(scope="module")
@@ -132,12 +130,12 @@ MUTANTS = {
     "wind from the other side": ("length * length) - along) * path", "length * length) + along) * path"),
     "wind of a half": ("along * along + path->room * length * length", "along * along + length * length"),
     "the first delay": ("fabs(later) <= CONTRACTED", "fabs(later) <= 1e9"),
-    "emission at reception": ("s->source, time - delay, source_perturbation", "s->source, time, source_perturbation"),
+    "emission at reception": ("s->source, time - at.delay, source_perturbation", "s->source, time, source_perturbation"),
     "the receiver stands still": ("within * speed_over(&s->receiver, time - within, time + within)", "0.0"),
     "the source stands still": ("late * speed_over(&s->source, emitted - late, emitted + late)", "0.0"),
     "margins of ends only": ("ratio(fabs(least), most)", "ratio(fabs(least), *reach)"),
     "valid outside": ("if (least < 0.0) return 0;", "if (least < -1e9) return 0;"),
-    "the other side's end": ("mine ? heard_at : emitted_at, apex", "mine ? emitted_at : heard_at, apex"),
+    "the other side's end": ("mine ? at.heard_at : at.emitted_at, apex", "mine ? at.emitted_at : at.heard_at, apex"),
     "the first edge's place": ("times(places[mine], at_row", "times(places[0], at_row"),
     "the first edge": ("at_row(s->edge[mine]->start)", "at_row(s->edge[0]->start)"),
     "clearance of walls as of ends": ("ratio(apart, fmax(*reach, moves[mine]))", "ratio(apart, *reach)"),

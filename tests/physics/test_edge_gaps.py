@@ -132,9 +132,7 @@ def test_two_screens_in_line(measured: Callable[..., float]) -> None:
     What screens send back, which Kirchhoff leaves out, is -40 dB.
     """
     room = clsim.MeshRoom.joined([screen(x, (-6.0, 0.0), (-TALL, TALL)) for x in (-0.5, 0.5)])
-    paths = clsim.find_paths(
-        scene_of(room, (-2.0, 0.0, 0.0), [LINE((2, -0.5, 0), (2, 0.5, 0), 1.0)]), 1, diffraction=2, edge_gaps=True
-    )
+    paths = clsim.find_paths(scene_of(room, (-2.0, 0.0, 0.0), [LINE((2, -0.5, 0), (2, 0.5, 0), 1.0)]), 1, diffraction=2)
     times = np.linspace(0.3, 0.7, 17) + 1e-4
     found = over_free_field(paths, times, 4.6)
     exact = [knife_edges((-2.0, 0.0), (2.0, time - 0.5), (-0.5, 0.5)) for time in times]
@@ -155,7 +153,7 @@ def test_behind_two_posts(measured: Callable[..., float]) -> None:
     """Rhombi of 16 cm, one behind the other, in shadow and light, and with source and receivers exchanged."""
     exact, source = field_about(POSTS, (-1.5, 0.0), BEHIND, TONE, 10.0), (-1.5, 0.0, 0.0)
     room, ears = clsim.MeshRoom.joined([prism(foot) for foot in POSTS]), [(*place, 0.0) for place in BEHIND]
-    paths, now = clsim.find_paths(scene_of(room, source, ears), 1, diffraction=2, edge_gaps=True), np.zeros(1)
+    paths, now = clsim.find_paths(scene_of(room, source, ears), 1, diffraction=2), np.zeros(1)
     found = np.array([over_free_field(paths, now, 15.0, i)[0] for i in range(len(ears))])
     error = decibels(np.sqrt(np.mean(np.abs(found - exact) ** 2)))
     assert measured("behind two posts", "collocation in two dimensions", error, -50.0) < -50.0
@@ -163,7 +161,7 @@ def test_behind_two_posts(measured: Callable[..., float]) -> None:
     silent = [over_free_field(without, now, 15.0, i)[0] for i in range(len(ears))]
     assert decibels(np.sqrt(np.mean(np.abs(silent - exact) ** 2))) > -25.0
     for i in (0, 3, 5):
-        back = clsim.find_paths(scene_of(room, ears[i], [source]), 1, diffraction=2, edge_gaps=True)
+        back = clsim.find_paths(scene_of(room, ears[i], [source]), 1, diffraction=2)
         assert decibels(over_free_field(back, now, 15.0)[0] / found[i] - 1.0) < -100.0
 
 
@@ -173,7 +171,7 @@ def test_no_jump_behind_two_screens(measured: Callable[..., float]) -> None:
                                          screen(0.5, (-9.0, 0.1), (-TALL, TALL))]), []  # fmt: skip
     for source, last in (((-1.5, -0.3, 0.0), 0.7), ((-1.5, 0.05, 0.1), 0.6), ((-1.0, -0.1, 0.0), 1.0)):
         way = LINE((1.6, -0.6, 0.02), (1.5, last, 0.0), 2.0)
-        paths = clsim.find_paths(scene_of(room, source, [way]), 1, diffraction=2, edge_gaps=True)
+        paths = clsim.find_paths(scene_of(room, source, [way]), 1, diffraction=2)
         near = [family.part(np.flatnonzero(short(family))) for family in paths.families if len(family)]
         paths = PathSet(paths.scene, tuple(family for family in near if len(family)))
         events = np.unique(np.concatenate([x for f in paths.families for x in (f.start, f.end)]))
@@ -198,7 +196,7 @@ def test_no_jump_where_inner_corners_send_past_others(measured: Callable[..., fl
     for draw in range(4):
         room = clsim.MeshRoom.from_plan(plan, 2.5, clsim.Material.from_reflection((1.0, 0.7)[draw % 2]))
         source, first, last = (np.append(rng.uniform(-1.2, 1.2, 2), rng.uniform(0.5, 2.0)) for _ in range(3))
-        paths = clsim.find_paths(scene_of(room, source, [LINE(first, last, 3.0)]), 2, diffraction=2, edge_gaps=True)
+        paths = clsim.find_paths(scene_of(room, source, [LINE(first, last, 3.0)]), 2, diffraction=2)
         events = np.unique(np.concatenate([x for f in paths.families for x in (f.start, f.end)]))
         events = events[np.isfinite(events)]
         worst.append(decibels(jumps(paths, events, TONE)))
@@ -218,7 +216,7 @@ def test_a_floor_is_a_mirror(measured: Callable[..., float]) -> None:
         ends, image, sums = (source, [ear]), (*source[:2], -source[2]), []
         standing = clsim.MeshRoom.joined([floor, low])
         for room, start, order in ((standing, source, 1), (tall, source, 1), (tall, image, 0)):
-            paths = clsim.find_paths(scene_of(room, start, ends[1]), order, diffraction=2, edge_gaps=True)
+            paths = clsim.find_paths(scene_of(room, start, ends[1]), order, diffraction=2)
             kept = [f for f in paths.families if f.kind == "static edge gap"]
             rows = [f.part(np.flatnonzero(short(f))) for f in kept]
             sums.append(field(PathSet(paths.scene, tuple(rows)), np.array([1.0]), TONE)[0])
@@ -249,7 +247,7 @@ def test_boards_at_rest_are_those_of_the_room_both_ways(measured: Callable[..., 
         room = clsim.MeshRoom.joined([walls, *(part for i, part in enumerate(parts) if i not in moved)])
         for one, other in (ends, ends[::-1]):
             scene = scene_of(room, one, [other], bodies=[bodies[i] for i in moved])
-            paths = clsim.find_paths(scene, 1, diffraction=2, edge_gaps=True)
+            paths = clsim.find_paths(scene, 1, diffraction=2)
             gaps = [family for family in paths.families if family.kind.endswith("edge gap")]
             assert sum(len(family) for family in gaps) > 20
             sums.append(field(PathSet(scene, tuple(f for f in gaps if len(f))), np.array([0.05]), TONE)[0])
@@ -262,10 +260,10 @@ def test_a_slow_board_is_the_room_as_it_is(measured: Callable[..., float]) -> No
     walls = clsim.Shoebox((6.0, 4.0, 3.0), clsim.Material.from_reflection(0.0)).as_mesh()
     bodies, _ = boards([LINE((2.0, 1.5, 1.1), (2.0, 2.0, 1.1), 100.0), FIXED((3.5, 1.4, 1.05))])
     scene, times = scene_of(walls, (1.0, 1.53, 1.1), [(4.7, 1.47, 0.93)], bodies=bodies), np.array([11.0, 37.0, 63.0])
-    paths = clsim.find_paths(scene, 0, diffraction=2, edge_gaps=True)
+    paths = clsim.find_paths(scene, 0, diffraction=2)
     for time, one in zip(times, field(paths, times, TONE), strict=True):
         still = as_it_is(scene, float(time) - 2.7 / C)
-        there = field(clsim.find_paths(still, 0, diffraction=2, edge_gaps=True), np.array([0.05]), TONE)[0]
+        there = field(clsim.find_paths(still, 0, diffraction=2), np.array([0.05]), TONE)[0]
         error = decibels(one - there) + 20.0 * np.log10(3.7)
         assert measured("a board that moves at 5 mm/s", "the room as it is", error, -88.0) < -88.0, time
 
@@ -275,9 +273,7 @@ def test_boards_in_tables_and_both_engines(device: None) -> None:
     """Names and corners of the ways, samples of both engines, and chunks that change nothing."""
     walls = clsim.Shoebox((6.0, 4.0, 3.0), clsim.Material.from_reflection(0.7)).as_mesh()
     bodies, _ = boards([LINE((2.0, 1.5, 1.1), (2.0, 1.6, 1.1), 0.2), FIXED((3.5, 1.4, 1.05))])
-    paths = clsim.find_paths(
-        scene_of(walls, (1.0, 1.53, 1.1), [(4.7, 1.47, 0.93)], bodies=bodies), 1, diffraction=2, edge_gaps=True
-    )
+    paths = clsim.find_paths(scene_of(walls, (1.0, 1.53, 1.1), [(4.7, 1.47, 0.93)], bodies=bodies), 1, diffraction=2)
     [family] = [f for f in paths.families if f.kind == "moving edge gap"]
     between = np.flatnonzero((family.interactions[:, 1] != 3) & (family.order == 3))
     for pair in family.pairs():
@@ -295,9 +291,7 @@ def test_what_stands_between_hides_one_edge_from_the_other() -> None:
     for height, wanted in ((0.3, False), (-0.3, True)):
         parts = [screen(-0.5, (-6.0, 0.0), (-1.0, 1.0)), screen(0.5, (-6.0, 0.1), (-1.0, 1.0))]
         room = clsim.MeshRoom.joined([*parts, screen(0.0, (-6.0, height), (-2.0, 2.0))])
-        paths = clsim.find_paths(
-            scene_of(room, (-2.0, -0.5, 0.0), [(2.0, -0.4, 0.0)]), 0, diffraction=2, edge_gaps=True
-        )
+        paths = clsim.find_paths(scene_of(room, (-2.0, -0.5, 0.0), [(2.0, -0.4, 0.0)]), 0, diffraction=2)
         [gaps] = [family for family in paths.families if family.kind == "static edge gap"]
         edges, both = room.edges(), {}
         for i, (start, length) in enumerate(zip(edges.start, edges.length, strict=True)):

@@ -116,10 +116,14 @@ class BeamTree:
 
     Shapes: centre, radius (3,) m; sides (W,).
 
+    receivers: spheres, or what another tree of the same walls and sides has made of them, its `ears`.
+
     sides: on which side of each wall paths can be, as from `air_sides`; on both when left out.
 
     Attributes
     ----------
+    ears : Ears
+        View of the receivers.
     beams : int
         Beams looked at so far.
     share : float
@@ -131,7 +135,7 @@ class BeamTree:
         walls: Walls,
         centre: Floats,
         radius: float,
-        receivers: BoundingSpheres,
+        receivers: BoundingSpheres | Ears,
         limit: int,
         sides: NDArray[np.int64] | None = None,
         lookup: Lookup | None = None,
@@ -145,11 +149,11 @@ class BeamTree:
         self._hulls, self._widths = walls.hull[walls.first_hull[:-1, None] + fill], widths
         self.beams = 0
         self.share = 0.0
-        self._ears = self._listening(receivers)
+        self.ears = receivers if isinstance(receivers, Ears) else self._listening(receivers)
 
     def candidates(self, max_order: int) -> Iterator[Candidates]:
         """Yield candidates batch by batch; depth first, so that little is held at a time."""
-        everyone = np.arange(len(self._ears.radius))
+        everyone = np.arange(len(self.ears.radius))
         yield Candidates(np.empty((1, 0), np.int32), np.zeros(len(everyone), np.int64), everyone)
         if max_order == 0:
             return
@@ -239,7 +243,7 @@ class BeamTree:
 
     def _reached(self, beams: _Beams, planes: Floats) -> Candidates:
         """Return the beams as candidates for receivers whose spheres they touch, and that see their last walls."""
-        ears = self._ears
+        ears = self.ears
         height = np.einsum("npi,ri->nrp", planes[..., :3], ears.centre) - planes[:, None, :, 3]
         touched = np.all(height >= -ears.radius[None, :, None], axis=2)
         row, receiver = np.nonzero(touched & ears.seen[:, beams.sequence[:, -1]].T)
@@ -251,7 +255,7 @@ class BeamTree:
         Before the last reflection but one, what walls hide is left out. Later it costs more than it saves.
         """
         cones = Beams(planes, beams.centre, self._radius, beams.sequence[:, -1], _SLACK * self._walls.size)
-        beam, wall = self._lookup.meetings(cones, self._sides, self._ears if more == 1 else None)
+        beam, wall = self._lookup.meetings(cones, self._sides, self.ears if more == 1 else None)
         pieces = [slice(i, i + _PAIRS) for i in range(0, max(len(beam), 1), _PAIRS)]
         return _Beams.joined([self._clipped(beams, planes, beam[piece], wall[piece], more > 2) for piece in pieces])
 

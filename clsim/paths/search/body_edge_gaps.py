@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.paths.legs.mirrors import ROOM
+from clsim.acoustics.diffraction import ON_LINE
+from clsim.paths.legs.mirrors import ROOM, dot
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.body_edge_pairs import EdgePairFinder, PairLook, on_edges
-from clsim.paths.search.body_edges import leg_is_free
+from clsim.paths.search.body_edges import ABSENT, leg_is_free
 from clsim.paths.search.edge_chains import tied
+from clsim.paths.search.gap_parts import cotangents, in_air, open_gaps, segment_off
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.gap_events import GapPairs, GapPairSolver
 from clsim.paths.vertices.gap_pair import ACROSS_AIR, GapPairVertex
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     Rows = NDArray[np.int64]
     Span = tuple[float, float]
 
+_LONGER = 1.2  # times a path as it is when received, as which it may have been before
 _IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in its air
 
 
@@ -47,10 +50,20 @@ def moving_gap_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chai
     return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
 
 
+def _apart(places: Floats, others: Floats) -> Floats:
+    """Largest distances (P, T) between places (P, T, k, 3) and others (P, T, l, 3), m."""
+    away = places[:, :, :, None] - others[:, :, None]
+    return np.asarray(np.sqrt(np.einsum("ptkli,ptkli->ptkl", away, away)).max(axis=(2, 3)))
+
+
 class _GapFinder(EdgePairFinder):
     """Looks for paths over two edges with air between, from each source to each receiver."""
 
     on_faces: ClassVar[bool] = False
+
+    def __init__(self, search: BodySearch) -> None:
+        super().__init__(search)
+        self._hidden = self._find_hidden()
 
     def _look(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Any]:
         return _GapLook(self._search, self._faces, pair, chains)
@@ -67,6 +80,21 @@ class _GapFinder(EdgePairFinder):
             parts.append((before, after, *edges, shared, np.tile(walls, (len(before), 1))))
         return GapPairs(*(np.concatenate([part[i] for part in parts]) for i in range(7)))
 
+    def _find_hidden(self) -> NDArray[np.bool_]:
+        """Mask (E, E) of edges of one object of which neither sees the other."""
+        hidden, lines = np.zeros((len(self.lines), len(self.lines)), dtype=bool), self.lines
+        meshes = self._search.room, *(body.mesh for body in lines.bodies)
+        for owner, (mesh, edges) in enumerate(zip(meshes, lines.parts, strict=True), start=ROOM):
+            pair = np.argwhere(np.ones((len(edges), len(edges))))
+            seen, own = (
+                open_gaps(mesh.walls, edges, pair, np.empty((len(pair), 0), np.int32)).pair,
+                lines.owner == owner,
+            )
+            sees = np.zeros((len(edges), len(edges)), dtype=bool)
+            sees[tuple(seen.T)] = True
+            hidden[np.ix_(own, own)] = ~sees
+        return hidden
+
     def _all_rest(self, one: int, other: int, walls: NDArray[np.int32]) -> bool:
         """Whether two edges and the mirrors between them belong to the room."""
         owners = np.append(self._mirrors.owner, ROOM)[walls]
@@ -75,12 +103,13 @@ class _GapFinder(EdgePairFinder):
     def _gaps(self, source: int, span: Span) -> list[tuple[int, int, NDArray[np.int32]]]:
         """List pairs of edges that share no face, and mirrors (order,) by which one may be reached from the other."""
         (_, longest), (begin, end) = self._search.queries[source], span
-        found, lines = [], self.lines
+        found, lines, hidden = [], self.lines, self._hidden
         shared = (lines.faces[:, None, :, None] == lines.faces[None, :, None, :]).any(axis=(2, 3))
         for one, middle in enumerate(self._middles(0.5 * (begin - longest + end))):
             beams = self._beams(source, (middle, 0.5 * float(lines.length[one])), span)
             for other in np.flatnonzero(~shared[one]).tolist():
                 kept = [met[~self._held[one][met[:, 0]]] if met.shape[1] else met for met in beams[other]]
+                kept = kept[1:] if hidden[one, other] else kept
                 found += [(one, other, walls) for walls in self._padded(other, kept, backwards=False)]
         return found
 
@@ -99,6 +128,79 @@ class _GapLook(PairLook):
     """How paths over two edges with air between are at some times, see `PairLook`."""
 
     solver: ClassVar[type[GapPairSolver]] = GapPairSolver
+
+    def __call__(self, rows: Rows, times: Floats) -> NDArray[Any]:
+        """Codes of paths at times (P, T), s."""
+        code = np.full(times.shape, ABSENT, dtype=np.int16)
+        p, t = np.nonzero(self._possible(self.pairs.part(rows), times))
+        if len(p):
+            code[p, t] = PairLook.__call__(self, rows[p], times[p, t][:, None])[:, 0]
+        return code
+
+    def _possible(self, pairs: Any, times: Floats) -> NDArray[np.bool_]:
+        """Mask (P, T) of paths that may be there, as all is when sound is received, and by how far it moves."""
+        (edge, first, source, ahead), (last, second, receiver, back) = self._seen(pairs, times)
+        way = sum(_apart(*places) for places in ((source, first), (ahead, first), (receiver, second)))
+        slack = (self._fastest(pairs) * _LONGER / self.search.scene.air.slowest)[:, None] * way
+        return self._alike(edge, times, first, (source, ahead), slack) & self._alike(
+            last, times, second, (receiver, back), slack
+        )
+
+    def _seen(self, pairs: Any, times: Floats) -> list[tuple[Rows, Floats, Floats, Floats]]:
+        """Return both edges, each with its ends (P, T, 2, 3) and what it sees, m: an end, and the other edge's ends."""
+        lines, between, none = self.faces.lines, pairs.between.T, np.zeros(times.shape)
+        first, last = (
+            np.stack(
+                [
+                    lines.placed(edge, none + along[:, None], times)
+                    for along in (0.0 * lines.length[edge], lines.length[edge])
+                ],
+                2,
+            )
+            for edge in (pairs.edge, pairs.last)
+        )
+        source, receiver = (end.position(times)[:, :, None] for end in self.pair.ends)
+        source, receiver = (
+            self._images(pairs.before.T, source, times),
+            self._images(pairs.after.T[::-1], receiver, times),
+        )
+        ahead, back = self._images(between[::-1], last, times), self._images(between, first, times)
+        return [(pairs.edge, first, source, ahead), (pairs.last, last, receiver, back)]
+
+    def _alike(
+        self, edge: Rows, times: Floats, own: Floats, seen: tuple[Floats, Floats], slack: Floats
+    ) -> NDArray[np.bool_]:
+        """Mask (P, T) of paths with an end and the other edge in the air of an edge, at angles that may agree.
+
+        Shapes: slack (P, T) m, by which they may be elsewhere.
+        """
+        lines, possible, bounds = self.faces.lines, np.ones(times.shape, dtype=bool), []
+        axes, n, length = lines.axes(edge, times), lines.n[edge][:, None, None], lines.length[edge][:, None]
+        for places, sign in zip(seen, (-1.0, 1.0), strict=True):
+            x, y, z = (dot(places - own[:, :, :1], axis[:, :, None]) for axis in axes)
+            possible &= np.any(in_air(n, x, y, -slack[..., None]), axis=2)
+            least = np.maximum(segment_off(np.stack([x, y], axis=3)) - slack, ON_LINE)
+            heights = z.min(axis=2) - slack - length, z.max(axis=2) + slack
+            found = cotangents(*heights, least, np.hypot(x, y).max(axis=2) + slack)
+            bounds.append(found if sign > 0.0 else (-found[1], -found[0]))
+        return np.asarray(possible & (bounds[0][0] <= bounds[1][1]) & (bounds[1][0] <= bounds[0][1]))
+
+    def _images(self, walls: NDArray[np.int32], places: Floats, times: Floats) -> Floats:
+        """Places (P, T, k, 3), m, mirrored by mirrors (N, P) as they are at times (P, T), s."""
+        for met in walls:
+            plane = self.search.obstacles.mirrors.planes(met, times, np.zeros(times.shape), None)
+            off = dot(places, plane.normal[:, :, None]) - plane.offset[..., None]
+            places = places - 2.0 * off[..., None] * plane.normal[:, :, None]
+        return places
+
+    def _fastest(self, pairs: Any) -> Floats:
+        """Bounds (P,) of how fast what an edge sees moves, as it sees it, m/s."""
+        search, rates = self.search, self.pair.rates
+        source = float(rates.source.over(np.array([rates.bodies.first]), np.array([rates.bodies.last])).max())
+        size, owner = search.room.walls.size, np.append(search.obstacles.mirrors.owner, ROOM)
+        fastest = max(body.peak_speed + size * body.trajectory.peak_turn for body in rates.bodies.bodies)
+        met = sum(np.sum(owner[walls] != ROOM, axis=1) for walls in (pairs.before, pairs.between, pairs.after))
+        return np.asarray(source + fastest * (2.0 + 2.0 * met))
 
     def free(self, pairs: Any, events: Any, p: Rows, t: Rows) -> NDArray[np.bool_]:
         """Mask (n,) of some paths at times (n,) of which the way between both edges is free."""

@@ -13,7 +13,7 @@ from clsim.errors import InputError
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, gap_chain, with_swaps
-from clsim.paths.search.edge_gaps import edge_gaps
+from clsim.paths.search.edge_gaps import gap_candidates
 from clsim.paths.search.mesh import (
     BEAM_LIMIT,
     LARGEST_MESH_ORDER,
@@ -38,15 +38,16 @@ if TYPE_CHECKING:
     from clsim.paths.family import PathFamily
     from clsim.paths.options import PathOptions
     from clsim.paths.visibility.intervals import VisibilityQuery
+    from clsim.paths.visibility.occlusion import Ears
     from clsim.scene.room.edges import Edges
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
     Reached = Callable[[tuple[Floats, float]], Sides]
-    Vertices = Callable[[EdgeSearch, Reached, int], list[list[Any]]]
+    Asked = Iterator[tuple[float, EdgeCandidates]]  # with the share of the work so far
+    Kind = Callable[[EdgeSearch, tuple[Sides, list[Sides]], Reached, int, float], Asked]
 
-NO_WALL = np.empty(0, dtype=np.int32)
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
 _SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
@@ -60,7 +61,7 @@ def edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]
 
     A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
     """
-    rows, order, within = _rows_of(scene, search, others, _edges_and_ends)
+    rows, order, within = _rows_of(scene, search, others, edges_and_ends)
     return with_swaps(edge_chain(scene, search.diffraction_model, order, rows), within)
 
 
@@ -71,7 +72,7 @@ def double_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamil
     is taken.
     """
     check_support("static edge pair", scene.air)
-    rows, order, within = _rows_of(scene, search, others, _edge_pairs)
+    rows, order, within = _rows_of(scene, search, others, edge_pairs)
     return with_swaps(edge_pair_chain(scene, order, rows), within)
 
 
@@ -80,12 +81,12 @@ def gap_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, 
 
     others: paths without edges and over one, whose times are taken as by `double_edge_paths`.
     """
-    rows, order, within = _rows_of(scene, search, others, edge_gaps)
+    rows, order, within = _rows_of(scene, search, others, gap_candidates)
     return with_swaps(gap_chain(scene, order, rows), within)
 
 
 def _rows_of(
-    scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], vertices: Vertices
+    scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], kind: Kind
 ) -> tuple[list[dict[str, Any]], int, float]:
     """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
 
@@ -97,7 +98,7 @@ def _rows_of(
     within = 0.0
     if len(edges):
         for source in range(len(scene.sources)):
-            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), vertices)
+            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), kind)
             rows, within = rows + found, _FARTHEST * resolution
     walls = "before", "between", "after"
     rows.sort(key=lambda r: (r["source"], r["receiver"], sum(len(r[name]) for name in walls), *r["edges"], r["end_of"],
@@ -112,7 +113,7 @@ def _source_rows(
     order: int,
     search: PathOptions,
     partners: _Partners,
-    vertices: Vertices,
+    kind: Kind,
 ) -> tuple[list[dict[str, Any]], float]:
     """Return the paths of a source, one by one, and to which time their ends are found, s."""
     room = scene.room.as_mesh()
@@ -120,13 +121,12 @@ def _source_rows(
     device = float64_device(search.engine, search.device)
     tables, found, air = query.trajectory_tables, [], sides_of_air(query)
     finder = EdgeSearch(query, edges, None if device is None else DeviceSearch(query, device), air)
-    spheres = BoundingSpheres(0.5 * (edges.start + edges.stop), 0.5 * edges.length)
-    reached = partial(_sequences, finder, spheres, order)
+    reached = EdgeReach(finder, order)
     from_source = reached(tables.sphere(0, -longest))
     to_receivers = [reached(tables.sphere(1 + r)) for r in range(len(scene.receivers))]
     done = source / len(scene.sources)
     sides = from_source, to_receivers
-    for share, candidates in _candidates(room.walls, sides, edges, order, vertices(finder, reached, order)):
+    for share, candidates in kind(finder, sides, reached, order, longest):
         pieces = find_pieces(finder, candidates, order, partial(search.tell, done))
         found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
         if len(found) > search.path_limit:
@@ -136,22 +136,29 @@ def _source_rows(
     return found, query.resolution
 
 
-def _sequences(finder: EdgeSearch, spheres: BoundingSpheres, order: int, sphere: tuple[Floats, float]) -> Sides:
-    """Return the sequences of walls by which each edge may be reached from a sphere, by number of walls."""
-    edges, walls = finder.edges, finder.query.walls
-    found: list[list[list[Any]]] = [[[] for _ in range(order + 1)] for _ in range(len(edges))]
-    tree = BeamTree(walls, *sphere, spheres, BEAM_LIMIT, finder.air)
-    try:
-        for batch in tree.candidates(order):
-            count = batch.sequence.shape[1]
-            for edge in np.unique(batch.receiver).tolist():
-                sequence = batch.sequence[batch.row[batch.receiver == edge]]
-                found[edge][count].append(sequence[_may_reach(walls, sphere, edges, edge, sequence)])
-    except TooManyBeamsError as error:
-        raise InputError("max_order", str(error)) from error
-    return [
-        [np.concatenate([np.empty((0, n), np.int32), *parts]) for n, parts in enumerate(of_edge)] for of_edge in found
-    ]
+class EdgeReach:
+    """Finds the sequences of walls by which each edge may be reached from a sphere, by number of walls."""
+
+    def __init__(self, finder: EdgeSearch, order: int) -> None:
+        edges = finder.edges
+        self._finder, self._order = finder, order
+        self._ears: BoundingSpheres | Ears = BoundingSpheres(0.5 * (edges.start + edges.stop), 0.5 * edges.length)
+
+    def __call__(self, sphere: tuple[Floats, float]) -> Sides:
+        """Return those from a sphere, its centre and radius, m."""
+        edges, walls = self._finder.edges, self._finder.query.walls
+        found: list[list[list[Any]]] = [[[] for _ in range(self._order + 1)] for _ in range(len(edges))]
+        tree = BeamTree(walls, *sphere, self._ears, BEAM_LIMIT, self._finder.air)
+        self._ears = tree.ears
+        try:
+            for batch in tree.candidates(self._order):
+                count = batch.sequence.shape[1]
+                for edge in np.unique(batch.receiver).tolist():
+                    sequence = batch.sequence[batch.row[batch.receiver == edge]]
+                    found[edge][count].append(sequence[_may_reach(walls, sphere, edges, edge, sequence)])
+        except TooManyBeamsError as error:
+            raise InputError("max_order", str(error)) from error
+        return [[np.concatenate([np.empty((0, n), np.int32), *parts]) for n, parts in enumerate(x)] for x in found]
 
 
 def _may_reach(
@@ -185,55 +192,55 @@ def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDAr
     return found
 
 
-def _candidates(
-    walls: Walls, sides: tuple[Sides, list[Sides]], edges: Edges, order: int, vertices: list[list[Any]]
-) -> Iterator[tuple[float, EdgeCandidates]]:
-    """Yield pairs of sequences to vertices, by numbers of walls, and the share of the work so far.
+def edges_and_ends(
+    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
+) -> Asked:
+    """Yield candidates over edges and free ends of them."""
+    edges = finder.edges
+    fewest = partner_reflections(edges.n).min(axis=1).tolist()
+    ends = [(-1, *np.flatnonzero(free).tolist()) for free in edges.free]
+    return _asked(
+        finder, sides, order, [((e, e), (-1, -1), end, fewest[e]) for e in range(len(edges)) for end in ends[e]]
+    )
 
-    Vertices are told as edges, faces shared, end, fewest reflections of an adjacent path, and walls between, by how
-    many these are.
+
+def edge_pairs(
+    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
+) -> Asked:
+    """Yield candidates over pairs of edges that share a face."""
+    edges, fewest = finder.edges, partner_reflections(finder.edges.n).min(axis=1)
+    pairs = zip(*edges.pairs(), strict=True)
+    return _asked(finder, sides, order, [(pair, face, -1, fewest[pair].sum()) for pair, face in pairs])
+
+
+def _asked(finder: EdgeSearch, sides: tuple[Sides, list[Sides]], order: int, vertices: list[Any]) -> Asked:
+    """Yield pairs of sequences to vertices, by numbers of walls.
+
+    Vertices are given as edges, faces shared, end, and fewest reflections of an adjacent path.
     """
-    numbers = [(n, m, b) for b in range(len(vertices)) for n in range(order + 1 - b) for m in range(order + 1 - b - n)]
-    for done, (n, m, b) in enumerate(numbers):
-        parts: list[tuple[Any, ...]] = []
+    edges, walls = finder.edges, finder.query.walls
+    numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
+    for done, (n, m) in enumerate(numbers):
+        parts: list[EdgeCandidates] = []
         waiting = 0
         for receiver, to_receiver in enumerate(sides[1]):
-            for both, face, end, fewest, between in vertices[b]:
-                if n + m + b + fewest > order:
+            for both, face, end, fewest in vertices:
+                if n + m + fewest > order:
                     continue
                 before, after = sides[0][both[0]][n], to_receiver[both[1]][m]
                 if end >= 0:  # nothing comes to an end by a wall that it lies in
                     place = (edges.start, edges.stop)[end][both[0]]
                     before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
                 i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
-                both_and_face, met = ((np.tile(x, (len(i), 1)) for x in each) for each in ((both, face), (between,)))
-                parts.append(
-                    (before[i], after[j], *both_and_face, *(np.full(len(i), x) for x in (end, receiver)), *met)
-                )
+                pair, faces = (np.tile(x, (len(i), 1)) for x in (both, face))
+                ends, to, none = np.full(len(i), end), np.full(len(i), receiver), np.empty((len(i), 0), np.int32)
+                parts.append(EdgeCandidates(before[i], after[j], pair, faces, ends, to, none))
                 waiting += len(i)
                 if waiting >= _BATCH:
-                    yield done / len(numbers), _together(parts)
+                    yield done / len(numbers), EdgeCandidates.joined(parts)
                     parts, waiting = [], 0
         if waiting:
-            yield (done + 1) / len(numbers), _together(parts)
-
-
-def _edges_and_ends(finder: EdgeSearch, reached: Reached, order: int) -> list[list[Any]]:
-    """List edges and free ends of them, see `_candidates`."""
-    edges = finder.edges
-    fewest = partner_reflections(edges.n).min(axis=1).tolist()
-    ends = [(-1, *np.flatnonzero(free).tolist()) for free in edges.free]
-    return [[((e, e), (-1, -1), end, fewest[e], NO_WALL) for e in range(len(edges)) for end in ends[e]]]
-
-
-def _edge_pairs(finder: EdgeSearch, reached: Reached, order: int) -> list[list[Any]]:
-    """List pairs of edges that share a face, likewise."""
-    edges, fewest = finder.edges, partner_reflections(finder.edges.n).min(axis=1)
-    return [[(pair, face, -1, fewest[pair].sum(), NO_WALL) for pair, face in zip(*edges.pairs(), strict=True)]]
-
-
-def _together(parts: list[tuple[Any, ...]]) -> EdgeCandidates:
-    return EdgeCandidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+            yield (done + 1) / len(numbers), EdgeCandidates.joined(parts)
 
 
 class _Partners:

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     Bools = NDArray[np.bool_]
     Rows = NDArray[np.int64]
 
-_SMALL = 0.3  # of the least leg, up to which the first order is taken for where places go
-_SPARE = 2.5  # times that, for what it leaves out: second derivatives change by 1.3³ until there
-_OVERLAP = 0.35, 0.71  # of the way from the last edge to the last reflection, from where is looked at either edge
-_IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in its air
+SMALL = 0.3  # of the least leg, up to which the first order is taken for where places go
+SPARE = 2.5  # times that, for what it leaves out: second derivatives change by 1.3³ until there
+OVERLAP = 0.35, 0.71  # of the way from the last edge to the last reflection, from where is looked at either edge
+IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in its air
 
 
 def seen_frames(walls: Walls, edges: Edges, last: Rows, between: NDArray[np.int32]) -> Floats:
@@ -93,47 +93,39 @@ class GapVisibility(EdgeVisibility):
         """Largest motion of the point on the first or second edge along it, (n,) m."""
         crossing, reach = stance.course.crossing, stance.reach
         assert crossing is not None
-        small = reach < _SMALL * np.min([*crossing.legs, *stance.distances], axis=0)
-        return np.where(small, _SPARE * reach * crossing.slides[edge], FAR * size)
-
-
-class GapLegs:
-    """Ways between two edges, through the air."""
-
-    def __init__(self, visibility: GapVisibility) -> None:
-        self._visibility = visibility
-
-    def hindered(self, rows: Rows) -> Bools:
-        """Mask of candidates (n,): of all it must be asked."""
-        return np.ones(len(rows), dtype=bool)
+        small = reach < SMALL * np.min([*crossing.legs, *stance.distances], axis=0)
+        return np.where(small, SPARE * reach * crossing.slides[edge], FAR * size)
 
     def evaluate(
-        self, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
+        self, side: int, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
     ) -> tuple[Bools, Floats, Floats]:
-        """Return validity, clearance and how far the ends of candidates can move, each (n,), see `EdgeVisibility`.
+        """Return validity, clearance and how far the ends can move, of one side of candidates, each (n,).
 
-        Walls that hold a place on an edge hide nothing of it: each way is looked at in two parts that overlap, from
-        places between the last reflection and the last edge to either edge.
+        The sides from the source and from the receiver are 0 and 1. Walls that hold a place on an edge hide nothing of
+        it: the way between is looked at in two parts that overlap, 2 and 3, from places between the last reflection and
+        the last edge to either edge.
         """
-        which, seen, walls = sequence[:, 0].astype(np.int64), self._visibility, query.walls
-        stance, no_end = seen.stance(query, which, time, half), np.full(len(sequence), -1)
-        slides = [seen.slides(stance, edge, no_end, walls.size) for edge in (0, 1)]
-        moves, none = np.maximum(*slides), np.zeros((len(which), 3))
-        still = np.zeros(len(which))
-        (ahead, back), more = seen.between(stance, which, (still, still))
-        edges = seen.candidates.edge[which].T
-        off = [np.minimum(a, np.pi * seen.edges.n[e] - a) for a, e in zip((ahead, back), edges, strict=True)]
-        free = np.minimum(*off) > _IN_AIR
-        ratio = np.minimum(*(moves_within(np.abs(o - _IN_AIR), m) for o, m in zip(off, more, strict=True)))
-        met = seen.candidates.between[which]
-        places = [_before_last(walls, met, stance.apexes, share) for share in _OVERLAP]
-        reach = Reach(moves, moves, none, none)
-        for place, part, end in zip(places, (met[:, ::-1], met[:, :0]), stance.apexes, strict=True):
-            clear_way, clear = path_status(walls, part, place, end, reach, True)
-            sure = moves_within(clear, moves)
-            ratio = np.where(free & clear_way, np.minimum(ratio, sure), np.where(free, sure, ratio))
-            free &= clear_way
-        return free, np.minimum(ratio, EVER) * stance.reach, stance.reach
+        if side < 2:
+            return EdgeVisibility.evaluate(self, side, query, sequence, receiver, time, half)
+        which, walls = sequence[:, 0].astype(np.int64), query.walls
+        stance, no_end = self.stance(query, which, time, half), np.full(len(sequence), -1)
+        moves = np.maximum(*(self.slides(stance, edge, no_end, walls.size) for edge in (0, 1)))
+        still, none = np.zeros(len(which)), np.zeros((len(which), 3))
+        (ahead, back), more = self.between(stance, which, (still, still))
+        edges = self.candidates.edge[which].T
+        off = [np.minimum(a, np.pi * self.edges.n[e] - a) for a, e in zip((ahead, back), edges, strict=True)]
+        free = np.minimum(*off) > IN_AIR
+        beside = np.minimum(*(moves_within(np.abs(o - IN_AIR), m) for o, m in zip(off, more, strict=True)))
+        met = self.candidates.between[which]
+        place = _before_last(walls, met, stance.apexes, OVERLAP[side - 2])
+        part = met[:, ::-1] if side == 2 else met[:, :0]
+        clear_way, clear = path_status(
+            walls, part, place, stance.apexes[side - 2], Reach(moves, moves, none, none), True
+        )
+        sure = moves_within(clear, moves)
+        blocked = np.where(free, sure, np.maximum(beside, sure))
+        ratio = np.where(clear_way, np.where(free, np.minimum(beside, sure), beside), blocked)
+        return free & clear_way, np.minimum(ratio, EVER) * stance.reach, stance.reach
 
 
 def _before_last(walls: Walls, between: NDArray[np.int32], ends: tuple[Floats, Floats], part: float) -> Floats:

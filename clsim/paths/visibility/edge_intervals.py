@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.acoustics.diffraction import ON_LINE, TERMS, partner_reflections
+from clsim.acoustics.edge_gap import FOUND, NEWTON, STEPS
 from clsim.errors import InputError
 from clsim.paths.search.edge_chains import joined_over_ends
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
-from clsim.paths.visibility.edge_gaps import GapLegs, GapVisibility
+from clsim.paths.visibility.edge_gaps import IN_AIR, OVERLAP, SMALL, SPARE, GapVisibility, seen_frames
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, ENDS_BESIDE, FAR, SIDES, EdgeVisibility, FaceLegs
 from clsim.paths.visibility.intervals import (
     ALONG,
@@ -44,6 +45,11 @@ APART = 2.0  # resolutions between the times at which different tests find the s
 NEAR = 1e-8  # of the room's size, which ends go in between; ten times the tolerance of an outline
 STEP = 1e-3  # s, in which it is looked how far ends go
 LONGEST = 1e-4  # s between these times, also where ends hardly move
+_CONSTANTS = {
+    "AT_EDGE": 1, "CONTRACTIONS": CONTRACTIONS, "CONTRACTED": CONTRACTED, "HALF_TURN": np.pi, "ON_LINE": ON_LINE,
+    "NEWTON": NEWTON, "FOUND": FOUND, "STEPS": STEPS, "SMALL": SMALL, "SPARE": SPARE, "IN_AIR": IN_AIR,
+    "OVERLAP": f"{{{OVERLAP[0]},{OVERLAP[1]}}}",
+}  # fmt: skip
 MOST_TOGETHER = 10_000_000  # evaluations of all paths of a batch: their intervals take 350 MB at most
 
 
@@ -82,17 +88,16 @@ class EdgeSearch:
         The side of the receiver is looked at while that of the source is there: most candidates are gone by then. The
         way between two edges comes last, on the host: mostly nothing stands there.
         """
-        row, receiver = np.arange(len(candidates.edge)), candidates.receiver
-        begin, end, evaluations = self.query.first[receiver], self.query.last[receiver], 0
-        for side in (0, 1):
+        receiver, evaluations = candidates.receiver, 0
+        always = np.arange(len(candidates.edge)), self.query.first[receiver], self.query.last[receiver]
+        row, begin, end = candidates.spans or always
+        across_air = bool(np.any(candidates.face == ACROSS_AIR))
+        for side in range(4 if across_air else 2):
             found = self._find(candidates, side, row, (begin, end))
             row, begin, end = row[found.path], found.begin, found.end
             evaluations += found.evaluations
-        visibility = self.visibility(candidates)
-        legs: Any = (
-            GapLegs(visibility) if isinstance(visibility, GapVisibility) else FaceLegs(visibility, self.query.walls)
-        )
-        hindered = legs.hindered(row)
+        legs = FaceLegs(self.visibility(candidates), self.query.walls)
+        hindered = np.zeros(len(row), dtype=bool) if across_air else legs.hindered(row)
         if not hindered.any():
             return merged(row, begin, end, evaluations)
         asked, spans = row[hindered], (begin[hindered], end[hindered])
@@ -103,24 +108,28 @@ class EdgeSearch:
 
     def _find(self, candidates: EdgeCandidates, side: int, row: Rows, spans: tuple[Floats, Floats]) -> Intervals:
         """Return when one side of some candidates is there within spans of time."""
-        if self.device is None or np.any(candidates.face == ACROSS_AIR):
+        if self.device is None:
             evaluate = partial(self.visibility(candidates).evaluate, side)
             sequence = row.astype(np.int32)[:, None]
             return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans)
-        mine, other = (candidates.before, candidates.after)[:: 1 - 2 * side]
-        edges = self.edges
+        edges, across_air = self.edges, bool(np.any(candidates.face == ACROSS_AIR))
+        before, after, between = (x[row] for x in (candidates.before, candidates.after, candidates.between))
+        mine = (before, after, between[:, ::-1], between[:, :0])[side]
+        other = np.concatenate([before, after, between], axis=1) if across_air else (after, before)[side]
+        counts = np.array([other.shape[1], before.shape[1], after.shape[1], side], dtype=np.int32)
+        places = np.repeat(np.arange(len(row))[:, None], 2, axis=1) if across_air else candidates.face[row]
         columns: dict[str, NDArray[Any]] = {
-            "sequences": mine[row], "others": other[row], "edge_of": candidates.edge[row],
-            "face_of": candidates.face[row],
+            "sequences": mine, "others": other, "edge_of": candidates.edge[row], "face_of": places,
             "end_of": candidates.end[row], "receiver_of": candidates.receiver[row],
         }  # fmt: skip
-        constants = {"AT_EDGE": 1, "CONTRACTIONS": CONTRACTIONS, "CONTRACTED": CONTRACTED, "HALF_TURN": np.pi,
-            "ON_LINE": ON_LINE}  # fmt: skip
+        every, asked = np.column_stack([edges.frames.reshape(-1, 12), edges.length, edges.n]), candidates.edge[row, 1]
+        seen = every[asked] if across_air else every
+        if across_air:
+            seen[:, :12] = seen_frames(self.query.walls, edges, asked, between).reshape(-1, 12)
         others = {
-            "other_count": other.shape[1], "from_receiver": side, "far": FAR * self.query.walls.size,
-            "edges": np.column_stack([edges.frames.reshape(-1, 12), edges.length, edges.n]),
+            "counts": counts, "far": FAR * self.query.walls.size, "edges": every, "seen": seen,
         }  # fmt: skip
-        return self.device.settle("edge_intervals", constants, columns, spans, others)
+        return self.device.settle("edge_intervals", _CONSTANTS | {"GAP": int(across_air)}, columns, spans, others)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,9 +19,9 @@ comes nearer to the other than δ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,8 @@ from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from clsim.acoustics.edge_gap import Crossing
@@ -64,6 +66,19 @@ class EdgeCandidates:
     end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself
     receiver: Rows  # (n,) to which
     between: NDArray[np.int32]  # (n, B) walls between two edges with air between, from the first one's side
+    spans: tuple[Rows, Floats, Floats] | None = (
+        None  # rows, and from and up to when these may be there, s; None: always
+    )
+
+    @staticmethod
+    def joined(parts: Sequence[EdgeCandidates]) -> EdgeCandidates:
+        """Return several with as many walls as one."""
+        names = [f.name for f in fields(EdgeCandidates) if f.name != "spans"]
+        columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        first = np.cumsum([0, *(len(part.edge) for part in parts[:-1])])
+        rows = [(part.spans[0] + i, *part.spans[1:]) for i, part in zip(first, parts, strict=True) if part.spans]
+        spans: Any = tuple(np.concatenate(column) for column in zip(*rows, strict=True)) if rows else None
+        return EdgeCandidates(**columns, spans=spans)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ FOUND = {
     "static edge": ({"diffraction": 1}, ""),
     "static exact edge": ({"diffraction": 1, "diffraction_model": "btm"}, ""),
     "static edge pair": ({"diffraction": 2}, ""),
-    "static edge gap": ({"diffraction": 2, "edge_gaps": True}, ""),
+    "static edge gap": ({"diffraction": 2}, ""),
     "static scatterer": ({"scattering_order": 0}, "scatterers"),
     "static edge scatterer": ({"diffraction": 1, "edge_scattering": True}, "scatterers"),
     "static scatterer edge": ({"diffraction": 1, "edge_scattering": True}, "scatterers"),
@@ -33,7 +33,7 @@ FOUND = {
     "moving": ({}, "bodies"),
     "moving edge": ({"diffraction": 1}, "bodies"),
     "moving edge pair": ({"diffraction": 2}, "bodies"),
-    "moving edge gap": ({"diffraction": 2, "edge_gaps": True}, "bodies"),
+    "moving edge gap": ({"diffraction": 2}, "bodies"),
     "moving scatterer": ({"scattering_order": 0}, "bodies scatterers"),
 }
 
