@@ -379,7 +379,7 @@ class DeviceWaves:
         powers, taps = between.bank.shape
         constants = {"LANES": self._lanes, "NODE": NODE, "POWERS": powers, "TAPS": taps}
         self._kernel = compiler.kernel("plane_waves", constants)
-        self._bank = upload(compiler.context, between.bank)
+        self._bank = upload(compiler.context, np.pad(between.bank.ravel(), (0, self._lanes)))
 
     def heard(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
