@@ -95,10 +95,13 @@ class DeviceRays:
 def _arrays(run: RayRun, layout: Layout) -> dict[str, Any]:
     """Return the arrays that all launches of a run share."""
     room = {f.name: getattr(run.room, f.name) for f in fields(run.room) if f.name not in ("convex", "middle", "off")}
+    directions = np.pad(layout.arrivals[:, :3], ((0, -len(layout.arrivals) % 8), (0, 0)))
     return room | {
         "first_band": run.first_band, "until": run.until, "wavelength": run.wavelength, "kind": run.kind,
-        "returned": run.returned, "scattered": run.scattered, "zones": layout.zones, "late_row": layout.late_row,
-        "arrivals": layout.arrivals,
+        # Eight bands are read at a time: those behind a group's are not looked at.
+        "returned": np.pad(run.returned.ravel(), (0, int(np.diff(run.first_band).max()) + 8)),
+        "scattered": run.scattered, "zones": layout.zones, "late_row": layout.late_row,
+        "arrivals": directions.reshape(-1, 8, 3).swapaxes(1, 2),
     }  # fmt: skip
 
 
