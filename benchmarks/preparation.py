@@ -5,6 +5,7 @@ children; each checkout in a process of its own.
 """
 
 import argparse
+import ctypes
 import json
 import os
 import resource
@@ -13,6 +14,7 @@ import sys
 import tempfile
 import time
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -55,6 +57,52 @@ seed = 1
 field = "sources[0].trajectory.positions[0][0]"
 name = "x"
 random = {{ uniform = [1.5, 2.5] }}
+"""
+DRAWN_SCENE = """
+format = 1
+[room]
+kind = "shoebox"
+size = [6.0, 5.0, 3.0]
+walls = {{ reverberation_time = 0.4 }}
+[[sources]]
+name = "talker"
+signal = {{ kind = "noise", duration = 4.0, sampling_rate = 16e3, seed = 1, band = [100.0, 6500.0] }}
+trajectory = {{ kind = "line", start = [1, 1, 1.5], end = [2, 1, 1.5], duration = 4.5 }}
+[paths]
+max_order = 6
+[render]
+sampling_rate = 16e3
+duration = 4.0
+tail = "{tail}"
+"""
+DRAWN_STUDY = """
+format = 1
+scene = "scene.toml"
+keep = ["recording", "ground_truth"]
+draws = {members}
+seed = 1
+shards = {{ members = 50 }}
+[[vary]]
+field = "room.size"
+random = {{ uniform = [[4.0, 4.0, 2.5], [8.0, 7.0, 3.5]] }}
+[[vary]]
+field = "room.walls.reverberation_time"
+name = "reverberation_time"
+random = {{ log_uniform = [0.2, 0.6] }}
+[[vary]]
+field = "sources[0].trajectory.start"
+name = "start"
+random = {{ inside = 0.5 }}
+[[vary]]
+field = "sources[0].trajectory.end"
+name = "end"
+random = {{ inside = 0.5 }}
+"""
+DRAWN_ARRAY = """
+[[vary]]
+field = [{fields}]
+name = [{names}]
+random = {{ inside = {{ margin = 0.5, offsets = [[0, 0, 0], [0.05, 0, 0], [0.1, 0, 0], [0.15, 0, 0]] }} }}
 """
 
 
@@ -124,19 +172,41 @@ def memory(renders: int) -> list[float]:
 
 def study(members: int) -> list[float]:
     """Return wall clock and processor time of a study on two processes, s."""
+    receivers = "".join(RECEIVER.format(k=k, x=x, y=y) for k, (x, y) in enumerate(CORNERS))
+    return of_files(SCENE + receivers, STUDY.format(members=members))
+
+
+def drawn(members: int, tail: str) -> list[float]:
+    """Return wall clock and processor time of a study that draws rooms, walks and places of four microphones, s."""
+    receivers = "".join(RECEIVER.format(k=k, x=3.0 + 0.05 * k, y=2.0) for k in range(4))
+    fields = ", ".join(f'"receivers[{k}].trajectory.position"' for k in range(4))
+    names = ", ".join(f'"r{k}"' for k in range(4))
+    varied = DRAWN_STUDY.format(members=members) + DRAWN_ARRAY.format(fields=fields, names=names)
+    return of_files(DRAWN_SCENE.format(tail=tail) + receivers, varied)
+
+
+def of_files(scene: str, study: str) -> list[float]:
+    """Return wall clock and processor time of a study from such files on two processes, s."""
     with tempfile.TemporaryDirectory() as folder:
-        receivers = "".join(RECEIVER.format(k=k, x=x, y=y) for k, (x, y) in enumerate(CORNERS))
-        Path(folder, "scene.toml").write_text(SCENE + receivers, "utf-8")
-        Path(folder, "study.toml").write_text(STUDY.format(members=members), "utf-8")
+        Path(folder, "scene.toml").write_text(scene, "utf-8")
+        Path(folder, "study.toml").write_text(study, "utf-8")
         return process("-m", "clsim", "study", f"{folder}/study.toml", "-o", f"{folder}/out", "--workers", "2")
 
 
 def process(*line: str) -> list[float]:
-    """Return wall clock and processor time of a process with its children, s."""
+    """Return wall clock and processor time of a process with its children, s.
+
+    Workers of studies are forked by a server that ends after the command: it is adopted, so that their time counts.
+    """
+    ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     elsewhere = tempfile.gettempdir()  # a module is looked for in the working folder first
     subprocess.run([sys.executable, *line], check=True, capture_output=True, cwd=elsewhere)
-    after, wall = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - begun
+    wall = time.perf_counter() - begun
+    with suppress(ChildProcessError):
+        while True:
+            os.wait()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return [wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime]
 
 
@@ -149,6 +219,8 @@ def measured(renders: int, members: int) -> dict[str, Any]:
     process("-c", once)
     found["first"] = np.median([process("-c", once) for _ in range(3)], axis=0).tolist()
     found["study"] = study(members) if members else [float("nan")] * 2
+    for tail in ("off", "auto"):
+        found[f"drawn {tail}"] = drawn(members, tail) if members else [float("nan")] * 2
     found["memory"] = memory(renders) if renders else [float("nan")] * 2
     return found
 
@@ -160,6 +232,8 @@ def report(found: dict[str, dict[str, Any]], renders: int, members: int) -> None
           ("talker", "4 s at 16 kHz, order 6")) for i, step in enumerate(("making the scene", "search", "plan", "rendering"))),
         *((f"first call of a process: {what}", "first", i, "s") for i, what in enumerate(("wall", "processor"))),
         *((f"study of {members} members, two processes: {what}", "study", i, "s") for i, what in enumerate(("wall", "processor"))),
+        *((f"drawn study of {members} members, tail {tail}, two processes: {what}", f"drawn {tail}", i, "s")
+          for tail in ("off", "auto") for i, what in enumerate(("wall", "processor"))),
         *((f"memory after {count} renders", "memory", i, "MiB") for i, count in enumerate((50, renders))),
     ]  # fmt: skip
     print("| |" + "|".join(f" {name} " for name in found) + "|\n|---" * 1 + "|---" * len(found) + "|")

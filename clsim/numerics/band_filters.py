@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from clsim.numerics.convolution import band_taper, ringing
 
@@ -41,7 +42,6 @@ _FAR = 10.0  # times the allowed error, beyond which lengths are tried in longer
 _LONG = 512  # taps on either side, from which on likewise: the design costs more than what they take to apply
 _BETWEEN = 4  # places between neighbouring points at which deviations are evaluated
 _FEW = 64  # multiples of an angle whose cosines are evaluated; those of others follow from the sums of angles
-_TOGETHER = 256  # frequencies whose cosines are held at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,9 +92,9 @@ def band_filters(
 
     while least > allowed and 2 * half + 1 <= LONGEST:
         even, odd = _fitted(wanted_at, edges, half)
-        made: Floats | Complexes = even @ _cosines(at, half + 1).T
+        made: Floats | Complexes = _series(even, at)
         if np.any(odd):
-            made = made + 1j * (odd @ _sines(at, half).T)
+            made = made + 1j * _series(odd, at, 1)
         left = np.abs(made - wanted).reshape(len(even), count, _BETWEEN).max(axis=2)
         reached = error(left)
         if reached < least:
@@ -110,9 +110,8 @@ def _polynomials(coefficients: Floats | Complexes, x: Floats) -> Floats | Comple
     """Return the values (K, w) of Chebyshev polynomials, without terms that are next to nothing."""
     size = np.abs(coefficients).max(axis=0)
     kept = int(np.flatnonzero(size >= _NOTHING * size.max())[-1]) + 1
-    terms = np.cos(np.outer(np.arange(kept), np.arccos(x)))
-    values: Floats = coefficients[:, :kept].real @ terms
-    return values + 1j * (coefficients[:, :kept].imag @ terms) if np.iscomplexobj(coefficients) else values
+    values = _series(coefficients[:, :kept].real, np.arccos(x))
+    return values + 1j * _series(coefficients[:, :kept].imag, np.arccos(x)) if np.iscomplexobj(coefficients) else values
 
 
 def _fitted(
@@ -132,33 +131,50 @@ def _fitted(
     turns = np.iscomplexobj(target)
     odd = -rfft(target.imag * square, 2 * intervals)[:, 1 : half + 1].imag if turns else np.zeros((len(even), half))
     w = np.linspace(edges[0], edges[1], 4 * half + 64)
-    for part in (w[i : i + _TOGETHER] for i in range(0, len(w), _TOGETHER)):
-        cosines, (square, target) = _cosines(part, 2 * half + 1), wanted_at(part)
-        sums += square @ cosines
-        even += (target.real * square) @ cosines[:, : half + 1]
-        if turns:
-            odd += (target.imag * square) @ _sines(part, half)
+    square, target = wanted_at(w)
+    sums += _sums(square[None], w, 2 * half + 1)[0]
+    even += _sums(target.real * square, w, half + 1)
+    if turns:
+        odd += _sums(target.imag * square, w, half, 1)
     return _solved(sums, 0, even), _solved(sums, 1, odd) if turns else odd
 
 
-def _cosines(w: Floats, count: int) -> Floats:
-    """Return cosines of 0 to `count - 1` times w, (w, count)."""
-    coarse, fine = _angles(w, count)
-    made = np.cos(coarse) * np.cos(fine) - np.sin(coarse) * np.sin(fine)
-    return np.asarray(made.reshape(len(w), -1)[:, :count])
+def _series(coefficients: Floats, w: Floats, first: int = 0) -> Floats:
+    """Return sums (K, w) of cosines of 0, 1, ... times w by coefficients (K, n), or of sines of 1, 2, ... times w.
+
+    The multiples are 64 p + q, and the sums over q are products of matrices.
+    """
+    count = coefficients.shape[1] + first
+    groups = -(-count // _FEW)
+    given = np.pad(coefficients, ((0, 0), (first, groups * _FEW - count))).reshape(-1, groups, _FEW)
+    (coarse, coarse_sines), (fine, fine_sines) = _turns(w, groups)
+    if first:
+        coarse, coarse_sines = coarse_sines, -coarse
+    return np.stack([
+        np.einsum("wp,wp->w", coarse, fine @ one.T) - np.einsum("wp,wp->w", coarse_sines, fine_sines @ one.T)
+        for one in given
+    ])  # fmt: skip
 
 
-def _sines(w: Floats, half: int) -> Floats:
-    """Return sines of 1 to `half` times w, (w, half)."""
-    coarse, fine = _angles(w, half + 1)
-    made = np.sin(coarse) * np.cos(fine) + np.cos(coarse) * np.sin(fine)
-    return np.asarray(made.reshape(len(w), -1)[:, 1 : half + 1])
+def _sums(weights: Floats, w: Floats, count: int, first: int = 0) -> Floats:
+    """Return the products (K, count) of weights (K, w) with the cosines, or sines, of `_series`: its transpose."""
+    (coarse, coarse_sines), (fine, fine_sines) = _turns(w, -(-(count + first) // _FEW))
+    if first:
+        coarse, coarse_sines = coarse_sines, -coarse
+    made = [(coarse.T * row) @ fine - (coarse_sines.T * row) @ fine_sines for row in weights]
+    return np.stack(made).reshape(len(weights), -1)[:, first : first + count]
 
 
-def _angles(w: Floats, count: int) -> tuple[Floats, Floats]:
-    """Return angles (w, n, 1) and (w, 1, 64) whose sums are 0 to `count - 1` times w."""
-    coarse = np.multiply.outer(w, _FEW * np.arange(-(-count // _FEW)))
-    return coarse[:, :, None], np.multiply.outer(w, np.arange(_FEW))[:, None, :]
+def _turns(w: Floats, groups: int) -> list[tuple[Floats, Floats]]:
+    """Return cosines and sines of 0, 64, ... times w, (w, groups), and of 0 to 63 times w, (w, 64)."""
+    return [(turn.real.copy(), turn.imag.copy()) for turn in (_powers(_FEW * w, groups), _powers(w, _FEW))]
+
+
+def _powers(w: Floats, count: int) -> Complexes:
+    """Return ``exp(j n w)`` (w, count) of n from 0, as products of two exponentials."""
+    few = math.isqrt(count - 1) + 1
+    fine, coarse = (np.exp(1j * np.outer(w, step * np.arange(few))) for step in (1, few))
+    return np.asarray((coarse[:, :, None] * fine[:, None]).reshape(len(w), -1)[:, :count])
 
 
 def _taps(even: Floats, odd: Floats) -> Floats:
@@ -172,11 +188,13 @@ def _solved(sums: Floats, first: int, products: Floats) -> Floats:
     """Return the coefficients (K, n) of cosines from 0, or sines from 1, by their products (K, n) with targets."""
     from scipy.linalg import cho_factor, cho_solve
 
-    m = np.arange(products.shape[1]) + first
-    normal = 0.5 * (sums[np.abs(m[:, None] - m)] + (-1.0 if first else 1.0) * sums[m[:, None] + m])
-    diagonal = np.arange(len(m))
-    normal[diagonal, diagonal] += 1e-14 * np.trace(normal) / len(m)
-    return np.asarray(cho_solve(cho_factor(normal), products.T).T)
+    count = products.shape[1]
+    differences = sliding_window_view(np.concatenate([sums[count - 1 : 0 : -1], sums[:count]]), count)[::-1]
+    both = sliding_window_view(sums[2 * first : 2 * (first + count) - 1], count)
+    normal = 0.5 * (differences - both if first else differences + both)
+    diagonal = np.arange(count)
+    normal[diagonal, diagonal] += 1e-14 * np.trace(normal) / count
+    return np.asarray(cho_solve(cho_factor(normal, overwrite_a=True), products.T).T)
 
 
 _STEPS = 64  # of a sample, at which impulses are tabulated

@@ -197,7 +197,7 @@ _OF_RAYS = {
     "returned": taken("float", "kinds, ANGLES, bands"), "scattered": taken("float", "kinds, ANGLES, groups"),
     "boxes": taken("float8", "nodes, 6"), "children": taken("int8", "nodes"), "leaves": taken("float8", "leaves, 13"),
     "wall_of": taken("int8", "leaves"), "zones": taken("float4", "zone_count"), "late_row": taken("int", "zone_count"),
-    "arrivals": taken("float4", "arrival_count"),
+    "arrivals": taken("float8", "arrival_count / 8, 3"),
     "early": changed("uint2", "zone_count, early_bins, arrival_count, bands"),
     "late": changed("uint2", "rows, bins - early_bins, arrival_count, bands"),
     "images": changed("uint2", "zone_count, bins, bands"),

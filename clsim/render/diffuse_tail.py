@@ -317,22 +317,37 @@ class SourceSignals:
         grid = np.arange(first // NODE, -(-last // NODE) + 1) * NODE
         low = first - self._margin
         emitted = self._emitted(low, last + self._margin).astype(np.float32)
-        ahead, level = zip(*(self._sending(zone, direction, grid) for direction in self.tail.departures), strict=True)
-        motion = Motion(np.stack(ahead)[:, :, None], np.stack(level)[:, :, None])
+        ahead, level = np.zeros((2, len(self.tail.departures), len(grid), 1))
+        near = self._near(zone, grid)
+        ahead[:, near, 0], level[:, near, 0] = self._sending(zone, grid[near])
+        motion = Motion(ahead, level)
         return self.waves.heard(emitted[None], low, motion, first, last)
 
-    def _sending(self, zone: int, direction: Floats, grid: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """Return samples (N,) by which the source is ahead in a direction, and its level, at nodes (N,)."""
+    def _near(self, zone: int, grid: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Mask (N,) of nodes at and next to which a zone may be heard in some direction."""
+        reach, c = self.tail.zones.reach, self._air.speed_of_sound
+        place = self._end.trajectory.position(grid / self._rate) - self.tail.zones.centres[zone]
+        moved = fastest(self._end.trajectory) * (reach / c + 2.0 * NODE / self._rate)
+        return np.asarray(np.linalg.norm(place, axis=1) <= reach + moved)
+
+    def _sending(self, zone: int, grid: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """Return samples (Q, N) by which the source is ahead in all directions, and its level, at nodes (N,)."""
         times, zones, c = grid / self._rate, self.tail.zones, self._air.speed_of_sound
-        ahead, reach = np.zeros(len(times)), zones.reach / c
+        directions, reach = self.tail.departures, zones.reach / c
+        ahead = np.zeros((len(directions), len(times)))
+
+        def along(vectors: Floats) -> Floats:
+            """Return parts (Q, N) of vectors (Q N, 3) in the directions."""
+            return np.asarray(np.einsum("qni,qi->qn", vectors.reshape(*ahead.shape, 3), directions))
+
         for _ in range(_ROUNDS):
             # Beyond its reach a zone sends nothing, and where is of no matter.
-            place = self._end.trajectory.position(times + ahead) - zones.centres[zone]
-            ahead = np.clip(place @ direction / c, -reach, reach)
-        sent = times + ahead
-        mach = self._end.trajectory.velocity(sent) @ direction / c
-        level = zones.weights(self._end, sent)[zone] / (1.0 - mach) ** self._exponent
-        return ahead * self._rate, level
+            place = self._end.trajectory.position((times + ahead).ravel()) - zones.centres[zone]
+            ahead = np.clip(along(place) / c, -reach, reach)
+        sent = (times + ahead).ravel()
+        mach = along(self._end.trajectory.velocity(sent)) / c
+        weight = zones.weights(self._end, sent)[zone].reshape(ahead.shape)
+        return ahead * self._rate, weight / (1.0 - mach) ** self._exponent
 
     @property
     def _margin(self) -> int:
@@ -361,7 +376,7 @@ class DeviceWaves:
         powers, taps = between.bank.shape
         constants = {"LANES": self._lanes, "NODE": NODE, "POWERS": powers, "TAPS": taps}
         self._kernel = compiler.kernel("plane_waves", constants)
-        self._bank = upload(compiler.context, between.bank)
+        self._bank = upload(compiler.context, np.pad(between.bank.ravel(), (0, self._lanes)))
 
     def heard(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int

@@ -107,7 +107,8 @@ def plan_paths(paths: PathSet, options: RenderOptions, progress: Callable[[float
     if options.baseband is not None:
         check_ends(scene)
     ringing = _check_receivers(scene, options.sampling_rate)
-    tails = find_tails(paths, options, progress)
+    with with_blas_threads(1):
+        tails = find_tails(paths, options, progress)
     tracks = track(paths, motion=options.motion, amplitude=options.amplitude, transition=options.transition)
     left_out = ""
     if options.prune_below_db is not None:

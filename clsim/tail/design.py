@@ -165,13 +165,14 @@ def find_tail(
     spheres = Spheres(of_receivers.centres, volumes, radius, arrivals, departures)
     pairs: dict[tuple[int, int], TailEnergy] = {}
     rays, error_db, escapes = 0, 0.0, ""
+    decay = _Decay(scene, energies, centres)
     for i, place in enumerate(of_source.centres):
         emitted = _emitted(scene, source, of_source.turns[i], centres)
         escapes = escapes or _checked_escapes(scene, tracer, place, emitted)
         first = 0
         for heard in tracer.heard(place, emitted, spheres, i, options.error_db):
             rays, error_db = max(rays, heard.rays), max(error_db, heard.error_db)
-            for pair in _settled(heard, scene, energies, centres):
+            for pair in _settled(heard, decay):
                 pairs[i, first] = pair
                 first += 1
         if progress is not None:
@@ -217,12 +218,27 @@ def _emitted(scene: Scene, source: int, turn: Floats, centres: Floats) -> Callab
     return emitted
 
 
-def _settled(heard: Heard, scene: Scene, energies: WallEnergies, centres: Floats) -> list[TailEnergy]:
+class _Decay:
+    """Energy that air leaves over time, and as modes decay: the same for all zones of a source."""
+
+    def __init__(self, scene: Scene, energies: WallEnergies, centres: Floats) -> None:
+        self._room, self._energies, self._centres, self._c = scene.room, energies, centres, scene.air.speed_of_sound
+        self._air = self._modal = np.empty((0, len(centres)))
+
+    def over(self, count: int) -> tuple[Floats, Floats]:
+        """Return what air leaves in bins of time (T, B), and the same times the share of modes."""
+        if count > len(self._air):
+            times = STEP * (np.arange(-(-count // _AHEAD) * _AHEAD, dtype=np.float64) + 0.5)
+            self._air = np.exp(-np.multiply.outer(self._c * times - 1.0, self._energies.air))
+            self._modal = self._air * modal_shares(self._room, self._energies, self._centres, times, self._c)
+        return self._air[:count], self._modal[:count]
+
+
+def _settled(heard: Heard, decay: _Decay) -> list[TailEnergy]:
     """Return energies of all zones in air, as modes decay, smoothed and cut at their audible end."""
-    c, early = scene.air.speed_of_sound, heard.early.shape[1]
-    times = STEP * (np.arange(heard.images.shape[1], dtype=np.float64) + 0.5)
-    air = np.exp(-np.multiply.outer(c * times - 1.0, energies.air))
-    factor = (air * modal_shares(scene.room, energies, centres, times, c)).astype(np.float32)[:, None]
+    early = heard.early.shape[1]
+    air, modal = decay.over(heard.images.shape[1])
+    factor = modal.astype(np.float32)[:, None]
     own, images = heard.early * factor[:early], heard.images * air
     lates, lasts = [], []
     for row, late in enumerate(heard.late):
@@ -245,6 +261,7 @@ def _settled(heard: Heard, scene: Scene, energies: WallEnergies, centres: Floats
     return found
 
 
+_AHEAD = 256  # bins of time, multiples of which are looked at together
 _OF_DIRECTIONS = 0.2  # as `OF_TIME`, for directions, which change more slowly and of which there are many
 _LEAST = 2  # bins, half of a window for directions at the beginning
 
@@ -256,11 +273,14 @@ def smoothed(energy: NDArray[Any]) -> NDArray[np.float32]:
     from a longer one, for it changes slowly.
     """
     total = _smoothed(energy.sum(axis=1, dtype=np.float64), OF_TIME, 0)
-    spread = _smoothed(energy, _OF_DIRECTIONS, _LEAST)
-    whole = spread.sum(axis=1)
-    spread *= (total / np.maximum(whole, 1e-30))[:, None]
-    spread += np.where(whole > 0.0, 0.0, total / energy.shape[1])[:, None]
-    return np.asarray(spread, np.float32)
+    found = np.ascontiguousarray(np.moveaxis(energy, 2, 0), np.float32)
+    for of_band, level in zip(found, total.T, strict=True):  # one at a time stays in cache
+        spread = _smoothed(of_band, _OF_DIRECTIONS, _LEAST)
+        whole = spread.sum(axis=1)
+        spread *= (level / np.maximum(whole, 1e-30))[:, None]
+        spread += np.where(whole > 0.0, 0.0, level / energy.shape[1])[:, None]
+        of_band[:] = spread
+    return np.ascontiguousarray(np.moveaxis(found, 0, 2))
 
 
 def _smoothed(values: NDArray[Any], share: float, least: int) -> Floats:

@@ -14,6 +14,8 @@ from clsim.tail.host_rays import FLOOR, PI, HostRays
 from clsim.tail.ray_room import ANGLES, ESCAPE_SCALE, FAINT, FARTHEST, MOST_REFLECTIONS, NOT_ESCAPED, SLOTS, Energies
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from clsim.opencl.device import DeviceInfo
     from clsim.tail.ray_room import Layout, RayEngine, RayRun
 
@@ -55,9 +57,7 @@ class DeviceRays:
         tables = {name: getattr(energies, name) for name in Energies.TABLES}
         sizes = {f"the {name} energies of rays": float(table.nbytes) for name, table in tables.items()}
         check_buffers(self._info, sizes, f"{len(layout.zones)} zones", "use fewer receivers at a time")
-        held = {
-            name: upload(context, table if table.size else np.zeros(1, np.uint64)) for name, table in tables.items()
-        }
+        held = {name: self._held(table if table.size else np.zeros(1, np.uint64)) for name, table in tables.items()}
         given = {name: upload(context, value) for name, value in _arrays(run, layout).items()}
         step = self._at_a_time(run, layout)
         for first in range(0, len(run.directions), step):
@@ -74,8 +74,23 @@ class DeviceRays:
             gone = ends[ends[:, :, 0, 3] != NOT_ESCAPED][:_PLACES, :, :3].reshape(-1, 6)
             energies.places = np.concatenate([energies.places, gone])
         for name, table in tables.items():
-            if table.size:
+            if not table.size:
+                continue
+            if self._info.kind == "CPU":  # what is mapped is the table itself
+                mapped, _ = cl.enqueue_map_buffer(
+                    self._queue, held[name], cl.map_flags.READ, 0, table.shape, table.dtype
+                )
+                mapped.base.release(self._queue)
+            else:
                 cl.enqueue_copy(self._queue, table, held[name])
+
+    def _held(self, table: NDArray[np.uint64]) -> Any:
+        """Return a buffer with the energies of a table: on a CPU the table's own memory."""
+        import pyopencl as cl
+
+        if self._info.kind != "CPU":
+            return upload(self._queue.context, table)
+        return cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=table)
 
     def _constants(self, run: RayRun) -> dict[str, Any]:
         return {
@@ -95,10 +110,13 @@ class DeviceRays:
 def _arrays(run: RayRun, layout: Layout) -> dict[str, Any]:
     """Return the arrays that all launches of a run share."""
     room = {f.name: getattr(run.room, f.name) for f in fields(run.room) if f.name not in ("convex", "middle", "off")}
+    directions = np.pad(layout.arrivals[:, :3], ((0, -len(layout.arrivals) % 8), (0, 0)))
     return room | {
         "first_band": run.first_band, "until": run.until, "wavelength": run.wavelength, "kind": run.kind,
-        "returned": run.returned, "scattered": run.scattered, "zones": layout.zones, "late_row": layout.late_row,
-        "arrivals": layout.arrivals,
+        # Eight bands are read at a time: those behind a group's are not looked at.
+        "returned": np.pad(run.returned.ravel(), (0, int(np.diff(run.first_band).max()) + 8)),
+        "scattered": run.scattered, "zones": layout.zones, "late_row": layout.late_row,
+        "arrivals": directions.reshape(-1, 8, 3).swapaxes(1, 2),
     }  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.paths.response import covered
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
-from clsim.tail.zones import band_shares, joined_bands
+from clsim.tail.zones import TOGETHER, band_shares, joined_bands
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -173,24 +173,28 @@ def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.
     times, streams, _ = energy.shape
     length = math.ceil(times * tail.time_step * rate)
     size = _SLOWEST * next_fast_len(-(-(length + _RINGING) // _SLOWEST), real=True)
-    centres, energy = joined_bands(tail.centres, energy)
+    centres, joined = joined_bands(tail.centres, energy)
     shares = band_shares(np.arange(size // 2 + 1) * (rate / size), centres).astype(np.float32)
-    level = np.sqrt(energy / (tail.time_step * rate)).astype(np.float32)
     slowness = _slowness(centres, rate)
     groups = [(n, *_envelope_places(length, n, tail.time_step * rate, times)) for n in np.unique(slowness).tolist()]
-    taps = np.zeros((streams, length), np.float32)
-    for k in range(streams):
-        spectrum = rfft(rng.standard_normal(size, np.float32))
-        total = np.zeros_like(spectrum)
+    taps = np.empty((streams, length), np.float32)
+    for some in (slice(k, min(k + TOGETHER, streams)) for k in range(0, streams, TOGETHER)):
+        level = np.sqrt(joined(energy[:, some]) / (tail.time_step * rate)).astype(np.float32)
+        level = np.ascontiguousarray(np.moveaxis(level, 0, 2))  # (k, J, T)
+        rise = np.diff(level, axis=2, append=level[..., -1:])
+        spectra = rfft(rng.standard_normal((len(level), size), np.float32))
+        total = np.zeros_like(spectra)
         for slow, before, part in groups:
-            bins, after = size // slow // 2 + 1, np.minimum(before + 1, times - 1)
-            made = np.zeros(size // slow, np.float32)
+            bins = size // slow // 2 + 1
+            made = np.zeros((len(level), size // slow), np.float32)
             for b in np.flatnonzero(slowness == slow):
-                envelope = level[before, k, b]
-                envelope += part * (level[after, k, b] - envelope)
-                made[: len(part)] += irfft(spectrum[:bins] * shares[b, :bins], size // slow)[: len(part)] * envelope
-            total[:bins] += rfft(made) * _fade(bins, slow)
-        taps[k] = irfft(total, size)[:length]
+                envelope = rise[:, b].take(before, axis=1, mode="clip")
+                envelope *= part
+                envelope += level[:, b].take(before, axis=1, mode="clip")
+                envelope *= irfft(spectra[:, :bins] * shares[b, :bins], size // slow)[:, : len(part)]
+                made[:, : len(part)] += envelope
+            total[:, :bins] += rfft(made) * _fade(bins, slow)
+        taps[some] = irfft(total, size)[:, :length]
     return taps
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,7 +85,7 @@ class Spheres:
     departures: Floats  # (Q, 3) likewise those in which it left the source
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Tracer:
     """A room in which rays are traced from places of one source."""
 
@@ -97,8 +97,9 @@ class Tracer:
     seed: tuple[int, int]  # of rays, and the source
     sized: NDArray[np.float64] | None = None  # wavelengths (B,) of bands, m, where walls scatter by their size
 
+    @cached_property
     def groups(self) -> list[Ints]:
-        """Return bands that share rays: they scatter alike, and by size those of one octave do."""
+        """Bands that share rays: they scatter alike, and by size those of one octave do."""
         alike = self.energies.groups()
         if self.sized is None:
             return alike
@@ -108,7 +109,7 @@ class Tracer:
     def heard(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float) -> list[Heard]:
         """Return the energies of a source's zone, in parts of as many spheres as fit the memory."""
         pilot = self._pilot(origin, emitted, spheres, zone)
-        until = pilot.until(self.energies.air, self.groups(), self.speed_of_sound)
+        until = pilot.until(self.energies.air, self.groups, self.speed_of_sound)
         bins = math.ceil(float(until.max()) / (STEP * self.speed_of_sound))
         bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
         step = max(1, int(_BYTES / bytes_each))
@@ -123,7 +124,7 @@ class Tracer:
         """Return the energy that escapes of what is emitted at a place, m, by some rays."""
         sphere = Spheres(np.asarray(origin)[None], np.ones(1), 1e-3, np.eye(3)[:1], np.eye(3)[:1])
         layout = self._layout(sphere, np.zeros(1, np.int64), 1, 0, 0)
-        until = np.full(len(self.groups()), _LONGEST * self.speed_of_sound)
+        until = np.full(len(self.groups), _LONGEST * self.speed_of_sound)
         run, energies = self._run(origin, emitted, sphere, 0, rays // SLOTS, until, 0), layout.empty()
         self.engine.trace(run, layout, energies)
         by_wall = energies.escaped / ESCAPE_SCALE
@@ -147,16 +148,17 @@ class Tracer:
         count = len(spheres.centres)
         windows = math.ceil(_LONGEST / WINDOW)
         layout = self._layout(spheres, np.zeros(count, np.int64), 1, 0, windows)
-        until = np.full(len(self.groups()), _LONGEST * self.speed_of_sound)
+        until = np.full(len(self.groups), _LONGEST * self.speed_of_sound)
         energies = layout.empty()
         self.engine.trace(self._run(origin, emitted, spheres, zone, _PILOT, until, 0), layout, energies)
         total = np.zeros(energies.windows.shape[1:])
-        total[:, :, self._order()] = energies.windows.sum(axis=0)
+        total[:, :, self._order] = energies.windows.sum(axis=0)
         return _Pilot(total)
 
+    @cached_property
     def _order(self) -> Ints:
-        """Return bands group by group."""
-        return np.concatenate(self.groups())
+        """Bands group by group."""
+        return np.concatenate(self.groups)
 
     def _layout(self, spheres: Spheres, row: Ints, rows: int, bins: int, windows: int) -> Layout:
         c = self.speed_of_sound
@@ -177,7 +179,7 @@ class Tracer:
         even = fibonacci_sphere(each)
         turned = np.stack([rotate(normalised(rng.standard_normal((1, 4))), even) for _ in range(SLOTS)], axis=1)
         directions = turned.reshape(-1, 3)
-        groups, order = self.groups(), self._order()
+        groups, order = self.groups, self._order
         tables = self.energies
         ends = np.cumsum([0, *(len(group) for group in groups)])
         one_of_each = [group[0] for group in groups]
@@ -281,7 +283,7 @@ class _Search:
         return 10.0 / math.log(10.0) * math.sqrt(error / count) if count else 0.0
 
     def _heard(self, error_db: float) -> Heard:
-        energies, order = self._energies, self._tracer._order()
+        energies, order = self._energies, self._tracer._order
         zones = np.bincount(self._row, minlength=self._layout.rows)
         early, late, images = (
             np.empty(table.shape, np.float32 if table.ndim == 4 else np.float64)

@@ -13,7 +13,7 @@ from clsim.scene.directivity.patterns import Omni
 from clsim.scene.room.shoebox import enclosure_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
 _LOWEST = 31.25  # Hz, of a band's centre
+TOGETHER = 8  # streams that are made at a time: as many as fill vectors of transforms and stay in cache
 _SILENT = 1e-30  # energy, whose logarithm is still a number
 _BENT = 0.015  # of the rate of decay in a middle between thirds, by which interpolation may miss it
 _STEEP = 0.12  # difference of decay times of neighbours, above which there are bands between them: 0.3 dB in 35 dB
@@ -91,22 +92,32 @@ def at_middles(energy: NDArray[Any]) -> Floats:
     return np.asarray(np.exp(out))
 
 
-def joined_bands(centres: Floats, energy: NDArray[Any]) -> tuple[Floats, Floats]:
-    """Return the bands (J,) in Hz in which noise is shaped, and their energies (T, K, J) of energies (T, K, B).
+def joined_bands(centres: Floats, energy: NDArray[Any]) -> tuple[Floats, Callable[[NDArray[Any]], NDArray[Any]]]:
+    """Return the bands (J,) in Hz in which noise is shaped, and a function that makes their energies (T, k, J).
 
-    They are the bands of rays, the middles between thirds, and those between sixths that decay differently.
+    It is given energies (T, k, B) of some streams. The bands are those of rays, the middles between thirds, and those
+    between sixths in which all streams together, `energy` (T, K, B), decay differently.
     """
     is_third = np.isclose(3.0 * np.log2(centres / 1000.0) % 1.0, [[0.0], [1.0]], atol=1e-6).any(axis=0)
     sixths = with_middles(centres[is_third])
-    found = at_middles(energy[..., is_third])
     traced = np.isclose(sixths[:, None], centres, rtol=1e-6).any(axis=1)
-    found[..., traced] = energy
-    steep = _steep(found.sum(axis=1))
+
+    def in_sixths(energy: NDArray[Any]) -> Floats:
+        found = at_middles(energy[..., is_third])
+        found[..., traced] = energy
+        return found
+
+    steep = _steep(sum(in_sixths(part).sum(axis=1) for part in _parts(energy)))
     if not steep.any():
-        return sixths, found
+        return sixths, in_sixths
     kept = np.ones(2 * len(sixths) - 1, np.bool_)
     kept[1::2] = steep
-    return with_middles(sixths)[kept], at_middles(found)[..., kept]
+    return with_middles(sixths)[kept], lambda energy: at_middles(in_sixths(energy))[..., kept]
+
+
+def _parts(energy: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return the energies (T, K, B) of some streams after another: few enough that they stay in cache."""
+    return [energy[:, k : k + TOGETHER] for k in range(0, energy.shape[1], TOGETHER)]
 
 
 def _steep(energy: Floats) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@
 typedef struct {
     int zones, bins, early, windows, directions, departures, bands;
     float bins_per_metre, windows_per_metre;
-    __global const float4* arrivals;  // directions
+    __global const float8* arrivals;  // directions by eight: their x, y and z
     __global uint2* of_early;         // zones, early, directions, bands
     __global uint2* of_late;          // rows, bins - early, directions, bands
     __global uint2* of_images;        // zones, bins, bands
@@ -28,6 +28,31 @@ typedef struct {
     float length, weight;            // way from the source, m, and what energies are multiplied by
 } passage;
 
+// The direction of arrival nearest to that from which sound comes, the first one of equally near ones.
+static int nearest_arrival(const histograms* to, float3 direction)
+{
+    float8 most = -2.0f;
+    int8 arrival = 0, m = (int8)(0, 1, 2, 3, 4, 5, 6, 7);
+    for (int i = 0; 8 * i < to->directions; i++, m += 8) {
+        __global const float8* at = to->arrivals + 3 * i;
+        const float8 along = -(direction.x * at[0] + direction.y * at[1] + direction.z * at[2]);
+        const int8 nearer = along > most & m < to->directions;
+        most = nearer ? along : most;
+        arrival = nearer ? m : arrival;
+    }
+    int found = 0;
+    float largest = -2.0f;
+    for (int i = 0; i < 8; i++) {
+        const float along = ((const float*)&most)[i];
+        const int one = ((const int*)&arrival)[i];
+        if (along > largest || (along == largest && one < found)) {
+            largest = along;
+            found = one;
+        }
+    }
+    return found;
+}
+
 static void record(const histograms* to, const passage* p, const float* energies, int first_band, int band_count)
 {
     if (p->length < 0.0f || p->weight <= 0.0f) return;
@@ -44,15 +69,7 @@ static void record(const histograms* to, const passage* p, const float* energies
         for (int b = 0; b < band_count; b++) add(cell + b, energies[b] * p->weight);
     }
     if (bin >= to->bins) return;
-    int arrival = 0;
-    float most = -2.0f;
-    for (int m = 0; m < to->directions; m++) {
-        const float along = -dot3(p->direction, to->arrivals[m].xyz);
-        if (along > most) {
-            most = along;
-            arrival = m;
-        }
-    }
+    const int arrival = nearest_arrival(to, p->direction);
     const int late = bin >= to->early;
     const size_t time = late ? (size_t)p->row * (to->bins - to->early) + bin - to->early : (size_t)p->zone * to->early + bin;
     __global uint2* cell = (late ? to->of_late : to->of_early) + (time * to->directions + arrival) * to->bands + first_band;

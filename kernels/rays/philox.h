@@ -5,14 +5,20 @@
 
 #define PHILOX_ROUNDS 10
 
+// One word at a time: vectors of four are taken apart for the products and put together again in each round.
 static uint4 philox(uint4 counter, uint2 key)
 {
+    uint x = counter.x, y = counter.y, z = counter.z, w = counter.w, first = key.x, second = key.y;
     for (int i = 0; i < PHILOX_ROUNDS; i++) {
-        const ulong one = 0xD2511F53UL * counter.x, other = 0xCD9E8D57UL * counter.z;
-        counter = (uint4)((uint)(other >> 32) ^ counter.y ^ key.x, (uint)other, (uint)(one >> 32) ^ counter.w ^ key.y, (uint)one);
-        key += (uint2)(0x9E3779B9U, 0xBB67AE85U);
+        const ulong one = 0xD2511F53UL * x, other = 0xCD9E8D57UL * z;
+        x = (uint)(other >> 32) ^ y ^ first;
+        y = (uint)other;
+        z = (uint)(one >> 32) ^ w ^ second;
+        w = (uint)one;
+        first += 0x9E3779B9U;
+        second += 0xBB67AE85U;
     }
-    return counter;
+    return (uint4)(x, y, z, w);
 }
 
 // Uniform in [0, 1), a multiple of 2^-24.

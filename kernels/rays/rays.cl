@@ -1,10 +1,28 @@
 // Rays of energy: a work-item follows one through its reflections. Twin of `trace` in tail/host_rays.py.
 
+#define OCTETS ((BANDS + 7) / 8)
+typedef float8 __attribute__((aligned(4))) loose_float8;
+
 // Whether what a wall scatters at a place reaches a zone directly by the closed form: the mean of cos/(pi d²) over a
 // sphere is its value in the middle, for it is harmonic, where all of the sphere is before the wall.
 static int is_rained_on(float far, float height, float radius, float length, float until)
 {
     return far > radius && height >= radius && length + far < until;
+}
+
+// Energies that a wall sends back, eight bands side by side, and the largest of them. Those behind a group's bands are 0.
+static float reflected(float* energy, __global const float* returned)
+{
+    loose_float8* at = (loose_float8*)energy;
+    float8 most = 0.0f;
+    for (int i = 0; i < OCTETS; i++) {
+        const float8 left = at[i] * ((__global const loose_float8*)returned)[i];
+        most = left > most ? left : most;
+        at[i] = left > FAINT ? left : (float8)(0.0f);
+    }
+    const float4 four = most.lo > most.hi ? most.lo : most.hi;
+    const float2 two = four.lo > four.hi ? four.lo : four.hi;
+    return two.x > two.y ? two.x : two.y;
 }
 
 __kernel void rays(
@@ -13,7 +31,7 @@ __kernel void rays(
     __global const float4* plane, __global const float4* along, __global const float4* across, __global const int* kind,
     __global const float* returned, __global const float* scattered, __global const float8* boxes,
     __global const int8* children, __global const float8* leaves, __global const int8* wall_of,
-    __global const float4* zones, __global const int* late_row, __global const float4* arrivals,
+    __global const float4* zones, __global const int* late_row, __global const float8* arrivals,
     __global uint2* early, __global uint2* late, __global uint2* images, __global uint2* windows,
     __global uint2* departures, __global uint2* escaped, __global float4* ends)
 {
@@ -27,7 +45,7 @@ __kernel void rays(
     const int first = first_band[group], count = first_band[group + 1] - first;
     float3 o = (float3)(run.origin[0], run.origin[1], run.origin[2]);
     float3 d = (float3)(directions[3 * ray], directions[3 * ray + 1], directions[3 * ray + 2]);
-    float energy[BANDS], loudest = 0.0f, travelled = 0.0f;
+    float energy[8 * OCTETS] = {0.0f}, loudest = 0.0f, travelled = 0.0f;
     for (int b = 0; b < count; b++) energy[b] = emitted[(size_t)ray * run.bands + first + b];
     for (int b = 0; b < count; b++) loudest = energy[b] > loudest ? energy[b] : loudest;
     const float floor_energy = loudest * run.floor_share;
@@ -62,12 +80,7 @@ __kernel void rays(
         const float4 wall = plane[hit.wall];
         const float towards = dot3(d, wall.xyz), cosine = towards < 0.0f ? -towards : towards, side = towards > 0.0f ? -1.0f : 1.0f;
         const int cell = (int)(ANGLES * sqrt(cosine)), angle = kind[hit.wall] * ANGLES + (cell < ANGLES ? cell : ANGLES - 1);
-        loudest = 0.0f;
-        for (int b = 0; b < count; b++) {
-            const float left = energy[b] * returned[(size_t)angle * run.bands + first + b];
-            energy[b] = left > FAINT ? left : 0.0f;
-            loudest = left > loudest ? left : loudest;
-        }
+        loudest = reflected(energy, returned + (size_t)angle * run.bands + first);
         const float before = hit.far;
         travelled += before;
         o = onward_by(o, before, d);

@@ -6,6 +6,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+import soundfile
 from scipy.optimize import least_squares
 
 import clsim
@@ -91,3 +92,20 @@ def test_a_ceiling_of_receivers(measured) -> None:
     assert measured("places under a ceiling of receivers, by differences", "true places", found, 20.0, "mm") < 20.0
     assert times.percentile(50) > study.PUBLISHED
     assert times.bias[2] < -study.PUBLISHED  # every range too long: too far below the ceiling
+
+
+def test_a_long_run_that_was_killed_finds_its_ranges(tmp_path, measured) -> None:
+    """The sound is that of a run in one go; ranges are exact to half a sample, 11 mm, and what Doppler adds to chirps.
+
+    A shift of frequency is taken for one of time: 3.4 kHz x 50 ms / 5.2 kHz = 33 mm at 1 m/s.
+    """
+    hall = example("long_hall")
+    hall.rendered(tmp_path, 16.0, order=0)
+    scene = clsim.load_scene(tmp_path / "scene.toml").scene
+    whole = clsim.render(clsim.find_paths(scene, 0), hall.RATE, duration=16.0, chunk=hall.CHUNK).samples
+    for name, samples in zip(("east", "west"), whole, strict=True):
+        np.testing.assert_array_equal(soundfile.read(tmp_path / "run" / f"{name}.wav", dtype="float32")[0], samples)
+    found, true = hall.ranges(tmp_path)
+    worst = 1e3 * np.abs(found - true).max()
+    assert found.shape == (2, 16)
+    assert measured("ranges of a long run", "true ranges", worst, 44.0, "mm") < 44.0

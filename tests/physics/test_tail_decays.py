@@ -96,7 +96,9 @@ def test_bands_join_without_lengthening_decays(table: Table, measured: Callable[
     by_order = box_decays.images(HERE, THERE, 2.0)
     bands = traced_bands(scene_of(table), 250.0, 16e3)
     f = np.geomspace(100.0, 16e3, 800)
-    centres, energy = joined_bands(bands, box_decays.energy(by_order, table, bands)[:, None])
+    traced = box_decays.energy(by_order, table, bands)[:, None]
+    centres, energies = joined_bands(bands, traced)
+    energy = energies(traced)
     joined = (np.sqrt(energy[:, 0]) @ band_shares(f, centres)) ** 2
     exact, off = box_decays.energy(by_order, table, f), []
     for parts, count in ((1, 4), (3, 10)):
