@@ -71,13 +71,12 @@ def prelude(text: str) -> dict[str, Any]:
     paths = clsim.find_paths(scene, 1)
     recording = clsim.render(paths, 192e3) if "recording" in text else None
     t = np.linspace(0.0, 0.3, 31)
-    box = clsim.Shoebox((2.0, 0.4, 1.5), clsim.Material.from_reflection(0.8)).as_mesh()
-    faces = [f"v {x} {y} {z}" for x, y, z in box.vertices] + [f"f {a} {b} {c}" for a, b, c in box.triangles + 1]
-    for name in ("hall.obj", "shelf.obj", "room.obj"):
+    for name, size in (("hall.obj", (2.0, 0.4, 1.5)), ("shelf.obj", (2.0, 0.4, 1.5)), ("room.obj", scene.room.size)):
+        box = clsim.Shoebox(size, clsim.Material.from_reflection(0.8)).as_mesh()
+        faces = [f"v {x} {y} {z}" for x, y, z in box.vertices] + [f"f {a} {b} {c}" for a, b, c in box.triangles + 1]
         Path(name).write_text("\n".join(faces), "utf-8")
-    np.savetxt(
-        "walk.txt", np.column_stack([t, *scene.sources[0].trajectory.position(t).T, np.tile((0, 0, 0, 1), (31, 1))])
-    )
+    walk = scene.sources[0].trajectory.position(t)
+    np.savetxt("walk.txt", np.column_stack([10.0 * t, *walk.T, np.tile((0, 0, 0, 1), (31, 1))]))  # 3 s
     shutil.copytree(ROOT / "examples", "examples")
     rows = "\n".join(f"{angle},0,-1" for angle in range(0, 190, 10))
     for name in ("beam.csv", "phase.csv"):

@@ -55,7 +55,6 @@ UPWARD: dict[tuple[str, str], str] = {}
 BY_NAME = {
     "__init__.py": "public names, when they are first asked for",
     "cli.py": "the command that is called",
-    "commands/completion.py": "every command, for its options",
     "study/content.py": "the user's own metrics",
 }
 # Of whose classes nobody outside asks what a value is one of: what differs by kind is the package's own.
