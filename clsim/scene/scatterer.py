@@ -43,7 +43,7 @@ class Shape(Protocol):
 
     @property
     def radius(self) -> float:
-        """Of a sphere about the centre that holds it, m."""
+        """Radius of the bounding sphere about the centre, m."""
         ...
 
     @property

@@ -55,7 +55,7 @@ def snippets(page: Path) -> list[tuple[str, str]]:
 
 
 def small_scene(signal: clsim.Signal) -> clsim.Scene:
-    """Return what pages call ``scene``: a robot that walks and sounds, four receivers."""
+    """Return the ``scene`` of pages: a robot that walks and emits, four receivers."""
     walk = clsim.Trajectory.line((2.0, 2.0, 1.2), (2.4, 2.6, 1.2), 0.3)
     robot = clsim.Source("robot", signal, walk)
     places = {"ceiling": (1.0, 1.0, 2.4), "b": (5.0, 1.0, 2.3), "c": (5.0, 4.0, 2.4), "d": (1.0, 4.0, 2.2)}
@@ -206,7 +206,7 @@ def run_notebook(notebook: str, folder: str, told: Any) -> None:
 
 
 def problem_of(run: Callable[[str, str, Any], None], file: Path, folder: Path) -> str:
-    """Return what went wrong as a file was run in a folder, by a process forked from one that has loaded everything."""
+    """Return the problem of running a file in a folder, by a process forked from one that has loaded everything."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         pytest.skip("this system does not fork")
     context = multiprocessing.get_context("forkserver")

@@ -202,7 +202,7 @@ def assert_drawn(tab: Any, index: int) -> None:
 
 
 def picture(tab: Any) -> bytes:
-    """Return what is seen, when all that plotly has to draw was: it draws what changed in the next frame."""
+    """Return the drawn state once plotly has finished: it draws changes in the next frame."""
     tab.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     return bytes(tab.locator("#drawing").screenshot())
 

@@ -113,7 +113,7 @@ def imported(path: Path) -> set[str]:
 
 @cache
 def graph() -> dict[str, set[str]]:
-    """Return what each module imports; made when a test asks, for every process collects this file."""
+    """Return the imports of each module; made when a test asks, since every process collects this file."""
     return {name: imported(path) for name, path in MODULES.items()}
 
 
@@ -252,7 +252,7 @@ def code_lines(path: Path) -> frozenset[int]:
 
 
 def kernel_code(text: str) -> int:
-    """Return how many lines of a kernel file hold code."""
+    """Return the number of lines of code in a kernel file."""
     bare = re.sub(r"/\*.*?\*/", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
     return sum(bool(line.split("//")[0].strip()) for line in bare.splitlines())
 
@@ -281,7 +281,7 @@ def test_functions_are_small() -> None:
 
 
 def asked_kinds(tree: ast.Module) -> list[tuple[ast.AST, set[str]]]:
-    """Return where a file asks what class a value is of, and the names of those classes."""
+    """Return the places where a file tests the class of a value, and the names of those classes."""
     asked: list[tuple[ast.AST, ast.AST]] = []
     for node in ast.walk(tree):
         if isinstance(node, ast.MatchClass):

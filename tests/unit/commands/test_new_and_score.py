@@ -154,7 +154,7 @@ def test_what_cannot_be_scored_is_a_line(run: Path, tmp_path: Path, capsys: pyte
     ],
 )  # fmt: skip
 def test_a_shell_completes_commands_options_and_choices(line: str, wanted: set[str], tmp_path: Path) -> None:
-    """As the script that ``clsim completion bash`` prints asks for it."""
+    """The process is started as the script of ``clsim completion bash`` starts it."""
     found = tmp_path / "found"
     asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(found), "_ARGCOMPLETE_IFS": "\n"}
     asked |= {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_SHELL": "bash"}

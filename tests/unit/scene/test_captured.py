@@ -67,7 +67,7 @@ def test_joints_of_bvh_are_turned_in_the_order_of_their_channels(tmp_path: Path,
 
 
 def ends_of(part: Any, times: np.ndarray) -> list[np.ndarray]:
-    """Return where both ends of a limb of a walking person are (n, 3), the upper one first."""
+    """Return the positions of both ends of a limb of a walking person (n, 3), the upper one first."""
     along = part.shape.semi_axes[2] * rotate(part.trajectory.orientation(times), np.array([0.0, 0.0, 1.0]))
     middle = part.trajectory.position(times)
     return [middle + along, middle - along]
