@@ -25,7 +25,7 @@ class InputError(ClsimError, ValueError):
     Parameters
     ----------
     field : str
-        Where the value stands, for example ``"sources[1].trajectory.times"``.
+        Path of the value, for example ``"sources[1].trajectory.times"``.
     problem : str
         The rule and the value that breaks it.
 
@@ -52,7 +52,7 @@ class InputError(ClsimError, ValueError):
         Parameters
         ----------
         parent : str
-            Where that value stands, for example ``"sources[1]"``.
+            Path of that value, for example ``"sources[1]"``.
 
         Returns
         -------

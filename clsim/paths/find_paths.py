@@ -53,7 +53,7 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     Parameters
     ----------
     scene : Scene
-        What sounds where.
+        Room, air, sources and receivers.
     options : PathOptions
         Each is a keyword, but for the first, the largest order.
 

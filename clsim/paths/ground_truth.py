@@ -132,7 +132,7 @@ def direct_path(
     Parameters
     ----------
     paths : PathSet
-        Of the scene.
+        Paths of the scene.
     times : array_like (T,), optional
         Times of reception, s, by the scene's clock: what a receiver gets at one instant.
     motion : {"retarded", "quasi-static"}
@@ -143,7 +143,7 @@ def direct_path(
     Returns
     -------
     DirectPath
-        Of every source and receiver.
+        Ground truth of every source and receiver.
 
     Raises
     ------
@@ -266,7 +266,7 @@ class EchoTruth:
     source_names, receiver_names : tuple of str
         Along two of the axes.
     KIND, MEASURES : str, tuple of str
-        What the things are, and names of the fields that have them along the first axis.
+        Kind of the objects, and names of the fields that have them along the first axis.
     """
 
     times: Floats
@@ -343,7 +343,7 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     Returns
     -------
     ScattererTruth
-        Of every scatterer, source and receiver.
+        Ground truth of every scatterer, source and receiver.
 
     Raises
     ------
@@ -417,7 +417,7 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     Returns
     -------
     BodyTruth
-        Of every body, source and receiver.
+        Ground truth of every body, source and receiver.
 
     Raises
     ------

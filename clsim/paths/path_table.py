@@ -34,10 +34,10 @@ class PathTable:
     source, receiver, order : ndarray (P,) int
         Indices in the scene, and number of interactions.
     interactions : ndarray (P, N) int
-        What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
+        Interactions in order from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
         reflection by a body, 4 transmission through a wall; filled up with -1.
     objects : ndarray (P, N) int
-        Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
+        Objects of the interactions, as indices of `object_names`, walls first; filled up with -1.
     direct : ndarray (P,) bool
         Whether it is the direct path.
     delay : ndarray (P, T)
@@ -53,7 +53,7 @@ class PathTable:
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the source along the path, and from the receiver back along it.
     source_names, receiver_names, object_names : tuple of str
-        What the indices mean.
+        Names that the indices refer to.
     """
 
     times: Floats

@@ -274,11 +274,11 @@ def captured_person(
         Two joints, by their names in the file, and the radius of what is between them, m. When left out, the parts of
         `walking_person` whose joints have usual names, such as LeftUpLeg or left knee, as thick as there.
     shape : {"ellipsoid", "capsule"}
-        Of limbs and of segments.
+        Shape of limbs and of segments.
     scale : float
         Metres in the file's unit of length: 0.01 for centimetres.
     up : {"x", "y", "z"}, optional
-        Which of the file's axes goes up; y for BVH and z for tables when left out. The file's next axis (z after y)
+        The file's upward axis; y for BVH and z for tables when left out. The file's next axis (z after y)
         becomes x in the room.
     rotate, translate : array_like (4,), array_like (3,)
         Then turned by a unit quaternion x y z w, and moved, m.

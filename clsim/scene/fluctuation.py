@@ -30,7 +30,7 @@ class Fluctuation:
     correlation_length : float
         The same of places: noise of a path whose source or receiver stands there instead, m.
     seed : int
-        Of the noise.
+        Seed of the noise.
 
     Raises
     ------
@@ -90,7 +90,7 @@ class Fluctuation:
         receiver, source : ndarray (..., 3)
             The receiver as the source sees it, and the source, m.
         velocities : tuple of ndarray (..., 3), optional
-            Of both, m/s; at rest when left out.
+            Velocities of both, m/s; zero when left out.
 
         Returns
         -------
@@ -137,7 +137,7 @@ class TargetFluctuation:
         Share of the mean power that does not fluctuate, 0 to 1. At 0 the power is distributed exponentially, as in
         Swerling's cases 1 and 2. At 0.71 it varies as much as in his cases 3 and 4.
     seed : int
-        Of the noise: the same one gives the same noise, whenever and in whatever pieces it is asked for.
+        Seed of the noise: the same seed gives the same noise, in any chunks.
 
     Raises
     ------
@@ -185,7 +185,7 @@ class TargetFluctuation:
         Parameters
         ----------
         times : ndarray (...)
-            Of scattering, s.
+            Times of scattering, s.
 
         Returns
         -------

@@ -38,7 +38,7 @@ class LinearMap:
     Attributes
     ----------
     plan : Plan
-        Of the sum over the paths themselves, sample by sample.
+        Plan of the sum over the paths themselves, sample by sample.
     tangents : tuple of SceneTracks
         Tracks of the tangents by each parameter.
     shared : Plan

@@ -68,7 +68,7 @@ class Parameter:
     gain_db : float
         By how many dB per unit all these paths get louder.
     knot : Piecewise or None
-        How a trajectory changes with one coordinate of one of its points; None for other parameters.
+        Derivative of a trajectory by one coordinate of one of its points; None for other parameters.
     """
 
     name: str

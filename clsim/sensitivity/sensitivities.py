@@ -152,7 +152,7 @@ def sensitivities(paths: PathSet, wrt: Sequence[str], sampling_rate: float, **op
         - ``room.walls.floor.reflection``: of the reflection factor, at all frequencies and angles
         - ``room.walls.floor.displacement``: along the normal in `Room.faces`, m
     sampling_rate : float
-        Of the signals, Hz.
+        Sampling rate of the signals, Hz.
     **options
         As of `render`, but for baseband and tail; pairs at rest and narrow bands are rendered as all others.
 
@@ -210,7 +210,7 @@ def gradient(
     wrt : sequence of str
         Names as of `sensitivities`, and ``sources[0].signal`` for what a source without transducer emits.
     sampling_rate : float
-        Of the recording, Hz.
+        Sampling rate of the recording, Hz.
     **options
         As of `sensitivities`, but for the duration.
 

@@ -97,7 +97,7 @@ class ResultFolder:
     folder, work : Path
         The folder, and that of what is not whole yet.
     journal : Journal
-        Of the sound that is being rendered.
+        Journal of the sound that is being rendered.
     """
 
     def __init__(

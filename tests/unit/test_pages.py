@@ -12,9 +12,10 @@ import clsim
 
 ROOT = Path(clsim.__file__).parents[1]
 DOCS = ROOT / "docs"
+COPIES = {"changes", "contributing", "tests", "validation_run"}  # that `make docs` puts beside the pages
 PAGES = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
-    *sorted(DOCS.glob("*.md")),
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "tests/README.md")),
+    *(page for page in sorted(DOCS.glob("*.md")) if page.stem not in COPIES),
     *sorted((DOCS / "tutorials").glob("*.py")),
 ]
 EASY = {"start", "first", "examples", "howto", *re.findall(r"\((\w+)\.md\)", (DOCS / "howto.md").read_text("utf-8"))}

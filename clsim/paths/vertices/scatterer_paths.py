@@ -100,7 +100,7 @@ class Body:
     scatterer : Scatterer
         Which.
     glint : Glint, optional
-        What is known of its specular points.
+        Its specular points, as far as known.
     """
 
     def __init__(self, scatterer: Scatterer, glint: Glint | None = None) -> None:

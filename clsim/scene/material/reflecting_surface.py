@@ -157,7 +157,7 @@ class SurfaceModel(Protocol):
         frequency : ndarray (...)
             Hz, within the band.
         cosine : ndarray (...)
-            Of the angle of incidence; broadcasts against `frequency`.
+            Cosine of the angle of incidence; broadcasts against `frequency`.
         speed_of_sound : float
             In the air, m/s.
 
@@ -181,15 +181,15 @@ class ReflectingSurface:
     Parameters
     ----------
     model : SurfaceModel
-        What gives the reflection factor.
+        Model of the reflection factor.
     name : str
-        What to call it.
+        Name in messages and tables.
     roughness : float
         Root mean square of the wall's heights, m: see `rough`.
     scattering : float or (frequencies, values), optional
         Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
     transmission : TransmissionModel, optional
-        What gives the factor of the pressure behind the wall: see `transmitting`. Nothing passes when left out.
+        Model of the transmission factor of the pressure: see `transmitting`. Nothing passes when left out.
     """
 
     model: SurfaceModel
@@ -275,7 +275,7 @@ class ReflectingSurface:
         Parameters
         ----------
         surface_mass : float, optional
-            Of a limp panel, 1e-3 to 1e5 kg/m²: the mass law.
+            Mass per area of a limp panel, 1e-3 to 1e5 kg/m²: the mass law.
         frequencies, losses_db : array_like (n,), optional
             In its place, transmission losses, 0 to 300 dB, at positive, increasing frequencies, Hz.
 
