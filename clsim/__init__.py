@@ -1,4 +1,4 @@
-"""What ultrasonic and audio receivers hear indoors while sources and receivers move.
+"""Simulation of the sound that microphones receive in rooms while sources and receivers move.
 
 The pipeline is four values and three arrows between them::
 

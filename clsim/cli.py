@@ -95,7 +95,8 @@ def _listed() -> str:
 def _options(arguments: list[str]) -> argparse.Namespace:
     """Return the options; only the command that is called is imported, and adds its arguments."""
     parser = _Parser(
-        prog="clsim", description="Simulate what receivers hear in a room while sources and receivers move.",
+        prog="clsim",
+        description="Simulate the sound that microphones receive in a room while sources and receivers move.",
         epilog=_listed(), formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"clsim {__version__}")

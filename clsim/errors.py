@@ -98,11 +98,11 @@ def meant(value: Any, names: Iterable[str]) -> str:
 
 
 class DeviceError(ClsimError, RuntimeError):
-    """The OpenCL device is missing or failed; the message says what to do."""
+    """The OpenCL device is missing or failed; the message states the remedy."""
 
 
 class ClsimWarning(UserWarning):
-    """A result is right but perhaps not what was meant; the message says why."""
+    """A result is right but perhaps not intended; the message says why."""
 
 
 def in_one_line(error: BaseException) -> str:

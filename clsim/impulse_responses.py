@@ -199,7 +199,7 @@ def impulse_responses(
     options = _tail_options(paths, tail_seed, tail_scattering)
     heard = _active_pairs(paths, time)
     if not heard:
-        raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
+        raise InputError("paths", f"must hold paths that are active at {time:g} s, but hold none")
     channels = [receiver.directivity.channels for receiver in scene.receivers]
     first_row = np.cumsum([0, *map(len, channels)])
     found, shape = {}, (len(scene.sources), int(first_row[-1]))

@@ -135,7 +135,7 @@ class PathSet:
 
     @property
     def object_names(self) -> tuple[str, ...]:
-        """Names of walls, and of what else paths meet."""
+        """Names of walls, and of other objects that paths meet."""
         own = (name for family in self.families for name in family.object_names)
         return (*self.scene.room.faces.names, *own)
 
@@ -323,8 +323,8 @@ class PathSet:
 
         Notes
         -----
-        Air, walls and directivities act over the whole band. A path is there or not: the transition of `render`, in
-        which it fades in and out, is left out.
+        Air, walls and directivities act over the whole band. A path exists or not: the transition of `render`, in which
+        it fades in and out, is left out.
         """
         times, band = as_floats("times", times, (None,)), ChannelBand(carrier, bandwidth, sampling_rate)
         span = self.start, self.end

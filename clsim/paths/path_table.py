@@ -81,7 +81,7 @@ class PathTable:
         return np.where(self.interactions == SPECULAR, self.objects, -1)
 
     def name_way(self, path: int | np.integer[Any]) -> str:
-        """Return the names of the walls and other things that a path meets.
+        """Return the names of the walls and other objects that a path meets.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ class PathTable:
         return ", ".join(self.object_names[i] for i in self.objects[path] if i >= 0) or "direct"
 
     def to_dataframe(self) -> Any:
-        """Return it as a pandas DataFrame, a row per path and time at which it is heard.
+        """Return it as a pandas DataFrame, with one row per path and time at which it is active.
 
         Returns
         -------
@@ -141,7 +141,7 @@ class PathTable:
 
     @property
     def heard(self) -> NDArray[np.bool_]:
-        """Whether anything arrives (P, T): the path is there, and its gain is not 0."""
+        """Whether each path is active (P, T): it exists, and its gain is not 0."""
         return np.asarray(np.isfinite(self.delay) & (self.gain != 0.0))
 
 

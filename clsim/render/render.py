@@ -198,7 +198,7 @@ def render_chunks(
 
 
 class Rendering:
-    """A plan's contributions and receivers, with all that they remember of what is rendered.
+    """A plan's contributions and receivers, with their state between chunks.
 
     Parameters
     ----------

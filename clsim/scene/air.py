@@ -376,7 +376,7 @@ class Air:
         return c / (1.0 - c * float(lead_iso9613(frequency, *self.state)) / (2.0 * np.pi * frequency))
 
     def group_speed_at(self, frequency: float) -> float:
-        """Return the speed of what sounds about a frequency, that of envelopes, m/s.
+        """Return the group speed at a frequency, at which envelopes travel, m/s.
 
         Parameters
         ----------

@@ -45,7 +45,7 @@ _FRAME = np.concatenate([np.zeros((1, 3)), np.eye(3)])  # origin and axes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A rigid thing made of flat faces, which moves: it reflects, and hides what is behind it.
+    """A rigid, moving object of flat faces. It reflects sound, and blocks paths behind it.
 
     Parameters
     ----------

@@ -377,7 +377,7 @@ def _usual(joints: Joints, known: dict[str, Floats]) -> list[_Part]:
     needed = [f"left {joint}" for joint in ("hip", "knee", "ankle", "shoulder") if f"left {joint}" not in at]
     if needed:
         listed = ", ".join(joints.names[:40])
-        raise InputError("path", f"must have a joint for the {needed[0]}, or segments be told; its joints are {listed}")
+        raise InputError("path", f"must have a joint for the {needed[0]}, or segments given; its joints are {listed}")
     lengths = [np.linalg.norm(at["left knee"] - at[f"left {joint}"], axis=1).mean() for joint in ("hip", "ankle")]
     tall = float(sum(lengths)) / (THIGH + SHANK)
     parts = _trunk(at, tall)

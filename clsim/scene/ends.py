@@ -392,7 +392,7 @@ class Receiver:
 
     @property
     def unit(self) -> str:
-        """Unit of what it records: ``"Pa"``, or ``"V"`` with a transducer."""
+        """Unit of its samples: ``"Pa"``, or ``"V"`` with a transducer."""
         return "Pa" if self.transducer is None else "V"
 
     @property

@@ -43,10 +43,10 @@ class Fluctuation:
 
         rms sqrt(2/K) sum_k cos(w_k t + a_k x + b_k y + phi_k),
 
-    with normal w_k, a_k, b_k, so that over seeds the correlation is exactly ``exp(-(t/T)² - (x/L)² - (y/L)²)``
-    (A. Rahimi and B. Recht, "Random features for large-scale kernel machines", NIPS 2007). Images see the receiver
-    elsewhere, so they fluctuate by themselves where walls are farther than the length. All derivatives exist, and any
-    instant can be asked for.
+    with normal w_k, a_k, b_k, so that over seeds the correlation is exactly ``exp(-(t/T)² - (x/L)² - (y/L)²)`` (A.
+    Rahimi and B. Recht, "Random features for large-scale kernel machines", NIPS 2007). Images see the receiver
+    elsewhere, so they fluctuate by themselves where walls are farther than the length. All derivatives exist, at any
+    instant.
 
     The 64 waves are those of all paths. Within one run, however long, the correlation of two paths therefore deviates
     from that law by 1/sqrt(2K) = 0.09 (root mean square over pairs of paths). A run of D s adds what a Gaussian process

@@ -278,10 +278,10 @@ class CapsuleShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatterer:
-    """A thing that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
+    """An object that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
     It ends no path: behind what casts a shadow (spheres, and others by `shadow`), what it scatters takes the sound away
-    that goes on there. What one scatterer sends to another is found with ``scatterers_in_row=2``.
+    that goes on there. Paths by two scatterers are found with ``scatterers_in_row=2``.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ class Scatterer:
         fluctuation: TargetFluctuation | None = None,
         shadow: bool = False,
     ) -> Scatterer:
-        """Return a rigid ellipsoid, by geometrical optics: what is sent back by its specular point.
+        """Return a rigid ellipsoid, by geometrical optics: the echo of its specular point.
 
         Parameters
         ----------
@@ -467,7 +467,7 @@ class Scatterer:
 
     @property
     def is_static(self) -> bool:
-        """Whether it neither moves nor turns in a way that matters, nor fluctuates."""
+        """Whether its echo does not change: it rests or turns symmetrically, and does not fluctuate."""
         if self.fluctuation is not None:
             return False
         alike = self.shape.radius == 0.0 or isinstance(self.shape, SphereShape)

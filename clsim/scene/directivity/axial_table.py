@@ -120,7 +120,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
     out, real and imaginary part of the rest are joined by cubic splines over frequency and over angle, and the delay is
     put back. Magnitudes in dB are joined by monotone cubics (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17
     (2), 238-246, 1980), which do not overshoot. Both have zero slope on the axis and where the rear begins. With
-    ``outside="hold"`` the shared delay goes on.
+    ``outside="hold"`` the shared delay continues.
 
     Examples
     --------

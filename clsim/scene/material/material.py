@@ -156,7 +156,7 @@ MATERIAL_NAMES = tuple(LIBRARY)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Material(ReflectingSurface):
-    """What a wall is made of: how much sound it sends back, by frequency and angle of incidence.
+    """Acoustic properties of a wall: reflection, scattering and transmission by frequency and angle of incidence.
 
     Made by one of the constructors below, which all take `name` and `scattering`; `reflection_at` gives the factor.
 

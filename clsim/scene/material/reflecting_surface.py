@@ -251,7 +251,7 @@ class ReflectingSurface:
         Notes
         -----
         Factors are multiplied by ``exp(-2 (k rms cos θ)²)``: see `clsim.acoustics.reflection.coherent_share`, also for
-        its range. What they lose is scattered: `scattered_share`.
+        its range. The lost energy is scattered: `scattered_share`.
 
         Examples
         --------
@@ -360,7 +360,7 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(factor, np.broadcast_shapes(f.shape, cos.shape)))
 
     def energy_at(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
-        """Return the share of energy that comes back, in the mirror's direction and in others together.
+        """Return the share of energy that is reflected, specularly and scattered together.
 
         Parameters
         ----------

@@ -52,7 +52,7 @@ class _Part(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshRoom:
-    """A room, or things in it, made of triangles; it may be open, and its walls are two-sided.
+    """A room or objects in it, made of triangles; it may be open, and its walls are two-sided.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class MeshRoom:
         heal : {"auto", "off"} or float
             Largest distance by which corners are moved to meet others, m. Triangles are cut at corners that lie on
             them. With "auto" they are moved as far as closing the mesh takes, at most 12 mm and 2 per mille of its
-            size. A mesh that is closed, or that gains nothing, keeps every bit. The notes say what was changed.
+            size. A mesh that is closed, or that gains nothing, keeps every bit. The notes state the changes.
 
         Raises
         ------
@@ -298,7 +298,7 @@ class MeshRoom:
 
     @staticmethod
     def joined(parts: Sequence[_Part]) -> MeshRoom:
-        """Return one room made of several: a room and what stands in it.
+        """Return one room made of several: a room and the objects in it.
 
         Parameters
         ----------
@@ -340,7 +340,7 @@ class MeshRoom:
         )
 
     def with_sheets(self, thinner_than: float) -> MeshRoom:
-        """Return the room with thin panels as sheets, which sound goes round as round one edge.
+        """Return the room with thin panels as sheets, round which sound diffracts at one edge.
 
         Parameters
         ----------
@@ -351,7 +351,7 @@ class MeshRoom:
         Returns
         -------
         MeshRoom
-            The room; its notes tell what was done. Of a panel's two sides one gives the material.
+            The room; its notes state the changes. Of a panel's two sides one gives the material.
 
         Raises
         ------
@@ -498,7 +498,7 @@ class MeshRoom:
         return found[np.unique(self.walls.plane[found], return_index=True)[1]]
 
     def edges(self, wall: int | None = None) -> Edges:
-        """Find the edges at which sound turns round corners: of screens, of what stands in the room, of its corners.
+        """Find the edges at which sound diffracts: of screens, of objects in the room, of its corners.
 
         Parameters
         ----------

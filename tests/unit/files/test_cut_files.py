@@ -129,7 +129,7 @@ def test_an_mp3_without_a_length_is_refused_within_a_frame_and_warned_of_else(
     path, sound = tmp_path / "sound.mp3", mp3(tmp_path, rng, 1, 44100)
     frames = sound[sound.index(b"\xff\xfb", 4) :]  # without the first one, which has the header
     path.write_bytes(frames)
-    with pytest.warns(clsim.ClsimWarning, match="does not tell its length"):
+    with pytest.warns(clsim.ClsimWarning, match="does not state its length"):
         clsim.Signal.from_wav(path)
     for cut in (1, 2, 100, 200):
         path.write_bytes(frames[:-cut])
@@ -152,7 +152,7 @@ def test_formats_that_do_not_tell_their_length_are_warned_of(
 ) -> None:
     path = tmp_path / "sound"
     soundfile.write(path, rng.uniform(-0.5, 0.5, 1000), 8000, format=form, subtype="PCM_16")
-    with pytest.warns(clsim.ClsimWarning, match=r"sound does not tell its length \("):
+    with pytest.warns(clsim.ClsimWarning, match=r"sound does not state its length \("):
         clsim.Signal.from_wav(path)
 
 
