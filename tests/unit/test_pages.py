@@ -94,6 +94,23 @@ def test_start_and_how_to_pages_are_easy_to_read(page: Path, grade: Callable[[st
     assert grade(running_text(page)) <= GRADE
 
 
+CONCEPTS = re.findall(r"\((\w+)\.md\)", (DOCS / "concepts.md").read_text("utf-8"))
+EQUATION = re.compile(r"\$\$(?:(?!\$\$).)*\$\$", re.DOTALL)
+NUMBER = re.compile(r"(?:equations?|sections?|chapters?|tables?|annex|algorithm) [A-Z]?\d|\bISO \d+", re.IGNORECASE)
+
+
+@pytest.mark.parametrize("name", CONCEPTS)
+def test_equations_of_concept_pages_are_numbered_and_have_a_source(name: str) -> None:
+    text = (DOCS / f"{name}.md").read_text("utf-8")
+    found = EQUATION.findall(text)
+    assert [re.findall(r"\\tag\{(\d+)\}", one) for one in found] == [[str(i)] for i in range(1, len(found) + 1)]
+    words = " ".join(text.split())
+    assert (
+        not found or (re.search(r"\b(1[89]|20)\d\d\b", words) and NUMBER.search(words)) or "our own derivation" in words
+    )
+    assert not re.search(r"\\begin\{(cases|aligned)\}.*\\\\", text)  # Sphinx would split it, and MathJax refuse the tag
+
+
 TOO_LONG = "The receiver is " + "very " * 28
 HARD = "Trajectory interpolation necessitates algorithmically interpretable representational organisation. " * 9
 
