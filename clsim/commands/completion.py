@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Print the script; return the exit status."""
     check_packages("completion", "completion", "completion", "argcomplete")
-    import argcomplete
+    from argcomplete.shell_integration import shellcode
 
-    print(argcomplete.shellcode(["clsim"], shell=options.shell))
+    print(shellcode(["clsim"], shell=options.shell))
     return 0
