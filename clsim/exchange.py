@@ -293,7 +293,7 @@ def write_mcap(
     Topics: ``/NAME/audio`` (audio_common_msgs/AudioDataStamped: float32 samples, little endian, 50 ms a message,
     stamped with the time of their first sample by the receiver's clock) and ``/NAME/audio_info`` for each receiver,
     ``/NAME/pose`` (geometry_msgs/PoseStamped) for each end, ``/tf``, and ``/SOURCE/RECEIVER/range``
-    (sensor_msgs/Range: speed of sound times the true delay of the direct sound, inf where it is not heard) for at most
+    (sensor_msgs/Range: speed of sound times the true delay of the direct sound, inf where it is not active) for at most
     64 pairs. In baseband samples are real and imaginary parts in turn. Names are as files have them.
     """
     check_packages("write_mcap", "an MCAP file", "ros", "mcap", "mcap_ros2")

@@ -296,7 +296,7 @@ class Recording:
         Raises
         ------
         InputError
-            If there is no such receiver, what is heard would be beyond the rates that browsers play, the recording is
+            If there is no such receiver, the slowed sound is beyond the rates that browsers play, the recording is
             a complex envelope, or IPython is missing.
         """
         row = self._row(receiver)

@@ -424,7 +424,7 @@ class PathSet:
         title = f"PathSet: {counted(len(self), 'interval')} of paths, {ends}"
         silent = len(scene.sources) * len(scene.receivers) - pairs
         notes = [f"{silent} pairs of source and receiver have none"] if silent else []
-        return html_table(title, ("order", "intervals", "heard"), rows, notes)
+        return html_table(title, ("order", "intervals", "active"), rows, notes)
 
     def _seconds(self, rows: NDArray[np.bool_]) -> str:
         """Total length of intervals, as a text."""
@@ -445,7 +445,7 @@ class PathSet:
         -------
         ndarray (paths, N + 2, 3)
             Source, points of interaction and receiver, m; NaN behind the receiver of paths of fewer interactions, and
-            for paths that are not heard at that time.
+            for paths that are not active at that time.
         """
         found = np.full((len(self), self.interactions.shape[1] + 2, 3), np.nan)
         for rows, pair in self.pairs():

@@ -41,8 +41,8 @@ class PathTable:
     direct : ndarray (P,) bool
         Whether it is the direct path.
     delay : ndarray (P, T)
-        From emission to reception, s; NaN while the path is not heard. In air that disperses that of what sounds about
-        the centre frequency of the source's signal, the group delay.
+        From emission to reception, s; NaN while the path is not active. In air that disperses, the group delay at
+        the centre frequency of the source's signal.
     doppler_factor : ndarray (P, T)
         Received over emitted frequency; in air that disperses of the centre frequency.
     doppler_shift : ndarray (P, T)
@@ -118,7 +118,7 @@ class PathTable:
         Returns
         -------
         xarray.Dataset
-            Variables over paths and times, NaN while a path is not heard; what is said of paths are coordinates.
+            Variables over paths and times, NaN while a path is not active; properties of paths are coordinates.
 
         Raises
         ------

@@ -60,7 +60,7 @@ class RenderOptions:
     device : str, optional
         An OpenCL device by id or part of its name (see ``clsim devices``); the best one when left out.
     duration : float, optional
-        Length of the recording, s. Left out: until all that was emitted has been heard, or until the first moving
+        Length of the recording, s. Left out: until all emitted sound has been received, or until the first moving
         receiver's trajectory ends.
     chunk : int, optional
         Samples that are held at a time, rounded up to whole segments (of 18432 samples; in baseband of 32 blocks).

@@ -43,7 +43,7 @@ class PathSum:
             if not self.plan.is_claimed(i):
                 lines += [f"source {i}: {filters.describe_filters()}", f"source {i}: {filters.describe()}"]
                 lines.append(
-                    f"source {i}: all of it together within {self.promised_db(i):.0f} dB of what is heard in some 40 ms"
+                    f"source {i}: total error at most {self.promised_db(i):.0f} dB of the level received within 40 ms"
                 )
         return lines
 
