@@ -60,7 +60,7 @@ attacks: .venv/tested
 
 # The site is in out/site: open out/site/index.html.
 docs: .venv/documented
-	$(BIN)/python -m sphinx --builder html --fail-on-warning --quiet --conf-dir $(DOCS)/site $(DOCS) $(SITE)
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --quiet --conf-dir $(DOCS)/site --doctree-dir out/doctrees $(DOCS) $(SITE)
 
 .venv/documented: .venv/bin/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'

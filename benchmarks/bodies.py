@@ -70,7 +70,7 @@ class Timed:
         self.maker, self.spent, self.nodes_made = maker, 0.0, 0
 
     def prepare(self, source: int, batch: Any, *rest: Any) -> Any:
-        """Return what the maker prepares, with the number of paths."""
+        """Return the prepared case of a maker, and the number of paths."""
         begun = time.process_time()
         state = self.maker.prepare(source, batch, *rest)
         self.spent += time.process_time() - begun

@@ -140,7 +140,7 @@ class Kernel:
 
 
 def numba_loop(margin: int) -> Callable[..., np.ndarray]:
-    """Return what makes samples of sound of images (P, 3, 3) and (P, 3) that stand for paths of gains (P,).
+    """Return a function from images (P, 3, 3) and (P, 3) with gains (P,) to samples.
 
     In float32, on all cores: the time of emission by three iterations, and 13 barycentric Lagrange taps, for every path and
     sample. Its source moves along a straight line, which spares it sines; its signal begins so many samples late.
@@ -183,7 +183,7 @@ def numba_loop(margin: int) -> Callable[..., np.ndarray]:
 
 
 def numba_seconds() -> Callable[[int], float]:
-    """Return what tells the seconds of a Numba loop for an order, 1 s and a receiver, from some of its samples."""
+    """Return a function that extrapolates the seconds of a Numba loop for an order, 1 s and one receiver from some samples."""
     loop = numba_loop(200_000)
 
     def seconds(order: int) -> float:

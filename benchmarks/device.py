@@ -114,7 +114,7 @@ OpenclEngine(plan, GPU_LAYOUT).render(18432, 18432 + samples)
 
 
 def executed(kind: str, samples: int, kernel: str) -> dict[str, tuple[int, int]]:
-    """Return how often a kernel's instructions were carried out for 64 paths, and the bytes that they moved."""
+    """Return the counts of a kernel's instructions for 64 paths, and the bytes that they moved."""
     program = COUNTED.format(here=str(HERE), kind=kind, samples=samples)
     command = ["oclgrind", "--inst-counts", "--build-options", "-O0", sys.executable, "-c", program]
     told = subprocess.run(command, capture_output=True, text=True, check=True).stdout

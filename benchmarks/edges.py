@@ -17,7 +17,7 @@ from clsim.paths.path_set import PathSet
 
 
 def measured(function: Any, *arguments: Any, **options: Any) -> tuple[Any, float]:
-    """Return what a function gives, and the processor's seconds."""
+    """Return the result of a function and its processor time, s."""
     before = time.process_time()
     found = function(*arguments, **options)
     return found, time.process_time() - before

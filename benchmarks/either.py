@@ -79,7 +79,7 @@ def _accepted(function: Callable) -> set[str]:
 
 
 def call(function: Callable, paths: clsim.PathSet, *arguments: Any, **options: Any) -> Any:
-    """Return what a function gives for paths, with or without their scene before them."""
+    """Return the result of a function for paths, with or without their scene as first argument."""
     accepted = _accepted(function)
     first = (paths.scene, paths) if "scene" in accepted else (paths,)
     return function(*first, *arguments, **renamed(accepted, options))

@@ -39,7 +39,7 @@ def digest(array: np.ndarray) -> str:
 
 
 def difference(name: str, old: np.ndarray, new: np.ndarray) -> str:
-    """Return how two arrays differ, in words."""
+    """Return the difference of two arrays in words."""
     if old.dtype.kind == "U" and old.shape == new.shape == ():
         lines = (str(text).splitlines() for text in (old, new))
         return "\n".join(difflib.unified_diff(*lines, name, name, n=0, lineterm=""))
@@ -73,7 +73,7 @@ def computed(checkout: Path, folder: Path, names: list[str]) -> Iterator[tuple[s
 
 
 def verdict(name: str, arrays: dict[str, np.ndarray], hashes: dict[str, str] | None, kept: Path) -> list[str]:
-    """Return what has changed in a scene, a text each; none if nothing has."""
+    """Return the changes of a scene, one text each; none if nothing changed."""
     if hashes is None:
         return ["is not in the reference"]
     changed = [n for n in hashes if n in arrays and digest(arrays[n]) != hashes[n]]
@@ -100,7 +100,7 @@ def grouped(arrays: dict[str, np.ndarray]) -> dict[str, str]:
 
 
 def machine() -> dict[str, str]:
-    """Return what decides how results are rounded: the processor and the libraries that compute."""
+    """Return the names of processor and numerical libraries, which decide the rounding of results."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

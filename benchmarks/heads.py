@@ -58,7 +58,7 @@ def turning(duration: float) -> clsim.Trajectory:
 
 
 def cases(duration: float) -> dict[str, tuple[Callable[[], Any], Callable[[], Any] | None]]:
-    """Return what is timed by name, and what it is compared with."""
+    """Return the timed functions by name, and their references."""
     still, turns = clsim.Trajectory.fixed(PLACE), turning(duration)
     omni = case(clsim.Receiver("r", still), 8, duration, absorption=False)
     found = {}

@@ -97,7 +97,7 @@ def timed(paths: clsim.PathSet, duration: float, **options: object) -> tuple[flo
 
 
 def apart_db(got: np.ndarray, wanted: np.ndarray) -> float:
-    """Return how far samples lie apart, dB."""
+    """Return the difference of samples, dB."""
     got = got[: len(wanted)]
     return 20.0 * math.log10(max(np.linalg.norm(got - wanted) / np.linalg.norm(wanted), 1e-15))
 
@@ -122,7 +122,7 @@ def row(name: str, duration: float, order: int, repeat: int) -> str:
 
 
 def against_the_loop(duration: float, order: int, repeat: int) -> str:
-    """Return how the default call of an abrupt tone compares with the C loop."""
+    """Return the times of the default call of an abrupt tone and of the C loop."""
     signal = SIGNALS["40 kHz tone, abrupt ends"]
     short, paths = (found(signal(d), d, order) for d in (1.0, duration))
     plan = plan_render(short, RATE, duration=1.0, responses="centre", narrowband=False)

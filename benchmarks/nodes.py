@@ -55,7 +55,7 @@ def plan(receivers: int, order: int, functions: int, moving: bool, segments: int
 
 
 def nanoseconds(case: list[Any], repeat: int) -> tuple[float, int]:
-    """Return what a node of a case takes, ns, and how many functions of frequency there are."""
+    """Return the time per node of a case, ns, and the number of functions of frequency."""
     from clsim.opencl.launch import Launch
     from clsim.render.opencl.engine import OpenclEngine
 

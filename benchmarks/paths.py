@@ -134,7 +134,7 @@ class KernelTime:
 
 
 def plain_seconds(asked: list[tuple]) -> float:
-    """Return how long the same candidates would take at fixed nodes: measured at five of them, times their number.
+    """Return the time of the same candidates at fixed nodes: measured at five, times their number.
 
     A run no longer than the resolution is settled by one evaluation at its middle: that is a node. Only the kernel is
     timed, so the plain way has its transfers for nothing. In 1 µs the ends hardly move: clearance is looked for nearby only.
@@ -197,7 +197,7 @@ def main() -> None:
 
 
 def axis_of(title: str) -> str:
-    """Return what a growth is drawn over; nothing for the order, which counts from 1."""
+    """Return the abscissa of a growth curve; None for the order, which counts from 1."""
     return {"walls": "walls", "order": "", "length": "length"}[title.split()[0]]
 
 

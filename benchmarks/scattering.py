@@ -26,7 +26,7 @@ PARTS = [  # name, semi-axes, m, height, m, swing along the way, m, and its phas
 
 
 def walker(duration: float) -> list[clsim.Scatterer]:
-    """Return what walks to and fro, 3 m in 5 s."""
+    """Return a trajectory to and fro, 3 m in 5 s."""
 
     def way(height: float, swing: float, phase: float, aside: float) -> clsim.Trajectory:
         def place(t: np.ndarray) -> np.ndarray:
@@ -53,7 +53,7 @@ def scene(duration: float, scatterers: list[clsim.Scatterer]) -> clsim.Scene:
 
 
 def measured(duration: float, scatterers: list[clsim.Scatterer]) -> tuple[int, float, float, float]:
-    """Return how many paths there are, and processor time of planning and rendering and wall time of both, s."""
+    """Return the number of paths, processor times of planning and of rendering, and the wall time of both, s."""
     begun, wall = time.process_time(), time.perf_counter()
     paths = clsim.find_paths(scene(duration, scatterers), 1, scattering_order=1)
     rendering = clsim.Rendering(clsim.plan_render(paths, RATE, duration=duration))

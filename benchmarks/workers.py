@@ -72,7 +72,7 @@ def run(scene: Path, out: Path, address: str) -> None:
 
 
 def same(one: Path, other: Path) -> bool:
-    """Return whether two folders hold the same files."""
+    """Compare the files of two folders."""
     names = [sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file()) for folder in (one, other)]
     return names[0] == names[1] and not filecmp.cmpfiles(one, other, names[0], shallow=False)[1]
 

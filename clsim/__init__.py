@@ -1,4 +1,4 @@
-"""What ultrasonic and audio receivers hear indoors while sources and receivers move.
+"""Simulation of the sound that microphones receive in rooms while sources and receivers move.
 
 The pipeline is four values and three arrows between them::
 
@@ -38,6 +38,12 @@ _PACKAGES = [name for name, home in _HOMES.items() if home == "clsim"]
 for _name in _PACKAGES:
     del _HOMES[_name]
 __all__ = sorted(_HOMES)
+# Names of earlier versions: the name that each has now, and since when.
+_RENAMED = {
+    "DirectivityTable": ("AxialDirectivity", "0.2"),
+    "SphericalTable": ("SphericalDirectivity", "0.2"),
+    "direct_truth": ("direct_path", "0.2"),
+}
 
 
 class _Package(ModuleType):
@@ -50,6 +56,10 @@ class _Package(ModuleType):
     def __getattr__(self, name: str) -> object:
         if name in _PACKAGES:
             return import_module(f"clsim.{name}")
+        if name in _RENAMED:
+            new, since = _RENAMED[name]
+            import_module("clsim.errors").renamed(name, new, since)
+            return getattr(self, new)
         if name not in _HOMES:
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
         value: object = getattr(import_module(_HOMES[name]), name)

@@ -95,26 +95,33 @@ def _listed() -> str:
 def _options(arguments: list[str]) -> argparse.Namespace:
     """Return the options; only the command that is called is imported, and adds its arguments."""
     parser = _Parser(
-        prog="clsim", description="Simulate what receivers hear in a room while sources and receivers move.",
+        prog="clsim",
+        description="Simulate the sound that microphones receive in a room while sources and receivers move.",
         epilog=_listed(), formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"clsim {__version__}")
-    parser.add_argument("-v", "--verbose", action="store_true", help="tell where in the program an error arose, too")
+    parser.add_argument("-v", "--verbose", action="store_true", help="also report where in the program an error arose")
     commands = parser.add_subparsers(metavar="COMMAND", help="one of those below; `clsim COMMAND --help` explains it")
-    called = next((argument for argument in arguments if not argument.startswith("-")), None)
-    if called is not None and called not in COMMANDS:
+    completed = os.environ.get("COMP_LINE") if "_ARGCOMPLETE" in os.environ else None  # by a shell, before Enter
+    words = arguments if completed is None else completed.split()[1:]
+    called = next((word for word in words if not word.startswith("-")), None)
+    if called is not None and called not in COMMANDS and completed is None:
         raise InputError("COMMAND", f"{called!r:.80} is none; `clsim --help` lists them{meant(called, COMMANDS)}")
-    told = parser
+    parser_called = parser
     for name, text in COMMANDS.items():
         command = commands.add_parser(name, description=f"{text[0].upper()}{text[1:]}.")
         if name == called:
             module = import_module(f"clsim.commands.{name.replace('-', '_')}")
             module.add_arguments(command)
             command.set_defaults(execute=module.execute)
-            told = command
+            parser_called = command
+    if completed is not None:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)  # ends the process
     options, beyond = parser.parse_known_args(arguments)
     if beyond:
-        known = re.findall(r"--[\w-]+", told.format_help())
+        known = re.findall(r"--[\w-]+", parser_called.format_help())
         raise InputError("", f"unrecognized arguments: {' '.join(beyond)}{meant(beyond[0].partition('=')[0], known)}")
     if called is None:
         raise InputError("COMMAND", "must be given; `clsim --help` lists them")

@@ -34,18 +34,18 @@ def decode_binaural(
     Parameters
     ----------
     recording : Recording
-        Of sound, not of envelopes.
+        A recording of sound, not of envelopes.
     hrtf : path-like or HeadRelated or SphericalHead, optional
         As of `Receiver.binaural`; a rigid sphere when left out.
     receiver : str, optional
         Name of the ambisonic receiver; the first when left out.
     normalization : {"SN3D", "N3D"}
-        Of the recording's components.
+        Normalization of the recording's components.
 
     Returns
     -------
     Recording
-        Of the channels ``"left"`` and ``"right"``, in Pa.
+        Recording with the channels ``"left"`` and ``"right"``, in Pa.
 
     Raises
     ------

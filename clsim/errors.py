@@ -25,7 +25,7 @@ class InputError(ClsimError, ValueError):
     Parameters
     ----------
     field : str
-        Where the value stands, for example ``"sources[1].trajectory.times"``.
+        Path of the value, for example ``"sources[1].trajectory.times"``.
     problem : str
         The rule and the value that breaks it.
 
@@ -52,7 +52,7 @@ class InputError(ClsimError, ValueError):
         Parameters
         ----------
         parent : str
-            Where that value stands, for example ``"sources[1]"``.
+            Path of that value, for example ``"sources[1]"``.
 
         Returns
         -------
@@ -98,11 +98,11 @@ def meant(value: Any, names: Iterable[str]) -> str:
 
 
 class DeviceError(ClsimError, RuntimeError):
-    """The OpenCL device is missing or failed; the message says what to do."""
+    """The OpenCL device is missing or failed; the message states the remedy."""
 
 
 class ClsimWarning(UserWarning):
-    """A result is right but perhaps not what was meant; the message says why."""
+    """A result is right but perhaps not intended; the message says why."""
 
 
 def in_one_line(error: BaseException) -> str:
@@ -120,9 +120,14 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def warn(message: str) -> None:
-    """Issue a `ClsimWarning` attributed to the calling line outside clsim."""
+def renamed(old: str, new: str, since: str) -> None:
+    """Warn that a public name is another since a version, and works for one more minor version."""
+    warn(f"clsim.{old} is called clsim.{new} since version {since}", DeprecationWarning)
+
+
+def warn(message: str, category: type[Warning] = ClsimWarning) -> None:
+    """Issue a warning, attributed to the calling line outside clsim."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "clsim":
         level, frame = level + 1, frame.f_back
-    warnings.warn(message, ClsimWarning, stacklevel=level)
+    warnings.warn(message, category, stacklevel=level)

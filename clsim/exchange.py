@@ -81,11 +81,11 @@ def write_flac(recording: Recording, folder: str | PathLike[str], *, full_scale:
     Parameters
     ----------
     recording : Recording
-        Of a sampling rate up to 65 535 Hz in whole Hz, or up to 655 350 Hz in tens of Hz: FLAC holds no other.
+        Recording at a sampling rate up to 65 535 Hz in whole Hz, or up to 655 350 Hz in tens of Hz: FLAC has no other.
     folder : path-like
-        Where ``NAME.flac`` are put; it is made where it is not there. Names are as a run's WAV files have them.
+        Folder of the files ``NAME.flac``; it is created if missing. Names are as a run's WAV files have them.
     full_scale : float, optional
-        What 1 means in a file, Pa or V; by default, for each unit, the least power of two above all its samples, so
+        Value of 1 in a file, Pa or V; by default, for each unit, the least power of two above all its samples, so
         that receivers compare.
 
     Returns
@@ -203,9 +203,9 @@ def write_mat(recording: Recording, path: str | PathLike[str], *, rate: float = 
     recording : Recording
         With its paths, ground truth is written, too.
     path : path-like
-        Of the file.
+        Path of the file.
     rate : float
-        Of the ground truth's times, Hz.
+        Rate of the ground truth's times, Hz.
 
     Raises
     ------
@@ -272,11 +272,11 @@ def write_mcap(
     recording : Recording
         With its paths, so that positions are known.
     path : path-like
-        Of the file.
+        Path of the file.
     start : int
         Stamp of time 0, nanoseconds since 1970, at least 0.
     rate : float
-        Of poses, tf and ranges, Hz.
+        Rate of poses, tf and ranges, Hz.
     frame : str
         Frame of the room's axes.
 
@@ -293,7 +293,7 @@ def write_mcap(
     Topics: ``/NAME/audio`` (audio_common_msgs/AudioDataStamped: float32 samples, little endian, 50 ms a message,
     stamped with the time of their first sample by the receiver's clock) and ``/NAME/audio_info`` for each receiver,
     ``/NAME/pose`` (geometry_msgs/PoseStamped) for each end, ``/tf``, and ``/SOURCE/RECEIVER/range``
-    (sensor_msgs/Range: speed of sound times the true delay of the direct sound, inf where it is not heard) for at most
+    (sensor_msgs/Range: speed of sound times the true delay of the direct sound, inf where it is not active) for at most
     64 pairs. In baseband samples are real and imaginary parts in turn. Names are as files have them.
     """
     check_packages("write_mcap", "an MCAP file", "ros", "mcap", "mcap_ros2")
@@ -412,7 +412,7 @@ def array_signals(recording: Recording, array: str | None = None) -> tuple[NDArr
     Parameters
     ----------
     recording : Recording
-        Of sound, with its paths.
+        Recording of sound, with its paths.
     array : str, optional
         Name of the array, from `receiver_array`; the only one when left out.
 
@@ -443,9 +443,9 @@ def write_acoular(recording: Recording, path: str | PathLike[str], array: str | 
     Parameters
     ----------
     recording : Recording
-        Of sound, with its paths.
+        Recording of sound, with its paths.
     path : path-like
-        Of the samples, ending in ``.h5``; the geometry stands beside it, with the ending ``.xml``.
+        Path of the samples, ending in ``.h5``; the geometry stands beside it, with the ending ``.xml``.
     array : str, optional
         Name of the array, from `receiver_array`; the only one when left out.
 

@@ -55,7 +55,7 @@ class ImpulseResponses:
     at : float
         Time of reception at which everything was frozen, s.
     band : (low, high)
-        Where responses are exact, Hz.
+        Band in which the responses are exact, Hz.
     scene : Scene
         The scene.
     first_arrivals : ndarray (sources, receivers)
@@ -63,7 +63,7 @@ class ImpulseResponses:
     cut_db : ndarray (sources, receivers)
         Share of each response's energy that lay before time 0 and was cut, dB; -inf for none.
     notes : tuple of str
-        What tails were added, or why none was.
+        The tails that were added, or the reason for none.
     """
 
     samples: Floats
@@ -136,7 +136,7 @@ def impulse_responses(
     at : float
         Time of reception at which everything is frozen, s; delays are those of quasi-static motion.
     band : (low, high), optional
-        Where the responses are exact, Hz; from 0 to 0.95 of half the sampling rate when left out. Beyond either end
+        Band in which the responses are exact, Hz; 0 to 0.95 of half the sampling rate when left out. Beyond either end
         they fall to nothing within half the band's width, or the room that there is; a band from 0 Hz has no lower end.
     lead : {"cut", "keep"}
         What becomes of what rings before time 0, where a receiver is so close that an arrival does: it is cut, so that
@@ -145,7 +145,7 @@ def impulse_responses(
         Whether what images leave is added as a diffuse tail by rays, as long as it is heard: with "auto" in closed
         rooms, for bands that begin below 40 kHz. `notes` says what was added, or why not.
     tail_seed : int
-        Of the rays and of the tails' noise.
+        Seed of the rays and of the tails' noise.
     tail_scattering : {"size", "material"}
         Whether walls scatter by their limited size as well, beyond images, or by their materials alone.
     progress : callable, optional
@@ -199,7 +199,7 @@ def impulse_responses(
     options = _tail_options(paths, tail_seed, tail_scattering)
     heard = _active_pairs(paths, time)
     if not heard:
-        raise InputError("paths", f"must hold paths that are heard at {time:g} s, but hold none")
+        raise InputError("paths", f"must hold paths that are active at {time:g} s, but hold none")
     channels = [receiver.directivity.channels for receiver in scene.receivers]
     first_row = np.cumsum([0, *map(len, channels)])
     found, shape = {}, (len(scene.sources), int(first_row[-1]))

@@ -49,11 +49,11 @@ class Recording:
     paths : PathSet or None
         The paths that were rendered, with their scene; None for tracks computed elsewhere.
     notes : tuple of str
-        What was computed, a line each.
+        What was computed, one line each.
     units : tuple of str
         ``"Pa"`` or ``"V"``, one per row; all Pa when left out.
     clipped : tuple of int
-        How many samples of each row a converter clipped; none when left out.
+        Number of samples of each row that a converter clipped; none when left out.
     carrier : float or None
         That of complex envelopes, Hz; None for sound as it is.
     channels : tuple of (str, str)
@@ -159,7 +159,7 @@ class Recording:
         Parameters
         ----------
         path : path-like
-            Of the file; it ends in ``.wav``. Other formats: `write_flac`, `write_mat`.
+            Path of the file; it ends in ``.wav``. Other formats: `write_flac`, `write_mat`.
 
         Raises
         ------
@@ -296,7 +296,7 @@ class Recording:
         Raises
         ------
         InputError
-            If there is no such receiver, what is heard would be beyond the rates that browsers play, the recording is
+            If there is no such receiver, the slowed sound is beyond the rates that browsers play, the recording is
             a complex envelope, or IPython is missing.
         """
         row = self._row(receiver)

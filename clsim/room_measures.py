@@ -200,7 +200,7 @@ def room_measures(
     bands : {"octave", "third-octave"}, optional
         Into which responses are cut: those that lie within the band of the responses; None for their whole band.
     channel : int
-        Of the sound file, from 0.
+        Index of the sound file's channel, from 0.
     free_field : (path-like, float), optional
         For the strength of a measured response: a sound file with the same source, microphone and gain in the free
         field, and their distance, m.
@@ -279,7 +279,7 @@ def speech_transmission(
     noise_db : array_like (7,), optional
         Levels of noise by octave, dB SPL.
     channel : int
-        Of the sound file, from 0.
+        Index of the sound file's channel, from 0.
 
     Returns
     -------

@@ -52,7 +52,7 @@ class Members(_Base):
     shuffle : bool
         Whether shards, and members within each, come in another order in each epoch; see `set_epoch`.
     seed : int
-        Of these orders.
+        Seed of these orders.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def render(make_paths: MakePaths, tensors: Mapping[str, Any], sampling_rate: flo
     tensors : mapping of str to torch.Tensor
         By the name of the parameter that each is, as of `clsim.gradient`, in its unit: ``receivers[0].position`` (3,).
     sampling_rate : float
-        Of the signals, Hz.
+        Sampling rate of the signals, Hz.
     **options
         As of `clsim.gradient`, with a duration.
 

@@ -65,13 +65,13 @@ def main() -> None:
 
 
 def behind(places: np.ndarray) -> np.ndarray:
-    """Return how far places are behind the edge of the shadow along the walk, m; negative in sight."""
+    """Return the distance of places behind the shadow boundary along the walk, m; negative in sight."""
     slope = (CORNER[1] - BEACON[1]) / (CORNER[0] - BEACON[0])
     return np.asarray(BEACON[1] + slope * (places[:, 0] - BEACON[0]) - places[:, 1])
 
 
 def detour(places: np.ndarray) -> np.ndarray:
-    """Return by how much the way round the door's edge is longer than the straight one, m; 0 in sight."""
+    """Return the detour round the door's edge over the straight line, m; 0 in sight."""
     across = np.linalg.norm(BEACON[:2] - CORNER) + np.linalg.norm(places[:, :2] - CORNER, axis=1)
     longer = np.hypot(across, places[:, 2] - BEACON[2]) - np.linalg.norm(places - BEACON, axis=1)
     return np.where(behind(places) > 0.0, longer, 0.0)

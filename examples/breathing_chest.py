@@ -17,7 +17,7 @@ DISTANCE, SPEED_OF_SOUND = 0.8, 343.0
 
 
 def breath(t: np.ndarray) -> np.ndarray:
-    """Return where the chest is at times, m."""
+    """Return positions of the chest at times, m."""
     away = DISTANCE + AMPLITUDE * np.sin(2.0 * np.pi * BREATHS * t)
     return np.stack([1.0 + away, 0.0 * t + 1.5, 0.0 * t + 1.2], axis=1)
 

@@ -26,7 +26,7 @@ NOISE_DB = 0.0  # dB re 20 µPa/√Hz, of the air
 
 
 def recorded() -> clsim.Recording:
-    """Return what the ceiling hears of the tag."""
+    """Return the recording of the tag at the ceiling."""
     duration = PERIOD * COUNT
     round_trip = clsim.Trajectory.circle((2.7, 2.1, 1.2), radius=1.1, period=6.0, duration=duration + 0.1)
     tag = clsim.Source(
@@ -47,7 +47,7 @@ def recorded() -> clsim.Recording:
 
 
 def located(recording: clsim.Recording, method: str) -> clsim.score.PositionScore:
-    """Return where the tag is found, burst by burst, by times of arrival or by their differences."""
+    """Return positions estimated for the tag, burst by burst, by times of arrival or by their differences."""
     return clsim.score.position(clsim.score.ranging(recording, BURST, "first-peak", max_range=10.0), method)
 
 

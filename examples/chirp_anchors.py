@@ -34,7 +34,7 @@ NOISE_DB = 10.0  # dB re 20 µPa/√Hz, of the air
 
 
 def recorded(places: list[clsim.Trajectory]) -> clsim.Recording:
-    """Return what receivers at places hear."""
+    """Return the recordings of receivers at places."""
     period = TURN * len(ANCHORS)
     train = clsim.Signal.pulses(CHIRP, period, ROUNDS)
     anchors = [
@@ -49,7 +49,7 @@ def recorded(places: list[clsim.Trajectory]) -> clsim.Recording:
 
 
 def located(recording: clsim.Recording) -> clsim.score.PositionScore:
-    """Return where the receivers find themselves, round by round."""
+    """Return the receivers' estimates of their positions, round by round."""
     reach = 343.0 * (TURN - CHIRP.duration)
     ranges = [
         clsim.score.ranging(recording, CHIRP, "first-peak", source=f"anchor-{i}", max_range=reach)

@@ -46,7 +46,7 @@ def main() -> None:
 def received(
     amplitude: float, sender: clsim.Transducer | None, microphone: clsim.Transducer | None
 ) -> tuple[clsim.Recording, clsim.PathSet]:
-    """Return what comes of a chirp: of V through transducers, of Pa at 1 m without them; and its paths."""
+    """Return the recording of a chirp and its paths: in V with transducers, in Pa at 1 m without."""
     chirp = clsim.Signal.chirp(39e3, 41e3, duration=1.3e-3, sampling_rate=RATE, window="tukey", amplitude=amplitude)
     source = clsim.Source(
         "MA40S4S", chirp, clsim.Trajectory.fixed((0.8, 1.0, 1.0)),

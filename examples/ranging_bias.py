@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def bias(air: clsim.Air, believed: clsim.Air) -> np.ndarray:
-    """Return what is told less the distance over the grid (rows, columns), mm."""
+    """Return the error of the range over the grid (rows, columns), mm."""
     grid = np.stack(np.meshgrid(ACROSS, ALONG), axis=-1).reshape(-1, 2)
     places = [(x, y, SIZE[2] - 0.02) for x, y in grid]
     ears = [clsim.Receiver(f"r{i}", clsim.Trajectory.fixed(place)) for i, place in enumerate(places)]

@@ -41,7 +41,7 @@ def errors(recording: clsim.Recording, paths: clsim.PathSet, parameters: dict[st
 
 
 def peak(values: np.ndarray) -> float:
-    """Return where a parabola through the largest value and its neighbours has its top, samples."""
+    """Return the vertex of the parabola through the largest value and its neighbours, samples."""
     i = int(np.clip(np.argmax(values), 1, len(values) - 2))
     before, at, after = values[i - 1 : i + 2]
     return i + 0.5 * (before - after) / (before - 2.0 * at + after)

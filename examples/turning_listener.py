@@ -22,7 +22,7 @@ import clsim
 
 SIZE, HEAD, RADIUS, LAP = (6.0, 5.0, 2.8), np.array([3.0, 2.4, 1.3]), 1.3, 8.0  # m and s
 PAGE = """<!doctype html><meta charset="utf-8"><title>A talker walks round a listener</title>
-<style>body{font:16px sans-serif;margin:2em;max-width:40em}canvas{border:1px solid #888}</style>
+<style>body{font:16px sans-serif;margin:2em;max-width:40em}canvas{border:1px solid #888;max-width:100%}</style>
 <h1>A talker walks round a listener</h1>
 <p>Put on headphones. The talker (red) walks round the head (blue), which turns as its nose shows.</p>
 <audio id="sound" controls src="data:audio/wav;base64,SOUND"></audio><br>
@@ -47,6 +47,29 @@ def facing(times: np.ndarray) -> np.ndarray:
     return 1.2 * np.sin(2.0 * np.pi * times / 5.0) * np.clip(times - 2.0, 0.0, 1.0)
 
 
+def talker_path(seconds: float) -> clsim.Trajectory:
+    """Return the circle about the listener."""
+    return clsim.Trajectory.circle((HEAD[0], HEAD[1], 1.6), RADIUS, LAP, seconds + 1.0)
+
+
+def rendered(seconds: float, hrtf: Path | None = None) -> clsim.Recording:
+    """Render both ears of a head that turns while the talker walks round it."""
+    times = np.linspace(0.0, seconds + 1.0, 200)
+    angle = facing(times)
+    turns = np.stack([0.0 * angle, 0.0 * angle, np.sin(0.5 * angle), np.cos(0.5 * angle)], axis=1)
+    pose = clsim.Trajectory.waypoints(times, np.repeat(HEAD[None], len(times), axis=0), turns)
+    head = clsim.Receiver.binaural("head", pose, hrtf)
+    talker = clsim.Source("talker", clsim.Signal.from_array(babble(seconds), RATE), talker_path(seconds))
+    plaster = clsim.Material.from_absorption(OCTAVES, [0.2, 0.25, 0.3, 0.3, 0.35, 0.4, 0.4], scattering=0.3)
+    scene = clsim.Scene(clsim.Shoebox(SIZE, plaster), clsim.Air(), [talker], [head])
+    return clsim.render(clsim.find_paths(scene, max_order=2), RATE, tail="auto", tail_error_db=1.0)
+
+
+def scaled(recording: clsim.Recording) -> np.ndarray:
+    """Return the samples (n, channels) for a player, at most 0.9."""
+    return 0.9 * recording.samples.T / np.abs(recording.samples).max()
+
+
 def main() -> None:
     """Render the walk, and write sound, page and picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -55,21 +78,13 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=LAP)
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    times = np.linspace(0.0, options.seconds + 1.0, 200)
-    angle = facing(times)
-    turns = np.stack([0.0 * angle, 0.0 * angle, np.sin(0.5 * angle), np.cos(0.5 * angle)], axis=1)
-    pose = clsim.Trajectory.waypoints(times, np.repeat(HEAD[None], len(times), axis=0), turns)
-    head = clsim.Receiver.binaural("head", pose, options.hrtf)
-    around = clsim.Trajectory.circle((HEAD[0], HEAD[1], 1.6), RADIUS, LAP, options.seconds + 1.0)
-    talker = clsim.Source("talker", clsim.Signal.from_array(babble(options.seconds), RATE), around)
-    plaster = clsim.Material.from_absorption(OCTAVES, [0.2, 0.25, 0.3, 0.3, 0.35, 0.4, 0.4], scattering=0.3)
-    scene = clsim.Scene(clsim.Shoebox(SIZE, plaster), clsim.Air(), [talker], [head])
-    recording = clsim.render(clsim.find_paths(scene, max_order=2), RATE, tail="auto", tail_error_db=1.0)
+    recording, around = rendered(options.seconds, options.hrtf), talker_path(options.seconds)
     print("\n".join(recording.notes))
-    ears = 0.9 * recording.samples.T / np.abs(recording.samples).max()
+    ears = scaled(recording)
     soundfile.write(options.output / "turning_listener.wav", ears, int(RATE), subtype="PCM_16")
     write_page(ears, around, options.output / "turning_listener.html")
-    draw(recording, head.directivity, around, options.output / "turning_listener.png")
+    directivity = recording.paths.scene.receivers[0].directivity
+    draw(recording, directivity, around, options.output / "turning_listener.png")
     print(*(options.output / f"turning_listener.{kind}" for kind in ("wav", "html", "png")), sep="\n")
 
 

@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def sonar(signal: clsim.Signal, start: float = 0.0) -> clsim.Source:
-    """Return what sends a signal from a time on, s."""
+    """Return a source that emits a signal from a time on, s."""
     return clsim.Source("sonar", signal, clsim.Trajectory.fixed((0.5, 2.4, 1.0)), start=start)
 
 

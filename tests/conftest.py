@@ -75,7 +75,7 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[], Any]], Any]:
-    """Return what makes a thing once in a run of the tests, by its name; what one process made, all others read."""
+    """Return a cache by name for a run of the tests: one process makes a value, all others read it."""
     fcntl = pytest.importorskip("fcntl", reason="this system has no locks of files as POSIX has them")
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:

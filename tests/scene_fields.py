@@ -22,7 +22,7 @@ def written(path: tuple) -> str:
 
 
 def refusal(content: dict, base: Path) -> str:
-    """Return what a scene is refused with, or how it is not."""
+    """Return the message with which a scene is refused, or the outcome if it is not."""
     try:
         build_scene(content, base)
     except InputError as error:

@@ -30,7 +30,7 @@ class Tasks(Protocol):
     Attributes
     ----------
     kind : str
-        What they are, a word.
+        Kind of the tasks, one word.
     several : bool
         Whether a process does several at a time, if it has threads for them.
     loads : tuple of str
@@ -83,7 +83,7 @@ class Dispatch:
     Attributes
     ----------
     left : int
-        How many tasks are not done with.
+        Number of unfinished tasks.
     begun : bool
         Whether any was given to a worker.
     """

@@ -4,7 +4,7 @@
 # imported once it is called.
 COMMANDS = {
     "new": "write a scene file to begin with",
-    "check": "check a scene file and say what would be computed",
+    "check": "check a scene file and report what would be computed",
     "view": "write an interactive page: room, motion, and the paths over time",
     "materials": "list or draw the built-in materials, with sources and uncertainty",
     "schema": "print the JSON schema of scene files, for editors",
@@ -12,14 +12,14 @@ COMMANDS = {
     "rir": "write the impulse responses of a scene file at one instant",
     "paths": "list the paths of a scene file",
     "study": "render a scene many times with other values of some of its fields",
-    "score": "tell how well ranges are found in the results of a run",
-    "plot": "draw directivities, or what air absorbs",
+    "score": "report the errors of ranges found in the results of a run",
+    "plot": "draw directivities, or the absorption of air",
     "compare": "compare a measured impulse response with that of a scene file",
-    "verify": "compare the results of a run or a study with the digests and checksums of what was written",
-    "validate": "simulate rooms that were measured, and write a page of how far that is from the measurement",
+    "verify": "compare the results of a run or a study with their digests and checksums",
+    "validate": "simulate measured rooms, and write a page of the differences",
     "devices": "list the OpenCL devices of this machine",
-    "warm-up": "build the kernels that common scenes need, so that first renders need not",
-    "completion": "print what makes a shell complete commands and options",
+    "warm-up": "build the kernels of common scenes, so that first renders start sooner",
+    "completion": "print the script with which a shell completes commands and options",
 }
 # Groups of `clsim --help`, by the command that each begins with: a title and an example.
 GROUPS = {

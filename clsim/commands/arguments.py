@@ -17,8 +17,8 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 
 
 def add_force(parser: argparse.ArgumentParser) -> None:
-    """Add leave to write over a file."""
-    parser.add_argument("--force", action="store_true", help="write over a file that is already there")
+    """Add the option to overwrite a file."""
+    parser.add_argument("--force", action="store_true", help="overwrite an existing file")
 
 
 def add_render_option(parser: argparse.ArgumentParser, name: str, text: str) -> None:

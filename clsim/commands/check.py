@@ -119,6 +119,6 @@ def _comings_and_goings(paths: PathSet) -> str:
     others = np.column_stack([paths.source, paths.receiver, paths.objects])[~always]
     count = len(np.unique(others, axis=0))
     return (
-        f"paths: {always.sum() + count}, of which {always.sum()} are heard all the time "
-        f"and {count} come and go ({len(others)} intervals; the same walls in another order are another path)"
+        f"paths: {always.sum() + count}, of which {always.sum()} are active all the time "
+        f"and {count} in intervals ({len(others)} of them; the same walls in another order are another path)"
     )

@@ -49,11 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("measured", type=Path, help="sound file of a measured impulse response")
     parser.add_argument("scene", type=Path, help="scene file (TOML)")
-    parser.add_argument("--channel", type=as_whole, default=0, metavar="N", help="of the sound file (default: 0)")
-    parser.add_argument("--source", metavar="NAME", help="which of the scene's (default: the first)")
-    parser.add_argument("--receiver", metavar="NAME", help="which of the scene's (default: the first)")
+    parser.add_argument(
+        "--channel", type=as_whole, default=0, metavar="N", help="channel of the sound file (default: 0)"
+    )
+    parser.add_argument("--source", metavar="NAME", help="source of the scene (default: the first)")
+    parser.add_argument("--receiver", metavar="NAME", help="receiver of the scene (default: the first)")
     parser.add_argument("--bands", choices=tuple(BANDS), default="octave", help="default: octave")
-    parser.add_argument("--seed", type=as_whole, default=0, metavar="N", help="of the diffuse tail (default: 0)")
+    parser.add_argument("--seed", type=as_whole, default=0, metavar="N", help="seed of the tail (default: 0)")
     parser.add_argument(
         "-o", "--output", type=as_path, default=Path("comparison.png"), metavar="FILE",
         help="the picture; a table of reflections is beside it, as CSV (default: comparison.png)",

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.description = "List the built-in materials, with sources and uncertainty, or draw what they send back."
-    parser.add_argument("names", nargs="*", metavar="NAME", help="which (default: all)")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="material (default: all)")
     parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="draw them to this PNG instead")
     add_force(parser)
     parser.add_argument(
-        "--frequency", type=float, default=40e3, metavar="HZ", help="at which angles are shown (default: 40000)"
+        "--frequency", type=float, default=40e3, metavar="HZ", help="frequency of the angles shown (default: 40000)"
     )
 
 

@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--trajectory", type=Path, metavar="FILE", help="the source's motion: TUM, EuRoC or CSV with a header"
     )
     parser.add_argument(
-        "--max-gap", type=float, metavar="S", help="step of its time that is no gap yet (default: five median steps)"
+        "--max-gap", type=float, metavar="S", help="largest time step that is no gap (default: five median steps)"
     )
 
 

@@ -47,15 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--band", type=float, nargs=2, metavar=("LOW", "HIGH"),
-        help="where they are exact, Hz (default: 0 to 0.95 of half the sampling rate)",
+        help="band of exact responses, Hz (default: 0 to 0.95 of half the sampling rate)",
     )  # fmt: skip
     parser.add_argument(
         "--lead", choices=("cut", "keep"), default="cut",
-        help="what rings before time 0: cut, so that sample 0 is time 0 (default), or kept",
+        help="ringing before time 0: cut, so that sample 0 is time 0 (default), or kept",
     )  # fmt: skip
     parser.add_argument(
         "--tail", choices=TAILS, default="auto",
-        help="what images leave as a diffuse tail: auto (default), in closed rooms and below 40 kHz, or off",
+        help="energy beyond the images as a diffuse tail: auto (default), in closed rooms and below 40 kHz, or off",
     )  # fmt: skip
     parser.add_argument(
         "--tail-scattering", choices=SCATTERINGS, default=SCATTERINGS[0],

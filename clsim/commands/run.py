@@ -27,19 +27,17 @@ if TYPE_CHECKING:
 
 _OVERRIDES = {  # of the scene file's [render]
     "device": "OpenCL device, by id or part of its name (see `clsim devices`)",
-    "engine": "instead of the scene file's",
-    "duration": "instead of the scene file's",
+    "engine": "engine, instead of the scene file's",
+    "duration": "length, instead of the scene file's",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     add_scene(parser)
-    parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="where the results go")
-    parser.add_argument(
-        "--force", action="store_true", help="put others in the place of results that clsim wrote there"
-    )
-    parser.add_argument("--resume", action="store_true", help="go on with a run that was killed, if there is one")
+    parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="folder of the results")
+    parser.add_argument("--force", action="store_true", help="overwrite results that clsim wrote there")
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted run, if there is one")
     parser.add_argument(
         "--store",
         choices=tuple(store_kinds()),

@@ -27,10 +27,10 @@ _COLUMNS = ("delay", "exact", "error", "crlb", "line_of_sight")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("folder", type=as_path, help="results of clsim run")
-    parser.add_argument("--source", metavar="NAME", help="whose pulses (default: the first source's)")
+    parser.add_argument("--source", metavar="NAME", help="source of the pulses (default: the first)")
     parser.add_argument("--method", choices=METHODS, default="matched-filter", help="default: matched-filter")
-    parser.add_argument("--max-range", type=float, metavar="M", help="up to which pulses are looked for")
-    parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="a row for each range, as CSV")
+    parser.add_argument("--max-range", type=float, metavar="M", help="largest range at which pulses are sought, m")
+    parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="CSV file with one row per range")
     add_force(parser)
 
 

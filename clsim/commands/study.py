@@ -19,10 +19,12 @@ _SHOWN = 10  # failed members that are printed
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("study", type=Path, help="study file (TOML)")
-    parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="where the results go")
-    parser.add_argument("--resume", action="store_true", help="go on with a study that was stopped or killed")
-    parser.add_argument("--retry", action="store_true", help="the same, and run members that failed again")
-    parser.add_argument("--limit", type=as_whole, default=1000, metavar="N", help="members allowed (default: 1000)")
+    parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="folder of the results")
+    parser.add_argument("--resume", action="store_true", help="continue a study that was stopped or killed")
+    parser.add_argument("--retry", action="store_true", help="continue, and repeat failed members")
+    parser.add_argument(
+        "--limit", type=as_whole, default=1000, metavar="N", help="largest number of members (default: 1000)"
+    )
     parser.add_argument(
         "--workers", type=as_whole, metavar="N", help="processes (default: one per GPU, else per two cores)"
     )

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--bras", type=as_path, metavar="DIR", help=f"folder with the files of the BRAS, for {NAME}")
     parser.add_argument(
-        "--seeds", type=as_whole, nargs="+", default=[0], metavar="N", help="of rays and noise (default: 0)"
+        "--seeds", type=as_whole, nargs="+", default=[0], metavar="N", help="seeds of rays and noise (default: 0)"
     )
     parser.add_argument(
         "-o", "--output", type=as_path, default=Path("measured_rooms"), metavar="FOLDER",

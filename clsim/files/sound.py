@@ -103,7 +103,7 @@ def _check_whole(path: str | PathLike[str], file: Any) -> None:
     if problem:
         raise InputError("path", f"must be whole, but {path} {problem}; truncated=True takes what is there")
     if not told:
-        warn(f"{path} does not tell its length ({file.format_info}): if it was cut, the signal is as short")
+        warn(f"{path} does not state its length ({file.format_info}): if it was cut, the signal is as short")
 
 
 def read_sound_file(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from clsim.pictures.measured import ParameterPanel, parameters_picture, ranks_pi
 from clsim.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from clsim.arrays import Floats
     from clsim.measured.rooms import Aim, MeasuredRoom, MeasuredState
@@ -25,11 +26,12 @@ UNITS = {  # of pages: factor and unit
     "ts": (1000.0, "ms"), "g": (1.0, "dB"), "lf": (100.0, "%"), "lfc": (100.0, "%"), "iacc": (1.0, ""),
 }  # fmt: skip
 _NAMES = {"ts": "Ts"}
+_WIDTH = 100  # of the page's lines
 _HEAD = """# Measured rooms
 
-Impulse responses of these rooms were measured. clsim simulates them from the published inputs, with images of order 2
-and the diffuse tail. Nothing was fitted to these rooms. `clsim validate` writes this page, also for [rooms of your
-own](validate.md).
+Impulse responses of these rooms were measured. clsim simulates them from the published inputs, with
+images of order 2 and the diffuse tail. Nothing was fitted to these rooms. `clsim validate` writes
+this page, also for [rooms of your own](validate.md).
 
 Differences are in just noticeable differences (JND; ISO 3382-1:2009, table A.1):
 
@@ -41,8 +43,8 @@ Differences are in just noticeable differences (JND; ISO 3382-1:2009, table A.1)
 | C80, G | 1 dB |
 | Ts | 10 ms |
 
-Values of clsim are parameters averaged over the seeds, since the noise of a single seed has a decay of its own. Lines
-are means over all pairs.
+Values of clsim are parameters averaged over the seeds, since the noise of a single seed has a decay
+of its own. Rows are means over all pairs.
 """
 
 
@@ -118,12 +120,12 @@ def summary(one: Validated) -> list[str]:
 def _room(one: Validated, seeds: int) -> list[str]:
     """Section of a room."""
     room = one.room
-    lines = [f"## {room.name}", "", f"Source: {room.source}.", "", *_aims(one, seeds)]
-    lines += [f"- {note}" for note in room.notes] + [""]
+    lines = [f"## {room.name}", "", fill(f"Source: {room.source}.", _WIDTH), "", *_aims(one, seeds)]
+    lines += [*_items(room.notes), ""]
     for (state, found), name in zip(one.states(), picture_names(room), strict=False):
         lines += [f"### {room.name}, {state.name}", "", f"![Parameters by band, {state.name}](pictures/{name})", ""]
         lines += _table(room, state, found)
-        lines += [f"Responses: {'; '.join(found.notes)}.", ""] if found.notes else []
+        lines += ["Responses:", "", *_items(map(_sentences, found.notes)), ""] if found.notes else []
         missing = [_word(p) for p in state.mean if p not in found.values[0]]
         if missing:
             what = "was measured too, and is" if len(missing) == 1 else "were measured too, and are"
@@ -131,6 +133,16 @@ def _room(one: Validated, seeds: int) -> list[str]:
     if len(picture_names(room)) > len(room.states):
         lines += [f"![Mean differences of all programs](pictures/{picture_names(room)[-1]})", ""]
     return lines
+
+
+def _items(texts: Iterable[str]) -> list[str]:
+    """List texts with bullets, in lines of the page's width."""
+    return [fill(text, _WIDTH, initial_indent="- ", subsequent_indent="  ") for text in texts]
+
+
+def _sentences(note: str) -> str:
+    """Write the parts of a note as sentences."""
+    return " ".join(f"{part[0].upper()}{part[1:]}." for part in note.split("; "))
 
 
 def _aims(one: Validated, seeds: int) -> list[str]:

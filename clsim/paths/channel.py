@@ -45,7 +45,7 @@ class ChannelPaths:
         sounds about the carrier, the group delay.
     gain : ndarray (P, T) complex
         Received over emitted complex envelope about the carrier, a ratio: with the carrier's phase, in air that
-        does not disperse ``exp(-2j pi carrier delay)``; 0 while the path is not heard.
+        does not disperse ``exp(-2j pi carrier delay)``; 0 while the path is not active.
     """
 
     times: Floats  # (T,) s

@@ -42,12 +42,12 @@ class PathFamily(ABC):
     Attributes
     ----------
     interactions : ndarray (paths, N) int
-        What happens on the way from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`, `TRANSMISSION`;
+        Interactions in order from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`, `TRANSMISSION`;
         filled up with `NONE`.
     objects : ndarray (paths, N) int
         To which wall that happens (specular, transmission) or to which of `object_names`; filled up with -1.
     object_names : tuple of str
-        Of things that are no walls.
+        Names of objects that are no walls.
     """
 
     scene: Scene  # where they are

@@ -53,15 +53,15 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     Parameters
     ----------
     scene : Scene
-        What sounds where.
+        Room, air, sources and receivers.
     options : PathOptions
         Each is a keyword, but for the first, the largest order.
 
     Returns
     -------
     PathSet
-        Paths sorted by source, receiver and order. In a shoebox every image is heard all the time; in a mesh a path has
-        one row for every interval in which it is heard, and emission times decide.
+        Paths sorted by source, receiver and order. In a shoebox every image is always active; in a mesh a path has
+        one row for every interval in which it is active, and emission times decide.
 
     Raises
     ------

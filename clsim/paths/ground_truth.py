@@ -132,7 +132,7 @@ def direct_path(
     Parameters
     ----------
     paths : PathSet
-        Of the scene.
+        Paths of the scene.
     times : array_like (T,), optional
         Times of reception, s, by the scene's clock: what a receiver gets at one instant.
     motion : {"retarded", "quasi-static"}
@@ -143,7 +143,7 @@ def direct_path(
     Returns
     -------
     DirectPath
-        Of every source and receiver.
+        Ground truth of every source and receiver.
 
     Raises
     ------
@@ -246,7 +246,7 @@ _STEPS = 6  # of Newton's method on a face or an edge, from where they would be 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EchoTruth:
-    """A way by each of some things between every source and receiver, (things, sources, receivers, T).
+    """A path by each object between every source and receiver, (objects, sources, receivers, T).
 
     Attributes
     ----------
@@ -266,7 +266,7 @@ class EchoTruth:
     source_names, receiver_names : tuple of str
         Along two of the axes.
     KIND, MEASURES : str, tuple of str
-        What the things are, and names of the fields that have them along the first axis.
+        Kind of the objects, and names of the fields that have them along the first axis.
     """
 
     times: Floats
@@ -285,7 +285,7 @@ class EchoTruth:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the things, along the first axis."""
+        """Names of the objects, along the first axis."""
         named: tuple[str, ...] = getattr(self, f"{self.KIND}_names")
         return named
 
@@ -313,7 +313,7 @@ def echo_fields(scene: Scene, times: Floats, delay: Floats, rate: Floats, away: 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ScattererTruth(EchoTruth):
-    """The way by every scatterer between every source and receiver, by no wall, (scatterers, sources, receivers, T).
+    """The path by every scatterer between source and receiver, without walls (scatterers, sources, receivers, T).
 
     Delay, range and the other fields are those of `EchoTruth`.
 
@@ -343,7 +343,7 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     Returns
     -------
     ScattererTruth
-        Of every scatterer, source and receiver.
+        Ground truth of every scatterer, source and receiver.
 
     Raises
     ------
@@ -381,11 +381,10 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class BodyTruth(EchoTruth):
-    """The soonest way by every body between every source and receiver, (bodies, sources, receivers, T).
+    """The shortest path by every body between every source and receiver, (bodies, sources, receivers, T).
 
-    It goes by the nearest point of the body's surface: that by which sound takes the least time from the source to the
-    receiver, on a face, an edge or a corner. No echo of the body by no other thing is earlier. Delay, range and the
-    other fields are those of `EchoTruth`.
+    It meets the surface at the point of least delay, on a face, an edge or a corner. No echo of the body alone is
+    earlier. Delay, range and the other fields are those of `EchoTruth`.
 
     Attributes
     ----------
@@ -417,7 +416,7 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     Returns
     -------
     BodyTruth
-        Of every body, source and receiver.
+        Ground truth of every body, source and receiver.
 
     Raises
     ------

@@ -64,12 +64,12 @@ class PathOptions:
     path_limit : int
         Number of paths above which the search is refused or given up.
     finder : {"auto", "beam-tree", "shooting"}
-        How wall sequences are found in a mesh. A tree of beams misses none. Shooting rays can miss small walls and
+        Search for wall sequences in a mesh. A tree of beams misses none. Shooting rays can miss small walls and
         needs embreex. "auto" shoots only where the tree would be far too large, with a warning.
     resolution : float, optional
         To which ends of intervals are found in a mesh, s; 1/16 sample of the fastest sampled signal when left out.
     engine : {"opencl", "reference"}
-        What validates paths in a mesh: a device with float64, or NumPy, also taken (with a warning) where there is no
+        Where paths in a mesh are validated: a device with float64, or NumPy, taken (with a warning) where there is no
         such device.
     device : str, optional
         As in `render`.

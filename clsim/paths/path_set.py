@@ -55,14 +55,14 @@ class PathSet:
     start, end : ndarray (paths,)
         Interval of reception in which the path is heard, s.
     interactions : ndarray (paths, N) int
-        What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
+        Interactions in order from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
         reflection by a body, 4 transmission through a wall; filled up with -1.
     objects : ndarray (paths, N) int
-        Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
+        Objects of the interactions, as indices of `object_names`, walls first; filled up with -1.
     walls : ndarray (paths, N) int
         The objects of reflections, -1 elsewhere.
     object_names : tuple of str
-        Of walls, and of what else paths meet.
+        Names of walls, and of other objects that paths meet.
 
     Raises
     ------
@@ -135,7 +135,7 @@ class PathSet:
 
     @property
     def object_names(self) -> tuple[str, ...]:
-        """Names of walls, and of what else paths meet."""
+        """Names of walls, and of other objects that paths meet."""
         own = (name for family in self.families for name in family.object_names)
         return (*self.scene.room.faces.names, *own)
 
@@ -163,7 +163,7 @@ class PathSet:
         Returns
         -------
         PathSet
-            Of the same kinds, each with as many rows as it has paths to this receiver.
+            Families of the same kinds, each with as many rows as it has paths to this receiver.
         """
         return PathSet(self.scene, tuple(f.part(np.flatnonzero(f.receiver == receiver)) for f in self.families))
 
@@ -304,7 +304,7 @@ class PathSet:
         bandwidth : float
             Width of the band about the carrier, both sides together, within which the filter is exact, Hz.
         sampling_rate : float
-            Of the taps and of the envelope that they filter, at least 1.25 times the bandwidth, Hz.
+            Sampling rate of the taps and of the envelope that they filter, at least 1.25 times the bandwidth, Hz.
         motion : {"retarded", "quasi-static"}
             As in `render`.
         amplitude : {"wave-equation", "static", "convective"}
@@ -323,8 +323,8 @@ class PathSet:
 
         Notes
         -----
-        Air, walls and directivities act over the whole band. A path is there or not: the transition of `render`, in
-        which it fades in and out, is left out.
+        Air, walls and directivities act over the whole band. A path exists or not: the transition of `render`, in which
+        it fades in and out, is left out.
         """
         times, band = as_floats("times", times, (None,)), ChannelBand(carrier, bandwidth, sampling_rate)
         span = self.start, self.end
@@ -348,9 +348,9 @@ class PathSet:
         Parameters
         ----------
         time : float
-            Of reception, when it begins, s.
+            Time of reception at the start, s.
         duration : float
-            How long it lasts, s.
+            Duration, s.
         carrier : float
             Hz.
         motion : {"retarded", "quasi-static"}
@@ -424,7 +424,7 @@ class PathSet:
         title = f"PathSet: {counted(len(self), 'interval')} of paths, {ends}"
         silent = len(scene.sources) * len(scene.receivers) - pairs
         notes = [f"{silent} pairs of source and receiver have none"] if silent else []
-        return html_table(title, ("order", "intervals", "heard"), rows, notes)
+        return html_table(title, ("order", "intervals", "active"), rows, notes)
 
     def _seconds(self, rows: NDArray[np.bool_]) -> str:
         """Total length of intervals, as a text."""
@@ -445,7 +445,7 @@ class PathSet:
         -------
         ndarray (paths, N + 2, 3)
             Source, points of interaction and receiver, m; NaN behind the receiver of paths of fewer interactions, and
-            for paths that are not heard at that time.
+            for paths that are not active at that time.
         """
         found = np.full((len(self), self.interactions.shape[1] + 2, 3), np.nan)
         for rows, pair in self.pairs():

@@ -34,15 +34,15 @@ class PathTable:
     source, receiver, order : ndarray (P,) int
         Indices in the scene, and number of interactions.
     interactions : ndarray (P, N) int
-        What happens on the way from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
+        Interactions in order from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
         reflection by a body, 4 transmission through a wall; filled up with -1.
     objects : ndarray (P, N) int
-        Where it happens, of `object_names`, of which the walls are the first; filled up with -1.
+        Objects of the interactions, as indices of `object_names`, walls first; filled up with -1.
     direct : ndarray (P,) bool
         Whether it is the direct path.
     delay : ndarray (P, T)
-        From emission to reception, s; NaN while the path is not heard. In air that disperses that of what sounds about
-        the centre frequency of the source's signal, the group delay.
+        From emission to reception, s; NaN while the path is not active. In air that disperses, the group delay at
+        the centre frequency of the source's signal.
     doppler_factor : ndarray (P, T)
         Received over emitted frequency; in air that disperses of the centre frequency.
     doppler_shift : ndarray (P, T)
@@ -53,7 +53,7 @@ class PathTable:
     departure, arrival : ndarray (P, T, 3)
         Unit vectors: from the source along the path, and from the receiver back along it.
     source_names, receiver_names, object_names : tuple of str
-        What the indices mean.
+        Names that the indices refer to.
     """
 
     times: Floats
@@ -81,7 +81,7 @@ class PathTable:
         return np.where(self.interactions == SPECULAR, self.objects, -1)
 
     def name_way(self, path: int | np.integer[Any]) -> str:
-        """Return the names of the walls and other things that a path meets.
+        """Return the names of the walls and other objects that a path meets.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ class PathTable:
         return ", ".join(self.object_names[i] for i in self.objects[path] if i >= 0) or "direct"
 
     def to_dataframe(self) -> Any:
-        """Return it as a pandas DataFrame, a row per path and time at which it is heard.
+        """Return it as a pandas DataFrame, with one row per path and time at which it is active.
 
         Returns
         -------
@@ -118,7 +118,7 @@ class PathTable:
         Returns
         -------
         xarray.Dataset
-            Variables over paths and times, NaN while a path is not heard; what is said of paths are coordinates.
+            Variables over paths and times, NaN while a path is not active; properties of paths are coordinates.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class PathTable:
 
     @property
     def heard(self) -> NDArray[np.bool_]:
-        """Whether anything arrives (P, T): the path is there, and its gain is not 0."""
+        """Whether each path is active (P, T): it exists, and its gain is not 0."""
         return np.asarray(np.isfinite(self.delay) & (self.gain != 0.0))
 
 

@@ -134,11 +134,11 @@ class Medium(Protocol):
         Parameters
         ----------
         length : ndarray (...)
-            Of the ways, m.
+            Lengths of the paths, m.
         apart : ndarray (..., 3)
             From where each begins to where it ends in the room, whatever it met in between, m.
         means : ndarray (..., terms), optional
-            What `means` gives.
+            Result of `means`.
         """
         ...
 

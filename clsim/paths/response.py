@@ -54,7 +54,7 @@ class SceneResponse:
     angular : ndarray (walls + 1,) bool
         Walls whose factor depends on the angle of incidence; False at the end, for -1, which is no wall.
     dtype : numpy type
-        Of walls and transducers: float64, or complex128 where one of the scene is complex.
+        Type of the factors of walls and transducers: float64, or complex128 where one of the scene is complex.
     disperses : bool
         Whether the air gives phases.
     surfaces : int

@@ -40,7 +40,7 @@ class Baseband(NamedTuple):
         Width of the band about the carrier, both sides together, that holds what the receivers hear: the signals and
         their Doppler shifts, Hz.
     sampling_rate : float or None
-        Of the envelopes, Hz: the sampling rate of the signals over a whole number, and at least 1.25 times the
+        Sampling rate of the envelopes, Hz: that of the signals over a whole number, and at least 1.25 times the
         bandwidth. Left out: the lowest of these that is a whole number of Hz, and at least a 16th of the carrier.
 
     Examples

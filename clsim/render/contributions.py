@@ -18,7 +18,7 @@ class Contribution(Protocol):
     Attributes
     ----------
     name : str
-        Of its kind, one word or two.
+        Name of its kind, one word or two.
     """
 
     @property

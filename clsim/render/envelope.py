@@ -116,7 +116,7 @@ class EnvelopeFilters(SourceFilters):
 
     @property
     def cycles(self) -> float:
-        """Of the carrier in one sample of the envelope."""
+        """Phase of the carrier over one sample of the envelope."""
         return self.carrier * self.mixer.every / self.signal.sampling_rate
 
     @property

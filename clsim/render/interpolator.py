@@ -58,7 +58,7 @@ class Interpolator(ABC):
         max_rate : float
             Bound on the change of any delay, s/s.
         importance : tuple of float
-            Of errors in equal cells from 0 to the edge, as factors: they may be larger where it is less.
+            Weights of errors in equal bands from 0 to the edge: errors may be larger where the weight is less.
         oversampling : int
             Samples of the signal in one of the recording.
 

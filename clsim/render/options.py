@@ -33,7 +33,7 @@ class RenderOptions:
     Parameters
     ----------
     sampling_rate : float
-        Of the recording, Hz; signals are brought to it. In baseband that of the signals.
+        Sampling rate of the recording, Hz; signals are resampled to it. In baseband that of the signals.
     interpolator : Interpolator
         The fractional-delay filter: `Bandlimited`, `Lagrange` or `TruncatedLagrange`.
     motion : {"retarded", "quasi-static"}
@@ -60,7 +60,7 @@ class RenderOptions:
     device : str, optional
         An OpenCL device by id or part of its name (see ``clsim devices``); the best one when left out.
     duration : float, optional
-        Length of the recording, s. Left out: until all that was emitted has been heard, or until the first moving
+        Length of the recording, s. Left out: until all emitted sound has been received, or until the first moving
         receiver's trajectory ends.
     chunk : int, optional
         Samples that are held at a time, rounded up to whole segments (of 18432 samples; in baseband of 32 blocks).
@@ -89,7 +89,7 @@ class RenderOptions:
     tail_error_db : float
         Standard error of a tail's energies in windows of 20 ms, 0.02 to 3 dB, for which rays are traced.
     tail_seed : int
-        Of the rays and of the tails' noise.
+        Seed of the rays and of the tails' noise.
     tail_scattering : {"size", "material"}
         Whether walls scatter by their limited size as well, beyond images, or by their materials alone.
 
@@ -179,7 +179,7 @@ class RenderOptions:
         Parameters
         ----------
         sampling_rate : float
-            Of the recording, Hz.
+            Sampling rate of the recording, Hz.
         **options
             See the class.
 

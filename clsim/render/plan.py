@@ -49,11 +49,11 @@ class Plan:
     tracks : Tracks
         Delay and gain of every path over time.
     allocation : Allocation
-        Which rendering method takes which pairs and bands.
+        Rendering method of each pair and band.
     source_filters : tuple of SourceFilters
-        What each source emits, and the filters for it.
+        Signals of the sources, and the filters for them.
     sampling_rate : float
-        Of the recording, Hz; in baseband that of the envelopes.
+        Sampling rate of the recording, Hz; in baseband that of the envelopes.
     samples : int
         Length of the recording.
     chunk : int
@@ -65,9 +65,9 @@ class Plan:
     builders : sequence of callable
         Each makes a contribution of the plan, or None.
     left_out : str
-        What of the scene is not in the tracks, in words; "" for nothing.
+        Parts of the scene that are not in the tracks, in words; "" for none.
     contributions : tuple of Contribution
-        What adds to the pressure at the receivers, in this order.
+        Contributions to the pressure at the receivers, in this order.
     receivers : tuple of Receiver
         The scene's receivers; none for tracks computed elsewhere.
     """
@@ -258,7 +258,7 @@ class Plan:
         source : int
             Index of the source.
         channels : int
-            Of the receiver.
+            Channels of the receiver.
 
         Returns
         -------

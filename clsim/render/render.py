@@ -121,7 +121,7 @@ def render_tracks(
     tracks : Tracks
         From `track` or `Tracks.from_samples`.
     sampling_rate : float
-        Of the recording, Hz; in baseband that of the signals.
+        Sampling rate of the recording, Hz; in baseband that of the signals.
     starts : sequence of float (signals,), optional
         Time at which each signal begins, s; 0 when left out.
     **options
@@ -198,7 +198,7 @@ def render_chunks(
 
 
 class Rendering:
-    """A plan's contributions and receivers, with all that they remember of what is rendered.
+    """A plan's contributions and receivers, with their state between chunks.
 
     Parameters
     ----------

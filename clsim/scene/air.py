@@ -102,7 +102,7 @@ class Air:
     wind : array_like (3,), optional
         Velocity of the air, below half the speed of sound, m/s; at rest when left out.
     heights : (float, float), optional
-        Where the pairs hold, m; the room's lowest and highest point when left out.
+        Range of heights for which the pairs are valid, m; the room's lowest and highest point when left out.
     fluctuation : Fluctuation, optional
         Slow noise of delays; none when left out.
 
@@ -115,7 +115,7 @@ class Air:
     extent : tuple or None
         Lowest and highest point of the room that air which depends on the height is in, m.
     layers : tuple of Air
-        Of such air, at Chebyshev's points of `extent`, from the highest down; empty for all other.
+        Homogeneous layers of such air, at Chebyshev's points of `extent`, from the highest down; empty otherwise.
     state : tuple of float
         Temperature, °C, relative humidity and pressure, Pa; half way up where they depend on the height.
 
@@ -233,7 +233,7 @@ class Air:
         Parameters
         ----------
         lowest, highest : float
-            Of the room, m.
+            Lowest and highest point of the room, m.
 
         Returns
         -------
@@ -351,7 +351,7 @@ class Air:
         Returns
         -------
         ndarray
-            Of the shape of `frequency`; its imaginary part is minus the absorption of the amplitude.
+            Wavenumbers in the shape of `frequency`; the imaginary part is minus the absorption of the amplitude.
         """
         f = np.asarray(frequency, dtype=np.float64)
         k = 2.0 * np.pi / self.speed_of_sound * f - 1j * np.log(10.0) / 20.0 * self.absorption_at(f)
@@ -376,7 +376,7 @@ class Air:
         return c / (1.0 - c * float(lead_iso9613(frequency, *self.state)) / (2.0 * np.pi * frequency))
 
     def group_speed_at(self, frequency: float) -> float:
-        """Return the speed of what sounds about a frequency, that of envelopes, m/s.
+        """Return the group speed at a frequency, at which envelopes travel, m/s.
 
         Parameters
         ----------

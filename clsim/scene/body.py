@@ -45,7 +45,7 @@ _FRAME = np.concatenate([np.zeros((1, 3)), np.eye(3)])  # origin and axes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A rigid thing made of flat faces, which moves: it reflects, and hides what is behind it.
+    """A rigid, moving object of flat faces. It reflects sound, and blocks paths behind it.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ class Body:
         Its faces in its own coordinates, m, with their materials; it may be open, and faces have two sides. Another
         `Room` is kept as its mesh.
     trajectory : Trajectory
-        Where the origin of its coordinates is, and how they are turned.
+        Position of the origin of its coordinates, and their orientation.
 
     Attributes
     ----------
     radius : float
-        Of a sphere about the origin of its coordinates that holds it, m.
+        Radius of the bounding sphere about the origin of its coordinates, m.
     lever : float
         Bound of the distance of its points from the axes about which it turns, m.
 
@@ -107,9 +107,9 @@ class Body:
         size : array_like (3,)
             Lengths along its own x, y and z, m; one of them may be 0, and then it is a sheet of two sides.
         material : Material
-            Of all faces.
+            Material of all faces.
         centre : array_like (3,)
-            Of the box in its own coordinates, m.
+            Centre of the box in its own coordinates, m.
 
         Returns
         -------

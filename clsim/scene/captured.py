@@ -274,11 +274,11 @@ def captured_person(
         Two joints, by their names in the file, and the radius of what is between them, m. When left out, the parts of
         `walking_person` whose joints have usual names, such as LeftUpLeg or left knee, as thick as there.
     shape : {"ellipsoid", "capsule"}
-        Of limbs and of segments.
+        Shape of limbs and of segments.
     scale : float
         Metres in the file's unit of length: 0.01 for centimetres.
     up : {"x", "y", "z"}, optional
-        Which of the file's axes goes up; y for BVH and z for tables when left out. The file's next axis (z after y)
+        The file's upward axis; y for BVH and z for tables when left out. The file's next axis (z after y)
         becomes x in the room.
     rotate, translate : array_like (4,), array_like (3,)
         Then turned by a unit quaternion x y z w, and moved, m.
@@ -377,7 +377,7 @@ def _usual(joints: Joints, known: dict[str, Floats]) -> list[_Part]:
     needed = [f"left {joint}" for joint in ("hip", "knee", "ankle", "shoulder") if f"left {joint}" not in at]
     if needed:
         listed = ", ".join(joints.names[:40])
-        raise InputError("path", f"must have a joint for the {needed[0]}, or segments be told; its joints are {listed}")
+        raise InputError("path", f"must have a joint for the {needed[0]}, or segments given; its joints are {listed}")
     lengths = [np.linalg.norm(at["left knee"] - at[f"left {joint}"], axis=1).mean() for joint in ("hip", "ankle")]
     tall = float(sum(lengths)) / (THIGH + SHANK)
     parts = _trunk(at, tall)

@@ -139,7 +139,7 @@ class Source:
     signal : Signal
         Sound pressure at 1 m on the source's axis in free field, Pa; with a transducer the voltage that drives it, V.
     trajectory : Trajectory
-        Where it is and how it is turned.
+        Position and orientation over time.
     directivity : Directivity
         Gain by direction, 1 on the axis.
     aim : array_like (3,) or "forward", optional
@@ -252,7 +252,7 @@ class Receiver:
     name : str
         Unique among the scene's receivers.
     trajectory : Trajectory
-        Where it is and how it is turned.
+        Position and orientation over time.
     directivity : Directivity
         Gain by direction, 1 on the axis.
     aim : array_like (3,) or "forward", optional
@@ -269,7 +269,7 @@ class Receiver:
     mounted_on : str, optional
         Name of the body that carries it; as of a `Source`.
     element : Element, optional
-        Of which array it is a part; `receiver_array` gives it.
+        Place in an array; `receiver_array` sets it.
 
     Raises
     ------
@@ -316,11 +316,11 @@ class Receiver:
         name : str
             Unique among the scene's receivers.
         trajectory : Trajectory
-            Where it is, and how it is turned.
+            Position and orientation over time.
         order : int
             1 to 7: of ``(order + 1)²`` channels in ACN order.
         normalization : {"SN3D", "N3D"}
-            Of the components; AmbiX files have SN3D.
+            Normalization of the components; AmbiX files have SN3D.
         fixed : bool
             Whether the components keep the room's axes although the microphone turns.
         **options : Any
@@ -356,7 +356,7 @@ class Receiver:
         name : str
             Unique among the scene's receivers.
         trajectory : Trajectory
-            Where the middle of the head is, and how it is turned.
+            Position of the head's centre, and its orientation.
         hrtf : path-like or HeadRelated or SphericalHead, optional
             A SOFA file of head-related responses, as of `HeadRelated.from_sofa`, or a directivity with two channels; a
             rigid sphere when left out.
@@ -366,7 +366,7 @@ class Receiver:
         Returns
         -------
         Receiver
-            Of the channels ``"left"`` and ``"right"``.
+            A receiver with the channels ``"left"`` and ``"right"``.
 
         Raises
         ------
@@ -392,7 +392,7 @@ class Receiver:
 
     @property
     def unit(self) -> str:
-        """Unit of what it records: ``"Pa"``, or ``"V"`` with a transducer."""
+        """Unit of its samples: ``"Pa"``, or ``"V"`` with a transducer."""
         return "Pa" if self.transducer is None else "V"
 
     @property

@@ -30,7 +30,7 @@ class Fluctuation:
     correlation_length : float
         The same of places: noise of a path whose source or receiver stands there instead, m.
     seed : int
-        Of the noise.
+        Seed of the noise.
 
     Raises
     ------
@@ -43,10 +43,10 @@ class Fluctuation:
 
         rms sqrt(2/K) sum_k cos(w_k t + a_k x + b_k y + phi_k),
 
-    with normal w_k, a_k, b_k, so that over seeds the correlation is exactly ``exp(-(t/T)² - (x/L)² - (y/L)²)``
-    (A. Rahimi and B. Recht, "Random features for large-scale kernel machines", NIPS 2007). Images see the receiver
-    elsewhere, so they fluctuate by themselves where walls are farther than the length. All derivatives exist, and any
-    instant can be asked for.
+    with normal w_k, a_k, b_k, so that over seeds the correlation is exactly ``exp(-(t/T)² - (x/L)² - (y/L)²)`` (A.
+    Rahimi and B. Recht, "Random features for large-scale kernel machines", NIPS 2007). Images see the receiver
+    elsewhere, so they fluctuate by themselves where walls are farther than the length. All derivatives exist, at any
+    instant.
 
     The 64 waves are those of all paths. Within one run, however long, the correlation of two paths therefore deviates
     from that law by 1/sqrt(2K) = 0.09 (root mean square over pairs of paths). A run of D s adds what a Gaussian process
@@ -90,7 +90,7 @@ class Fluctuation:
         receiver, source : ndarray (..., 3)
             The receiver as the source sees it, and the source, m.
         velocities : tuple of ndarray (..., 3), optional
-            Of both, m/s; at rest when left out.
+            Velocities of both, m/s; zero when left out.
 
         Returns
         -------
@@ -137,7 +137,7 @@ class TargetFluctuation:
         Share of the mean power that does not fluctuate, 0 to 1. At 0 the power is distributed exponentially, as in
         Swerling's cases 1 and 2. At 0.71 it varies as much as in his cases 3 and 4.
     seed : int
-        Of the noise: the same one gives the same noise, whenever and in whatever pieces it is asked for.
+        Seed of the noise: the same seed gives the same noise, in any chunks.
 
     Raises
     ------
@@ -185,7 +185,7 @@ class TargetFluctuation:
         Parameters
         ----------
         times : ndarray (...)
-            Of scattering, s.
+            Times of scattering, s.
 
         Returns
         -------

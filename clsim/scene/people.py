@@ -204,7 +204,7 @@ def walking_person(name: str, height: float, trajectory: Trajectory, shadow: boo
     height : float
         m, above 0.
     trajectory : Trajectory
-        Where the person walks, on the ground, so that its height is that of the soles. Its speed decides how long steps
+        Path of the person on the ground, at the height of the soles. Its speed decides how long steps
         are and how far limbs swing, its direction where the person looks; an orientation is not used.
     shadow : bool
         Whether every part casts a shadow, see `Scatterer.ellipsoid`. Shadows of walls' echoes need as high a
@@ -350,10 +350,10 @@ def hand(
     name : str
         Before the names of the parts: "name palm", "name index", "name index tip" and so on.
     trajectory : Trajectory
-        Where the middle of the palm is, and how it is turned. Its own x goes out of the palm, y towards the thumb and z
+        Position and orientation of the palm's middle. Its own x points out of the palm, y towards the thumb and z
         along the fingers.
     length : float
-        Of the open hand, m.
+        Length of the open hand, m.
     opening : float or array_like (n, 2)
         1 for an open hand, 0 for a fist; or times, s, with the share at each. From one to the next it goes smoothly,
         and rests there for a moment.

@@ -206,7 +206,7 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     if not inside.any():
         warn(f"{field}.trajectory: no source or receiver is inside the room: {where}")
     elif closed:
-        raise InputError(f"{field}.trajectory", f"must be where other ends can be heard, but {where}")
+        raise InputError(f"{field}.trajectory", f"must be where other ends are audible, but {where}")
     else:
         warn(f"{field}.trajectory: {where}")
 

@@ -38,19 +38,19 @@ def receiver_array(
     Parameters
     ----------
     name : str
-        What all names begin with: ``name-0`` in the room, ``name 0`` in an array.
+        Prefix of all names: ``name-0`` in the room, ``name 0`` in an array.
     positions : array_like (n, 3)
         m, in the room, or with `trajectory` in the array's own frame. Arrays of pyroomacoustics and Acoular are (3, n),
         the transpose: ``array.R.T``, ``mics.pos.T``.
     trajectory : Trajectory, optional
-        Where the array's frame is and how it is turned. Elements are then the channels of one receiver in recordings:
+        Position and orientation of the array's frame. Elements are then the channels of one receiver in recordings:
         ``recording.rows_of(name)``.
     directivities : sequence of Directivity, optional
         One for each position; in place of `directivity`.
     aims : array_like (n, 3), optional
         Unit vectors or longer ones along the elements' axes, in the same frame; in place of `aim`.
-    **arguments
-        Of `Receiver`, the same for all: directivity, aim, transducer, electronics.
+    **arguments : Any
+        Arguments of `Receiver`, the same for all: directivity, aim, transducer, electronics.
 
     Returns
     -------

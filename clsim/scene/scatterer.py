@@ -43,7 +43,7 @@ class Shape(Protocol):
 
     @property
     def radius(self) -> float:
-        """Of a sphere about the centre that holds it, m."""
+        """Radius of the bounding sphere about the centre, m."""
         ...
 
     @property
@@ -278,21 +278,21 @@ class CapsuleShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatterer:
-    """A thing that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
+    """An object that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
     It ends no path: behind what casts a shadow (spheres, and others by `shadow`), what it scatters takes the sound away
-    that goes on there. What one scatterer sends to another is found with ``scatterers_in_row=2``.
+    that goes on there. Paths by two scatterers are found with ``scatterers_in_row=2``.
 
     Parameters
     ----------
     name : str
         Unique among the scene's scatterers.
     shape : Shape
-        What it does to a wave.
+        Its shape, which decides what it scatters.
     trajectory : Trajectory
-        Where its centre is and how it is turned.
+        Position of its centre, and its orientation.
     fluctuation : TargetFluctuation, optional
-        How its strength changes with time.
+        Change of its strength with time.
 
     Raises
     ------
@@ -329,7 +329,7 @@ class Scatterer:
         target_strength_db : float
             20 lg of the pressure at 1 m from it over that of the wave that meets it, dB; at most 60.
         trajectory : Trajectory
-            Where it is.
+            Position over time.
 
         Raises
         ------
@@ -359,7 +359,7 @@ class Scatterer:
         radius : float
             m, above 0.
         trajectory : Trajectory
-            Where its centre is.
+            Position of its centre over time.
         model : {"series", "geometrical", "outline"}
             "series" sums its modes, exact at every frequency, distance and angle, shadow included. "geometrical" is
             geometrical optics, without a shadow. "outline" adds to this the shadow of its outline, as ellipsoids have.
@@ -388,14 +388,14 @@ class Scatterer:
         fluctuation: TargetFluctuation | None = None,
         shadow: bool = False,
     ) -> Scatterer:
-        """Return a rigid ellipsoid, by geometrical optics: what is sent back by its specular point.
+        """Return a rigid ellipsoid, by geometrical optics: the echo of its specular point.
 
         Parameters
         ----------
         semi_axes : array_like (3,)
             Along its own x, y and z, m, above 0; the longest at most 10 000 times the shortest.
         trajectory : Trajectory
-            Where its centre is, and how it is turned.
+            Position of its centre, and its orientation.
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
@@ -436,11 +436,11 @@ class Scatterer:
         Parameters
         ----------
         radius : float
-            Of the cylinder and of both half spheres, m, above 0.
+            Radius of the cylinder and of both half spheres, m, above 0.
         length : float
-            Of the cylinder, between the centres of the half spheres, along its own z, m, above 0.
+            Length of the cylinder, between the centres of the half spheres, along its own z, m, above 0.
         trajectory : Trajectory
-            Where its middle is, and how it is turned.
+            Position of its middle, and its orientation.
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
@@ -467,7 +467,7 @@ class Scatterer:
 
     @property
     def is_static(self) -> bool:
-        """Whether it neither moves nor turns in a way that matters, nor fluctuates."""
+        """Whether its echo does not change: it rests or turns symmetrically, and does not fluctuate."""
         if self.fluctuation is not None:
             return False
         alike = self.shape.radius == 0.0 or isinstance(self.shape, SphereShape)

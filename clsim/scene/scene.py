@@ -255,7 +255,7 @@ class Scene:
         return tuple(i for i, m in enumerate(self.room.faces.materials) if m.transmission is not None)
 
     def show(self, frames: int = 120, height: int = 600) -> Any:
-        """Return the viewer page of the room and of what moves in it, for a notebook.
+        """Return the viewer page of the room and its moving objects, for a notebook.
 
         Parameters
         ----------

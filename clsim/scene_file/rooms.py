@@ -141,7 +141,7 @@ class MaterialModel(Table):
 def _decaying(given: float | _Decay, room: tuple[float, float] | None) -> Material:
     """Return the material of a room's walls that gives it a reverberation time."""
     if room is None:
-        raise InputError("", "must stand in the one material of all walls of a shoebox, but stands elsewhere")
+        raise InputError("", "must be in the one material of all walls of a shoebox, but is elsewhere")
     frequencies, seconds = ([1000.0], [given]) if isinstance(given, float) else (given.frequencies, given.seconds)
     times = as_floats("" if isinstance(given, float) else "seconds", seconds, (len(frequencies),))
     if not (times > 0.0).all():

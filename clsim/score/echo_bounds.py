@@ -50,7 +50,7 @@ def echo_bounds(paths: PathSet, wrt: Sequence[str], noise: float, sampling_rate:
     noise : float
         Standard deviation of white noise in each sample, in the unit of the recording, above 0.
     sampling_rate : float
-        Of the recording, Hz.
+        Sampling rate of the recording, Hz.
     **options
         As of `clsim.sensitivities`.
 

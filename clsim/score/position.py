@@ -171,9 +171,9 @@ class PositionScore:
     Attributes
     ----------
     names : tuple of str
-        Of who was located, along the first axis.
+        Names of the located objects, along the first axis.
     times : ndarray (positions,)
-        Of the emissions, s; of a round of several sources that of the first.
+        Times of the emissions, s; of a round of several sources that of the first.
     estimated : ndarray (located, positions, 3)
         m; NaN where too few ranges were found.
     exact : ndarray (located, positions, 3)

@@ -203,7 +203,7 @@ def range_doppler(
     Parameters
     ----------
     recording : Recording
-        Of sound, with its paths, of which nothing but the scene is used.
+        Recording of sound, with its paths, of which only the scene is used.
     pulse : Signal
         The pulse that the source repeats.
     receiver : int or str
@@ -262,7 +262,7 @@ def echoes(
     Parameters
     ----------
     recording : Recording
-        Of sound, with its paths, of which nothing but the scene is used.
+        Recording of sound, with its paths, of which only the scene is used.
     pulse : Signal
         The pulse that the source repeats (see `Signal.pulses`).
     receiver, source : int or str

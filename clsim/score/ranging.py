@@ -54,11 +54,11 @@ class RangingScore:
     emission_times : ndarray (emissions,)
         When the pulses began, s.
     source : int
-        Which source of the scene.
+        Index of the source.
     receiver_names : tuple of str
         Along the first axis.
     scene : Scene
-        Of the recording.
+        Scene of the recording.
     outlier : float
         Error from which on a range counts as an outlier, m.
     """
@@ -213,18 +213,18 @@ def ranging(
     Parameters
     ----------
     recording : Recording
-        Of sound, with its paths.
+        Recording of sound, with its paths.
     pulse : Signal
         The pulse that the source repeats (see `Signal.pulses`), for which receivers look.
     method : {"matched-filter", "first-peak", "phase"}
-        Where a pulse is said to begin: at the peak of the matched filter's envelope; at the first of its peaks that is
+        Arrival time of a pulse: at the peak of the matched filter's envelope; at the first of its peaks that is
         at most `first_peak_db` below that; or at the crest of the correlation itself next to the envelope's peak.
     source : int or str
         Index or name.
     max_range : float, optional
         Up to which a pulse is looked for after each emission, m; until the next emission when left out.
     detection_db : float
-        How far the peak must stand above the median of the envelope in that time to be a detection, 0 to 100 dB. Of ten
+        Level by which a detected peak must exceed the median of the envelope in that time, 0 to 100 dB. Of ten
         thousand samples of noise alone, the largest stands above 14 dB once in some thousand tries.
     first_peak_db : float
         See `method`; from -60 to 0 dB.

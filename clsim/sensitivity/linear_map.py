@@ -40,7 +40,7 @@ class LinearMap:
     Attributes
     ----------
     plan : Plan
-        Of the sum over the paths themselves, sample by sample.
+        Plan of the sum over the paths themselves, sample by sample.
     shared : Plan
         With the filters for the responses of all tangents.
     """

@@ -72,12 +72,12 @@ class Parameter:
     gain_db : float
         By how many dB per unit all these paths get louder.
     acts : str
-        On what: "shift" of an end, "clock", "start" and "gain" of one, its "turn", a "wall", its "reflection", the
-        "air"; "scene" for all else.
+        What it acts on: "shift" of an end, "clock", "start" and "gain" of one, its "turn", a "wall", its "reflection",
+        the "air"; "scene" for all else.
     shift : Curve or None
-        By which an end is displaced per unit; None for other parameters.
+        Displacement of an end per unit; None for other parameters.
     wall : int or None
-        The wall.
+        The wall's index.
     """
 
     name: str

@@ -124,11 +124,11 @@ def crb(information: Floats, names: Sequence[str]) -> Floats:
     """Return the roots of the diagonal of the inverse of an information matrix; it is scaled first."""
     scale = np.sqrt(np.diag(information))
     if np.any(scale == 0.0):
-        raise InputError("wrt", f"must name what is heard, but {names[int(np.argmin(scale))]} has no effect")
+        raise InputError("wrt", f"must change the recording, but {names[int(np.argmin(scale))]} has no effect")
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     if values[0] < _SINGULAR:
         mixed = [names[i] for i in np.argsort(-np.abs(vectors[:, 0]))[:3]]
-        raise InputError("wrt", f"must be told apart by the recording, but {', '.join(mixed)} are not: fix one of them")
+        raise InputError("wrt", f"must be distinguishable, but {', '.join(mixed)} are not: fix one of them")
     return np.asarray(np.sqrt(np.sum(vectors**2 / values, axis=1)) / scale)
 
 
@@ -152,7 +152,7 @@ def sensitivities(paths: PathSet, wrt: Sequence[str], sampling_rate: float, **op
         - ``room.walls.floor.reflection``: of the reflection factor, at all frequencies and angles
         - ``room.walls.floor.displacement``: along the normal in `Room.faces`, m
     sampling_rate : float
-        Of the signals, Hz.
+        Sampling rate of the signals, Hz.
     **options
         As of `render`, but for baseband and tail; pairs at rest and narrow bands are rendered as all others.
 
@@ -210,7 +210,7 @@ def gradient(
     wrt : sequence of str
         Names as of `sensitivities`, and ``sources[0].signal`` for what a source without transducer emits.
     sampling_rate : float
-        Of the recording, Hz.
+        Sampling rate of the recording, Hz.
     **options
         As of `sensitivities`, but for the duration.
 

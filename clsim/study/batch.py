@@ -67,10 +67,10 @@ def render_batch(
     Parameters
     ----------
     scenes : iterable of Scene
-        What sounds where. A generator is asked for a scene when one is to be rendered: with processes for two of each
+        The scenes. A generator is asked for a scene when one is to be rendered: with processes for two of each
         process in advance.
     sampling_rate : float
-        Of the recordings, Hz.
+        Sampling rate of the recordings, Hz.
     max_order : int
         Largest number of reflections.
     workers : int

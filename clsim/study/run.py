@@ -240,7 +240,7 @@ def run_study(
     Parameters
     ----------
     path : path-like
-        Of the study file.
+        Path of the study file.
     output : path-like
         Folder for the store ``study.zarr``, with a group per member and a group ``summary``, and the index
         ``index.jsonl``.
@@ -262,7 +262,7 @@ def run_study(
     Returns
     -------
     tuple of MemberRow
-        What became of every member.
+        Outcome of every member.
 
     Raises
     ------

@@ -51,10 +51,10 @@ def heard_intervals(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
         for a, b in edges.reshape(-1, 2):
             if b - a < 2:
-                raise InputError(f"delays[{p}][{a}]", "must be heard for two samples or more, but stands alone")
+                raise InputError(f"delays[{p}][{a}]", "must be active for two samples or more, but is alone")
             found.append((p, int(a), int(b)))
     if not found:
-        raise InputError("delays", "must hold at least one path that is heard, but all are NaN")
+        raise InputError("delays", "must hold at least one active path, but all are NaN")
     return found
 
 

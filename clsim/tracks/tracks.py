@@ -174,7 +174,7 @@ class Tracks(ABC):
         Parameters
         ----------
         source : int
-            Which source.
+            Index of the source.
         max_rate : float
             The other bound on how fast its delays change, s/s: without a unit.
 

@@ -41,7 +41,7 @@ def load_recording(
     Parameters
     ----------
     folder : path-like
-        Of the results.
+        Folder of the results.
     receivers : sequence of str, optional
         Names of those that are wanted, or of arrays; all when left out.
     paths : bool

@@ -97,7 +97,7 @@ class ResultFolder:
     folder, work : Path
         The folder, and that of what is not whole yet.
     journal : Journal
-        Of the sound that is being rendered.
+        Journal of the sound that is being rendered.
     """
 
     def __init__(
@@ -274,7 +274,7 @@ class ResultFolder:
 
     def _refuse(self, path: Path) -> None:
         if os.path.lexists(path):
-            raise InputError("--output", f"must hold nothing of others in the way, but clsim did not write {path}")
+            raise InputError("--output", f"must hold no files of others at these names, but clsim did not write {path}")
 
     def _keep_or_clear(self, error: BaseException) -> None:
         """Delete useless files; a note on the error names the kept ones."""

@@ -5,13 +5,15 @@ Pages are docs/*.md, tutorials docs/tutorials/*.py, the reference is all of `cls
 
 import os
 import re
+import shutil
 import sys
 import warnings
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
-import pages  # beside this file
+import media  # these two stand beside this file
+import pages
 
 import clsim
 
@@ -35,6 +37,7 @@ html_theme = "furo"
 templates_path = ["templates"]  # beside this file
 html_show_sphinx = False
 html_show_sourcelink = False
+html_copy_source = False
 html_static_path: list[str] = []
 
 autosummary_generate = True
@@ -61,14 +64,30 @@ sphinx_gallery_conf = {
 }
 
 
+# What pages load of MathJax; the rest, for other inputs and outputs, is 20 MB.
+MATHJAX = {"tex-chtml.js", "output/chtml", "input/tex"}
+
+
 def _within_site(app: object, name: str, source: list[str]) -> None:
-    """Tell files of the repository, which the site does not hold, by their names."""
-    source[0] = re.sub(r"\[([^\]]+)\]\(\.\./([^)]+)\)", r"\1 (in the repository: `\2`)", source[0])
+    """Name files of the repository, which the site does not hold, and embed viewers and sounds."""
+    text = re.sub(r"\[([^\]]+)\]\(\.\./([^)]+)\)", r"\1 (in the repository: `\2`)", source[0])
+    source[0] = media.embedded(text)
+
+
+def _without_surplus(app: Any, error: Exception | None) -> None:
+    """Delete the files of MathJax that no page loads."""
+    folder = Path(app.outdir) / "_static" / "mathjax"
+    for path in sorted([*folder.glob("*"), *folder.glob("*/*")], reverse=True):  # what a folder holds before it
+        name = path.relative_to(folder).as_posix()
+        if not any(name.startswith(kept) or kept.startswith(f"{name}/") for kept in MATHJAX):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def setup(app: Any) -> None:
     """Write the pages that are made of the program itself before any is read."""
     app.connect("source-read", _within_site)
+    app.connect("build-finished", _without_surplus)
     pages.write_reference(Path(__file__).parents[1] / "api")
     pages.write_copies(Path(__file__).parents[1])
     pages.write_validation(Path(__file__).parents[1], os.environ.get("CLSIM_MEASURED"))
+    media.write_media(Path(app.outdir) / "media")

@@ -104,7 +104,7 @@ IN_TABLE = {
 
 
 def type_of(annotation: Any) -> str:
-    """Return what a key may hold, in words."""
+    """Return the type of a key in words."""
     if get_origin(annotation) is Annotated:
         return type_of(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -158,7 +158,7 @@ def constructors(model: type[BaseModel]) -> Iterator[Callable[..., Any]]:
 
 
 def described(function: Any) -> dict[str, str]:
-    """Return what a docstring tells of each parameter, in a line."""
+    """Return a docstring's text for each parameter, in one line."""
     text = inspect.cleandoc(function.__doc__ or "")
     found: dict[str, str] = {}
     names: list[str] = []
@@ -177,7 +177,7 @@ def described(function: Any) -> dict[str, str]:
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """Return what each key of a table means."""
+    """Return the meaning of each key of a table."""
     told: dict[str, str] = {}
     owners = [*constructors(model), *((RenderOptions,) if model.__name__ == "_Render" else ())]
     if model.__name__ == "_Paths":
@@ -204,7 +204,7 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
 
 
 def title(model: type[BaseModel]) -> str:
-    """Return what a table is called: words of the model's name, and its kind."""
+    """Return the title of a table: words of the model's name, and its kind."""
     words = re.sub(r"Model$", "", model.__name__.strip("_"))
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", words).lower()
     return f'{words}, `kind = "{kinds(model)[0]}"`' if kinds(model) else words

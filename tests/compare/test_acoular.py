@@ -43,7 +43,7 @@ def acoular_module() -> Any:
 
 @pytest.fixture(scope="session")
 def theirs(once: Any) -> Callable[..., np.ndarray]:
-    """Return what tells what Acoular's microphones hear of a motion; it takes seconds to compile itself."""
+    """Return a function from a motion to the signals of Acoular's microphones; compiling it takes seconds."""
     if importlib.util.find_spec("acoular") is None:
         pytest.skip("acoular is not installed")
 
@@ -79,7 +79,7 @@ def scene_of(motion: clsim.Trajectory) -> clsim.Scene:
 
 
 def their_sound(acoular: Any, scene: clsim.Scene, up: int, convective: bool) -> np.ndarray:
-    """Return what Acoular's microphones hear, (receivers, samples)."""
+    """Return the signals of Acoular's microphones (receivers, samples)."""
     motion, emitted = scene.sources[0].trajectory, sweep(np.arange(round(DURATION * RATE)) / RATE)[0]
     # A cubic spline through points 1 ms apart is off by (1 ms)^4 / 384 times the fourth derivative, 3e-9 m on the circle.
     told = np.linspace(0.0, DURATION, 251)

@@ -45,7 +45,7 @@ class Filter:
     steps: int  # of its table of the sinc, per sample
 
     def error(self, frequencies: np.ndarray) -> float:
-        """Return how far its response is from a pure delay, at most, at frequencies in cycles per sample."""
+        """Return the largest error of its response against a pure delay at frequencies in cycles per sample."""
         k = np.arange(self.taps) - self.taps // 2
         worst = 0.0
         for late in np.linspace(0.0, 1.0, 41):
@@ -101,7 +101,7 @@ def image_places(paths: clsim.PathSet, source: Any) -> np.ndarray:
 
 
 def rounding_of_images(order: int, farthest: float) -> float:
-    """Return how far float32 may move an image, at most, m.
+    """Return the largest rounding error of an image's position in float32, m.
 
     A reflection is ``x + 2 (n . (p - x)) n``: for each of three axes a difference, a product and a sum for the scalar
     product, and for the image a product and a sum, all of numbers below twice the farthest image's distance; the normal
@@ -111,7 +111,7 @@ def rounding_of_images(order: int, farthest: float) -> float:
 
 
 def rounding_of_gains(least: float) -> float:
-    """Return how far float32 may move the product of `ORDER` factors, of which `least` is the least, relative to it.
+    """Return the largest relative rounding error in float32 of a product of `ORDER` factors, the least of which is `least`.
 
     Loss and 1 less the loss, ``r²``, are rounded, which is off by up to two roundings of 1, and so r by ``1 / r²`` of
     them; the root, the power and the product are three more.

@@ -59,7 +59,7 @@ def test_bands_of_a_room_whose_walls_are_the_same_at_every_frequency(responses: 
 
 
 def test_the_direct_sound_over_all_else(responses: clsim.ImpulseResponses) -> None:
-    """Of whole responses: the direct path's energy over that of the others, as far as these do not interfere."""
+    """Whole responses: the direct path's energy over that of the others, as far as these do not interfere."""
     whole = clsim.room_measures(responses, None)
     distance = math.dist((1.1, 1.3, 1.2), (3.7, 2.9, 2.1))
     energy = float(np.square(responses.samples).sum())
@@ -92,7 +92,7 @@ def test_what_has_no_measures_is_refused(responses: clsim.ImpulseResponses) -> N
 @pytest.mark.filterwarnings("ignore:noise or the end of responses hides the decay")
 @pytest.mark.parametrize(("bands", "lowest"), [("octave", 2000.0), ("third-octave", 4000.0)])
 def test_measures_by_band_of_three_impulses(responses: clsim.ImpulseResponses, bands: str, lowest: float) -> None:
-    """Of 1, 1/2 after 60 ms and 1/4 after 200 ms, which are the same in every band wide enough to have rung out in 2.5 ms.
+    """A response of 1, 1/2 after 60 ms and 1/4 after 200 ms. All bands that ring out in 2.5 ms have the same measures.
 
     A filter of third order falls by ``exp(-pi B t / 2)``: what is left after 2.5 ms is below 0.1 % of an impulse's energy.
     """

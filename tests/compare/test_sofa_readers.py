@@ -102,7 +102,7 @@ def test_a_file_tells_where_when_and_how_loud(responses: clsim.ImpulseResponses,
 
 
 def peak(taps: np.ndarray, finer: int = 64) -> tuple[float, float]:
-    """Return where the largest value lies between samples, and how large it is."""
+    """Return the position of the maximum between samples, and its value."""
     padded = np.append(taps, np.zeros(len(taps)))  # twice as many, so that their number is even
     fine = np.fft.irfft(np.fft.rfft(padded), finer * len(padded)) * finer
     k = int(fine.argmax())

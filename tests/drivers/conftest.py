@@ -15,7 +15,7 @@ ALL = [f"{name}.cpu" for name in SCENES] + [f"{name}.gpu" for name in (SCENES if
 def by_pocl(
     once: Callable[[str, Callable[[], Any]], Any], tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., Path]:
-    """Return what gives the folder of scenes as PoCL renders them, each scene and layout once in a run of the tests."""
+    """Return a function to the folder of scenes rendered by PoCL, each scene and layout once in a run of the tests."""
 
     def folder(*names: str) -> Path:
         def make() -> str:

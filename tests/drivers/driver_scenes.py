@@ -415,7 +415,7 @@ def filled_up_to(paths: int) -> Iterator[None]:
 
 
 def rendered(device: str, name: str) -> np.ndarray:
-    """Return what is heard in a scene."""
+    """Return the samples of a scene."""
     scene_name, layout, mutant = f"{name}.".split(".")[:3]
     with mutated(mutant), filled_up_to(max(FEWEST, BATCHES.get(name, 0))), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual

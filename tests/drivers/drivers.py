@@ -114,13 +114,13 @@ def render(driver: Driver, folder: Path, *names: str) -> str:
 
 
 def apart_db(folder: Path, other: Path, name: str) -> float:
-    """Return how far apart two drivers are."""
+    """Return the difference of two drivers."""
     one, two = (np.load(f / f"{name}.npz")["heard"] for f in (folder, other))
     return difference_db(one, two)
 
 
 def difference_db(one: np.ndarray, two: np.ndarray) -> float:
-    """Return how far apart two are that both sound."""
+    """Return the difference of two non-zero results."""
     for heard in (one, two):
         assert np.all(np.isfinite(heard))
         assert np.any(heard)

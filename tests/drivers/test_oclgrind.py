@@ -83,7 +83,7 @@ EVERYDAY = ("plain.cpu", "plain.cpu.off_by_one")
 def simulated(
     once: Callable[[str, Callable[[], Any]], Any], tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., Path]:
-    """Return what gives the folder of scenes and mutants in one process of Oclgrind, once in a run of the tests."""
+    """Return a function to the folder of scenes and mutants of one process of Oclgrind, made once in a run of the tests."""
 
     def folder(*names: str) -> Path:
         def make() -> str:

@@ -55,7 +55,7 @@ def snippets(page: Path) -> list[tuple[str, str]]:
 
 
 def small_scene(signal: clsim.Signal) -> clsim.Scene:
-    """Return what pages call ``scene``: a robot that walks and sounds, four receivers."""
+    """Return the ``scene`` of pages: a robot that walks and emits, four receivers."""
     walk = clsim.Trajectory.line((2.0, 2.0, 1.2), (2.4, 2.6, 1.2), 0.3)
     robot = clsim.Source("robot", signal, walk)
     places = {"ceiling": (1.0, 1.0, 2.4), "b": (5.0, 1.0, 2.3), "c": (5.0, 4.0, 2.4), "d": (1.0, 4.0, 2.2)}
@@ -71,13 +71,12 @@ def prelude(text: str) -> dict[str, Any]:
     paths = clsim.find_paths(scene, 1)
     recording = clsim.render(paths, 192e3) if "recording" in text else None
     t = np.linspace(0.0, 0.3, 31)
-    box = clsim.Shoebox((2.0, 0.4, 1.5), clsim.Material.from_reflection(0.8)).as_mesh()
-    faces = [f"v {x} {y} {z}" for x, y, z in box.vertices] + [f"f {a} {b} {c}" for a, b, c in box.triangles + 1]
-    for name in ("hall.obj", "shelf.obj", "room.obj"):
+    for name, size in (("hall.obj", (2.0, 0.4, 1.5)), ("shelf.obj", (2.0, 0.4, 1.5)), ("room.obj", scene.room.size)):
+        box = clsim.Shoebox(size, clsim.Material.from_reflection(0.8)).as_mesh()
+        faces = [f"v {x} {y} {z}" for x, y, z in box.vertices] + [f"f {a} {b} {c}" for a, b, c in box.triangles + 1]
         Path(name).write_text("\n".join(faces), "utf-8")
-    np.savetxt(
-        "walk.txt", np.column_stack([t, *scene.sources[0].trajectory.position(t).T, np.tile((0, 0, 0, 1), (31, 1))])
-    )
+    walk = scene.sources[0].trajectory.position(t)
+    np.savetxt("walk.txt", np.column_stack([10.0 * t, *walk.T, np.tile((0, 0, 0, 1), (31, 1))]))  # 3 s
     shutil.copytree(ROOT / "examples", "examples")
     rows = "\n".join(f"{angle},0,-1" for angle in range(0, 190, 10))
     for name in ("beam.csv", "phase.csv"):
@@ -207,7 +206,7 @@ def run_notebook(notebook: str, folder: str, told: Any) -> None:
 
 
 def problem_of(run: Callable[[str, str, Any], None], file: Path, folder: Path) -> str:
-    """Return what went wrong as a file was run in a folder, by a process forked from one that has loaded everything."""
+    """Return the problem of running a file in a folder, by a process forked from one that has loaded everything."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         pytest.skip("this system does not fork")
     context = multiprocessing.get_context("forkserver")

@@ -54,7 +54,7 @@ def command(scene: Path, out: Path, kind: str, *more: str) -> list[str]:
 
 
 def envelopes(out: Path) -> np.ndarray:
-    """Return what WAV files with I and Q hold."""
+    """Return the envelopes of WAV files with I and Q."""
     found = [soundfile.read(out / f"{name}.wav", dtype="float32") for name in ("left", "right")]
     assert {rate for _, rate in found} == {2560}
     return np.stack([frames[:, 0] + 1j * frames[:, 1] for frames, _ in found])

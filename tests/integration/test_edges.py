@@ -72,7 +72,7 @@ def test_check_and_paths_name_edges(scene: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_check_names_thin_panels(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Of two layers, where paths go over one edge: nothing is heard behind, unless they are sheets or go over two."""
+    """Walls of two faces, where paths go over one edge: no sound behind, unless they are sheets or paths go over two edges."""
     panel = """
 [[room.obstacles]]
 kind = "plan"

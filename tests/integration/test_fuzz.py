@@ -72,7 +72,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 
 def complaint(work: Callable[[], object]) -> str:
-    """Return what is wrong with how some work ends; nothing if it succeeds, or its error names a field."""
+    """Return the fault of an outcome; empty if the work succeeds or its error names a field."""
     try:
         with bounded():
             work()

@@ -183,7 +183,7 @@ __main__.run()
 
 @pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
 def test_a_coroutine_that_an_interrupt_leaves_is_not_reported() -> None:
-    """As of Zarr, which makes one for each file that it writes."""
+    """A coroutine like those of Zarr, which makes one for each file that it writes."""
     begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     command = [sys.executable, "-c", begin + UNAWAITED]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
@@ -243,7 +243,7 @@ def test_an_interrupt_waits_for_threads_that_write(where: str, number: int, fold
 
 @pytest.mark.parametrize("number", [1, -1])
 def test_threads_that_do_not_end_are_not_reported(number: int, folder: Path, tmp_path: Path) -> None:
-    """As on a loaded machine: an exit callback of Zarr gives its threads 0.2 s, and fails."""
+    """A loaded machine: an exit callback of Zarr gives its threads 0.2 s, and fails."""
     installed("zarr")
     status, err = slow_zarr(folder, tmp_path / "out", "sound/c", number, 1.0)
     assert status == (130 if number == 1 else 0)
@@ -305,7 +305,7 @@ def test_a_command_that_is_done_is_not_interrupted_by_a_handler_that_comes_back(
 
 
 def test_a_folder_that_is_still_written_into_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As by a thread of Zarr, which goes on for a moment after the process was interrupted."""
+    """A thread like that of Zarr, which goes on for a moment after the process was interrupted."""
     folder, rmdir, late = tmp_path / "store", os.rmdir, iter(["first", "second"])
     folder.mkdir()
     (folder / "early").touch()

@@ -17,7 +17,7 @@ from clsim.opencl import kernel_cache as cache
 
 @pytest.fixture
 def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
-    """As in a process that has not looked yet; what it does to the environment is undone."""
+    """The state of a process that has not looked yet; changes of the environment are undone."""
     pyopencl = pytest.importorskip("pyopencl")
     for name in ("POCL_CACHE_DIR", "XDG_CACHE_HOME", "PYOPENCL_NO_CACHE"):
         monkeypatch.setenv(name, "")

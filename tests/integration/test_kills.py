@@ -58,7 +58,7 @@ class Cases:
         return run if operation == "draw" else [*run, "--no-plots"]
 
     def flag(self, operation: str) -> str:
-        """Return what puts something else in the place of what is there, or goes on with it."""
+        """Return the commands that overwrite or continue a result."""
         return "--force" if operation in ("renew", "rir") else "--resume"
 
     def prepare(self, operation: str, kind: str, out: Path) -> None:
@@ -76,7 +76,7 @@ class Cases:
             shutil.rmtree(out / "recording.zarr", ignore_errors=True)
 
     def wanted(self, operation: str, kind: str) -> tuple[dict[str, bytes], int]:
-        """Return what is there in the end, and how often the folder is touched until then."""
+        """Return the files at the end, and the number of changes of the folder until then."""
         if (operation, kind) not in self._wanted:
             out = self.folder / "work" / "out"
             self.prepare(operation, kind, out)

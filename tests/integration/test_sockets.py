@@ -36,7 +36,7 @@ with Client(sys.argv[1], timeout=2, set_as_default=False) as client:
 
 
 def attacked(port: int) -> str:
-    """Return what a Dask scheduler at a port does with a program that anybody sends, "" if nothing."""
+    """Return the answer of a Dask scheduler at a port to a program from a stranger; "" if there is none."""
     line = [sys.executable, "-c", ATTACK, f"tcp://127.0.0.1:{port}"]
     try:
         return subprocess.run(line, capture_output=True, text=True, timeout=20).stdout.strip()
@@ -45,7 +45,7 @@ def attacked(port: int) -> str:
 
 
 def answers(port: int) -> bytes:
-    """Return what whatever listens at a port says to who only connects, and sends an HTTP request."""
+    """Return the answer at a port to a client that connects and sends an HTTP request."""
     with socket.create_connection(("127.0.0.1", port), 2) as connection:
         connection.settimeout(1)
         connection.sendall(b"GET /health HTTP/1.0\r\n\r\n")
@@ -92,7 +92,7 @@ with socket.create_server(("127.0.0.1", 0)) as server:
 
 
 def test_a_socket_that_listens_is_seen() -> None:
-    """By both ways to look: a test of something that is not there must be able to fail."""
+    """Both ways to look are used: a test of something that is not there must be able to fail."""
     with subprocess.Popen(
         [sys.executable, "-c", LISTEN], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:

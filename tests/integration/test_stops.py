@@ -19,7 +19,7 @@ def test_scene_and_paths_pass_through_no_more_files_than_they_did(device: None) 
 
 
 def test_stops_files_and_returns_are_counted() -> None:
-    """By hand: the first call is in one file, the second in another, the third in the first again."""
+    """A stack made by hand: the first call is in one file, the second in another, the third in the first again."""
     spec = importlib.util.spec_from_file_location("stops", SCRIPT)
     assert spec is not None
     assert spec.loader is not None

@@ -152,7 +152,7 @@ def test_a_damaged_list_of_strings_of_an_hdf5_file_is_refused(tmp_path: Path) ->
 
 
 def test_an_hdf5_file_of_one_block_is_read(tmp_path: Path) -> None:
-    """As they were written before; its library writes the same variables anew, without chunks."""
+    """A store as earlier versions wrote it; its library writes the same variables anew, without chunks."""
     h5py = pytest.importorskip("h5py")
     out = made(tmp_path, "hdf5")
     wanted = clsim.load_recording(out).samples
@@ -199,7 +199,7 @@ def test_a_chunk_that_is_missing_in_a_study(study_made: Path) -> None:
 
 
 def test_changed_metadata_of_a_study(study_made: Path, capsys: Any) -> None:
-    """Of the store, a member and an array: a bit that leaves JSON, white space, and metadata or a member that is gone."""
+    """Damages of the store, a member and an array: a bit that leaves JSON, white space, missing metadata, a missing member."""
     store = study_made / STORE
     assert main(["verify", str(study_made)]) == 0
     for path, old, new in (

@@ -86,7 +86,7 @@ def test_a_scene_at_rest_has_one_frame(tmp_path: Path) -> None:
 
 
 def heard(paths: clsim.PathSet, time: float) -> list[int]:
-    """Return how many paths of each order are heard."""
+    """Return the number of active paths of each order."""
     now = (paths.start <= time) & (time < paths.end)
     return np.bincount(paths.order[now], minlength=3).tolist()
 

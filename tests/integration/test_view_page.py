@@ -187,7 +187,7 @@ def assert_drawn(tab: Any, index: int) -> None:
     given = FRAMES[index]
     assert state["index"] == index
     assert state["paths"] == np.bincount(given.order, minlength=4).tolist()
-    assert state["text"] == f"t = {TIMES[index]:.3f} s: {len(given.order)} paths heard"
+    assert state["text"] == f"t = {TIMES[index]:.3f} s: {len(given.order)} active paths"
     np.testing.assert_allclose(state["places"][0], WAY[index], rtol=0.0, atol=0.501e-3)
     assert state["places"][3] == ([5, 3, 1] if TIMES[index] < 1.0 else [None] * 3)
     for seen, body in zip(state["bodies"], bodies(), strict=True):
@@ -202,7 +202,7 @@ def assert_drawn(tab: Any, index: int) -> None:
 
 
 def picture(tab: Any) -> bytes:
-    """Return what is seen, when all that plotly has to draw was: it draws what changed in the next frame."""
+    """Return the drawn state once plotly has finished: it draws changes in the next frame."""
     tab.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     return bytes(tab.locator("#drawing").screenshot())
 
@@ -216,7 +216,7 @@ def test_the_slider_moves_what_is_drawn(tab: Any) -> None:
         slider.press("ArrowRight")
     tab.wait_for_function("clsim.state().index === 7")
     assert_drawn(tab, 7)
-    assert tab.locator("#caption").inner_text() == f"t = 1.400 s: {len(FRAMES[7].order)} paths heard"
+    assert tab.locator("#caption").inner_text() == f"t = 1.400 s: {len(FRAMES[7].order)} active paths"
     moved = picture(tab)
     assert moved != before
     box = slider.bounding_box()

@@ -178,7 +178,7 @@ def _tokens(text: str) -> list[_Token]:
 
 
 def _same_words(text: str, other: str) -> bool:
-    """Return whether two texts have the same tokens: of all lines between the first and the last that differ."""
+    """Compare the tokens of two texts in all lines between the first and the last that differ."""
     a, b = text.splitlines(), other.splitlines()
     first = _common(a, b)
     while first > 0 and a[first - 1].endswith("\\"):  # all of a macro, in which ends of lines may be tokens
@@ -189,12 +189,12 @@ def _same_words(text: str, other: str) -> bool:
 
 
 def _common(a: list[str], b: list[str]) -> int:
-    """Return how many lines are the same at the beginning."""
+    """Return the number of equal lines at the beginning."""
     return next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
 
 
 def _edits(text: str, start: int, end: int, new: str) -> Iterator[tuple[int, int, str]]:
-    """Return what differs, as (start, end, replacement) in the text; never a part of a token."""
+    """Return the differences as (start, end, replacement) in the text; tokens are never split."""
     while start > 0 and _is_word(text[start - 1 : start + 1]):  # the fragment begins or ends within a word
         start, new = start - 1, text[start - 1] + new
     while _is_word(text[end - 1 : end + 1]):
@@ -252,7 +252,7 @@ def _expression(
 
 
 def _balance(tokens: list[_Token]) -> tuple[int, int, bool]:
-    """Return how many brackets in tokens stay open, how many close others, and whether something separates parts."""
+    """Return the numbers of unclosed and of unopened brackets in tokens, and a flag for a separator."""
     opened, closed, parted = 0, 0, False
     for token in tokens:
         if token.text in _CLOSE:

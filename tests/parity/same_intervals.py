@@ -6,7 +6,7 @@ from clsim.paths.visibility.intervals import Intervals
 
 
 def same(got: Intervals, twin: Intervals, step: float) -> bool:
-    """Return whether intervals agree to a step, s; those of a few steps may be missing on either side."""
+    """Compare intervals to a step, s; those of a few steps may be missing on either side."""
 
     def long(found: Intervals) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         keep = found.end - found.begin > 3 * step

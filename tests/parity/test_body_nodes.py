@@ -35,7 +35,7 @@ WAYS: list[tuple[str, dict[str, Any]]] = [
 
 @cache
 def paths(air: str) -> PathSet:
-    """Return what a door that swings, a chest that breathes and a table at rest reflect, mixed with walls, while both ends move."""
+    """Return paths by a swinging door, a breathing chest and a static table, mixed with walls, while both ends move."""
     hinge = clsim.Trajectory.swing((1.0, 2.0, 0.0), (0, 0, 1), [0.0, 0.02, 0.1], [0.0, 0.06, 0.12])
     door = clsim.Body.box("door", (1.6, 0.0, 2.0), POROUS, hinge, centre=(0.85, 0.0, 1.1))
     breath = clsim.Trajectory.line((0.3, 1.0, 1.2), (0.33, 1.0, 1.2), 0.12)
@@ -73,7 +73,7 @@ ENGINES = KeptEngines()
 
 
 def difference_db(way: int = 0, layout: Layout = CPU_LAYOUT) -> float:
-    """Return by how much what is heard with nodes of the device differs."""
+    """Return the error of the samples with nodes of the device."""
     engine = ENGINES.engine((way, layout), lambda: OpenclEngine(plan(way), layout))
     assert isinstance(engine.maker(0), NodeMaker)
     try:

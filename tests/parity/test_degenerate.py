@@ -116,7 +116,7 @@ def test_what_lies_between_the_ends(of: dict[str, Any]) -> None:
 
 
 def by_edges(number: int, aside: Any, engine: str) -> Any:
-    """Return what is heard about a screen or a pillar with both ends in its planes, on its diagonal or at equal heights."""
+    """Return the samples near a screen or a pillar with both ends in its planes, on its diagonal or at equal heights."""
     random = np.random.default_rng([34, number])
     if number % 2:
         room: Any = clsim.MeshRoom([(0, 0, -2), (0, 0, 2), (-2, 0, 2), (-2, 0, -2)], [(0, 1, 2), (0, 2, 3)], HARD)

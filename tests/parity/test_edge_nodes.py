@@ -30,7 +30,7 @@ SOFT = clsim.Material.from_reflection(-0.8)
 
 @cache
 def paths() -> PathSet:
-    """Return what turns round a screen over a porous floor, and round its ends, while both ends move fast; one edge is between two walls.
+    """Return paths round a screen over a porous floor, and round its ends, while both ends move fast; one edge is between two walls.
 
     The receiver passes boundaries of shadow and of reflection by the screen.
     """
@@ -68,7 +68,7 @@ ENGINES = KeptEngines()
 
 
 def difference_db(layout: Layout = CPU_LAYOUT) -> float:
-    """Return by how much what is heard with nodes of the device differs, of the receiver where it does most."""
+    """Return the error of the samples with nodes of the device, at the receiver where it is largest."""
     engine = ENGINES.engine(layout, lambda: OpenclEngine(plan(), layout))
     assert isinstance(engine.maker(0), NodeMaker)
     try:

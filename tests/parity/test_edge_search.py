@@ -85,7 +85,7 @@ def candidates(name: str) -> list[EdgeCandidates]:
 
 @pytest.fixture(scope="module")
 def wanted(once) -> Callable[[str], list[tuple[EdgeCandidates, Intervals]]]:
-    """Return what gives all that the NumPy twin finds in a scene."""
+    """Return a function to all paths that the NumPy twin finds in a scene."""
     return lambda name: once(f"edge search, {name}", lambda: found_on_host(name))
 
 

@@ -60,7 +60,7 @@ def difference_db(got: np.ndarray, wanted: np.ndarray) -> float:
 
 
 def windows(pressure: Callable[[int, int], np.ndarray]) -> np.ndarray:
-    """Return what is looked at, of the slow engine too: when the first paths come in, and when all are there."""
+    """Return the windows that are compared, of the slow engine too: at the first arrivals, and once all paths are active."""
     return np.concatenate([pressure(first, last) for first, last in ((3600, 4800), (14_080, 15_360))], axis=1)
 
 
@@ -100,7 +100,7 @@ def test_layout_for_gpus_gives_the_same() -> None:
 
 @pytest.fixture
 def without_float64(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """Return what lets the device say from then on that it has no float64."""
+    """Return a function after which the device reports that it has no float64."""
     found = device_module.find_device
 
     def hidden(wanted):

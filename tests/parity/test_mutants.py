@@ -100,7 +100,7 @@ def _near() -> PathSet:
 
 @pytest.fixture(scope="module")
 def difference_db(once) -> Callable[..., float]:
-    """Return what renders a scene by OpenCL, as the kernels are now, and compares it with the reference."""
+    """Return a function that renders a scene by the current kernels and compares it with the reference."""
     plans: dict[str, Plan] = {}
     wanted: dict[str, np.ndarray] = {}
     engines = KeptEngines()

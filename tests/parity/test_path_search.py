@@ -91,7 +91,7 @@ CASES = scenes()
 
 @pytest.fixture(scope="module")
 def wanted(once) -> Callable[[str], list[tuple[Candidates, Intervals]]]:
-    """Return what gives all that the NumPy twin finds in a scene."""
+    """Return a function to all paths that the NumPy twin finds in a scene."""
     return lambda name: once(f"path search, {name}", lambda: found_on_host(name, CASES[name]))
 
 

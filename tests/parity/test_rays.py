@@ -19,7 +19,7 @@ from clsim.tail.ray_room import Energies, RayRoom, has_free_edges
 @pytest.mark.parametrize("sized", [False, True])
 @pytest.mark.parametrize("make", [box, with_a_sheet, with_a_door, many_triangles])
 def test_the_device_adds_up_the_same_whole_numbers(device: None, make: Any, sized: bool) -> None:
-    """Of all tables, for groups of any size: every sum, whatever the order in which work-items come to it."""
+    """All tables, for groups of any size: every sum, in any order of the work-items."""
     run, layout = run_in(make(), sized=sized)
     expected = traced(HostRays(), run, layout)
     for group in (1, 16, 64):

@@ -53,7 +53,7 @@ def things(phased: bool) -> list[clsim.Scatterer]:
 
 @cache
 def paths(air: clsim.Air | None = None, phased: bool = False) -> PathSet:
-    """Return what scatterers send from a source to receivers among walls, both of which move fast; one's clock is fast, too."""
+    """Return paths by scatterers among walls, from a fast source to fast receivers, one of which has a fast clock."""
     sweep = clsim.Signal.chirp(34e3, 46e3, 0.06, RATE, window="tukey")
     way = clsim.Trajectory.line((0.5, 0.6, 0.9), (0.7, 0.9, 1.1), 0.1)
     ears = [clsim.Trajectory.line((2.8, 0.6, 1.3), (2.6, 0.9, 1.6), 0.1), clsim.Trajectory.fixed((0.6, 2.5, 0.8))]
@@ -82,7 +82,7 @@ ENGINES = KeptEngines()
 
 
 def heard(of: PathSet, layout: Layout, maker: type, **options: str) -> np.ndarray:
-    """Return what is heard with nodes of a maker; not finite where the engine refuses what it finds."""
+    """Return the samples with nodes of a maker; not finite where the engine refuses the nodes."""
     key = of, layout, maker, nodes.SMOOTH_SHARE, *options.items()
     engine = ENGINES.engine(key, lambda: OpenclEngine(plan(of, **options), layout))
     assert type(engine.maker(0)) is maker
@@ -105,7 +105,7 @@ def by_host(of: PathSet, **options: str) -> np.ndarray:
 def difference_db(
     air: clsim.Air | None = None, phased: bool = False, layout: Layout = CPU_LAYOUT, **options: str
 ) -> float:
-    """Return by how much what is heard with nodes of the device differs, of the receiver where it does most."""
+    """Return the error of the samples with nodes of the device, at the receiver where it is largest."""
     got, wanted = heard(paths(air, phased), layout, NodeMaker, **options), by_host(paths(air, phased), **options)
     if not np.all(np.isfinite(got)):
         return np.inf

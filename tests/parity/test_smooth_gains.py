@@ -35,7 +35,7 @@ def _plan(turns: float = 0.0):
 
 
 def _asked(plan, monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Return what launches of the nodes' kernel are told that smooth gains may be wrong by."""
+    """Return the error of smooth gains that is passed to launches of the nodes' kernel."""
     asked, launch = [], Launch.__call__
 
     def watched(self, *arguments, **named):

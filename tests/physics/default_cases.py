@@ -54,7 +54,7 @@ class Case:
         return plan_render(paths, self.rate, **self.options)
 
     def truth(self, receiver: int, at: np.ndarray, limits: list[np.ndarray]) -> oracle.Truth:
-        """Return what a receiver hears at samples of what each source emits below its limit."""
+        """Return the pressure at samples of a receiver, from the part of each source's signal below its limit."""
         starts = self.starts or (0.0,) * len(self.signals)
         emitted = []
         for signal, start, limit in zip(self.signals, starts, limits, strict=True):
@@ -77,7 +77,7 @@ def trajectory(curve: oracle.Curve, end: float) -> clsim.Trajectory:
 
 
 def pressures(plan: Plan) -> np.ndarray:
-    """Return what a plan gives, (receivers, samples)."""
+    """Return the samples of a plan (receivers, samples)."""
     return np.concatenate([piece for _, piece in render_chunks(plan)], axis=1)
 
 
@@ -167,7 +167,7 @@ def wide_bands(duration: float = 0.5) -> list[Case]:
 
 
 def phones() -> list[Case]:
-    """Return what phones play, up to 0.958 of half the sampling rate."""
+    """Return a signal of phones, up to 0.958 of half the sampling rate."""
     case = abrupt_tones()[4]
     sweep = clsim.Signal.chirp(17e3, 23e3, 0.08, case.rate, window="tukey")
     slow = Line((2.0, 2.5, 2.0), (1.0, 0.5, 0.0))

@@ -157,7 +157,7 @@ class Emitted:
         self.absorption = room.absorption(np.arange(self.length // 2 + 1) * (rate / self.length))
 
     def sounds(self, time: np.ndarray) -> np.ndarray:
-        """Return whether times of emission lie where the samples are known."""
+        """Test that times of emission lie where the samples are known."""
         at = (time - self.start) * self.rate + self.before
         return (at > self.fine.points) & (at < self.length - self.fine.points)
 
@@ -254,7 +254,7 @@ class Truth:
 def truth(
     sources: list[tuple[Emitted, Curve]], receiver: Curve, room: Room, times: np.ndarray, block: int = 4_000_000
 ) -> Truth:
-    """Return what a receiver hears at times (n,) of all sources."""
+    """Return the pressure at a receiver at times (n,), from all sources."""
     pressure, power = np.zeros(len(times)), np.zeros(len(times))
     for emitted, curve in sources:
         found: list[tuple[np.ndarray, ...]] = []

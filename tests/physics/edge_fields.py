@@ -30,7 +30,7 @@ def terms(paths: PathSet, times: np.ndarray, frequency: float, receiver: int = 0
 
 
 def jumps(paths: PathSet, events: np.ndarray, frequency: float, receiver: int = 0, step: float = 1e-7) -> np.ndarray:
-    """Return by how much the sum jumps at each event (E,), relative to the strongest path there.
+    """Return the jump of the sum at each event (E,), relative to the strongest path there.
 
     What the sum changes by in as short a time beside the event is no jump.
     """

@@ -39,13 +39,13 @@ class Lopsided(clsim.Directivity):
 
 
 def porous_factor(frequency, cosine):
-    """Return what a wall of a complex specific impedance that changes with frequency sends back."""
+    """Return the reflection of a wall of a complex specific impedance that changes with frequency."""
     zeta = 3.0 + 2.0j - 1.5j * np.asarray(frequency) / 40e3
     return (zeta * cosine - 1.0) / (zeta * cosine + 1.0)
 
 
 def rough_factor(frequency, cosine, speed_of_sound):
-    """Return what a rough pressure-release wall sends back straight on; real."""
+    """Return the reflection factor of a rough pressure-release wall at normal incidence; real."""
     return -0.95 * np.exp(-2.0 * (2 * np.pi * np.asarray(frequency) / speed_of_sound * 0.4e-3 * cosine) ** 2)
 
 

@@ -112,7 +112,7 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 
 
 def as_the_paths_say(paths: object, times: np.ndarray, receiver: int = 0) -> np.ndarray:
-    """Return what a receiver hears of tones at `times`: each path's gain times the tone's formula at its delay."""
+    """Return the pressure of tones at a receiver at `times`: each path's gain times the tone's formula at its delay."""
     table, total = paths.table(times), np.zeros(len(times))
     for p in np.flatnonzero(table.receiver == receiver):
         source = paths.scene.sources[table.source[p]]

@@ -100,7 +100,7 @@ def outline(polygon: Any, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def dipoles(x: np.ndarray, points: np.ndarray, weights: np.ndarray, normals: np.ndarray, k: float) -> np.ndarray:
-    """Return what elements (N,) send to places (M, 2) as dipoles across the outline, (M, N)."""
+    """Return the field (M, N) at places (M, 2) of elements (N,) as dipoles across the outline."""
     out = np.empty((len(x), len(points)), dtype=complex)
     for i, place in enumerate(x):
         away = points - place

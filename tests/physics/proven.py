@@ -54,7 +54,7 @@ def _each(wrap: Callable[[Any], Any]) -> Any:
 
 
 def _taking(render: Any, engine: str, takes: list[tuple[Recording, bool]]) -> Callable[..., Recording]:
-    """Return what renders, and keeps what was rendered."""
+    """Return a renderer that keeps its results."""
     original = OpenclEngine.add
 
     def taken(*arguments: Any, **options: Any) -> Recording:

@@ -11,7 +11,7 @@ import clsim
 def heard(
     signal: clsim.Signal, late: np.ndarray, response: Callable[[float], np.ndarray], margin: float = 1e-3
 ) -> np.ndarray:
-    """Return what is heard (T,), from the times since emission `late` (P, T) and responses (P, T) at a frequency.
+    """Return the pressure (T,) from the times since emission `late` (P, T) and responses (P, T) at a frequency.
 
     Terms of less than 1e-5 of the largest are left out: all of them together are below -90 dB of the signal. Nothing
     is heard `margin` s before and after the signal; the sum is periodic over little more than that.

@@ -37,7 +37,7 @@ def moving_scene(rng: np.random.Generator, signal: clsim.Signal, speed: float = 
 
 
 def rendered(plan: Plan, first: int) -> tuple[np.ndarray, int]:
-    """Return what a plan's engine gives and its first sample: all of it, or of the slow engine a window."""
+    """Return the samples of a plan's engine and the first index: all of them, or a window of the slow engine."""
     if plan.options.engine == "reference":
         return ReferenceEngine(plan).render(first, min(first + WINDOW, plan.samples))[0], first
     return OpenclEngine(plan).render(0, plan.samples)[0], 0

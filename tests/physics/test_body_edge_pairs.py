@@ -142,7 +142,7 @@ def in_a_room(ends: tuple, body: clsim.Body, built: bool) -> clsim.Scene:
 
 
 def test_a_pillar_at_rest_is_that_of_the_room_both_ways(measured: Callable[..., float]) -> None:
-    """Of real faces and askew, with reflections by them: the same sums to -100 dB, and with the ends exchanged."""
+    """Real faces and oblique ones, with reflections: the same sums to -100 dB, also with source and receiver exchanged."""
     turn = np.array([0.0, 0.02, np.sin(0.1), np.cos(0.1)])
     body = pillar(FIXED(MIDDLE, turn / np.linalg.norm(turn)), material=clsim.Material.from_reflection(0.8))
     time, sums = np.array([0.05]), []

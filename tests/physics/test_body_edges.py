@@ -38,7 +38,7 @@ def far_scene(ends: tuple[Trajectory, Trajectory], bodies: list[clsim.Body], sig
 
 
 def earliest(surfaces: list[Any], ends: tuple[Trajectory, Trajectory], emission: float, start: Any) -> tuple[Any, Any]:
-    """Return how long what is emitted then takes at least by a point of each surface, m, and the points (n, 2)."""
+    """Return the shortest distance by a point of each surface, m, for an emission time, and the points (n, 2)."""
 
     def hop(place: Any, where: Any, time: float) -> tuple[float, Any]:
         flight = 0.0

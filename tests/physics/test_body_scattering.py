@@ -115,7 +115,7 @@ def back(place: Callable[[Any], Any], heard: tuple[Any, Any]) -> tuple[Any, Any]
 
 
 def on_mirror(scene: clsim.Scene, wall: int, uv: Any, near: Any, when: float) -> Callable[[Any], Any]:
-    """Return where a point of a mirror is at times, told by two unknowns (n, 2) from where it is met."""
+    """Return positions at times of the point of a mirror with the coordinates (n, 2)."""
     if wall >= len(scene.room.faces):
         plate = scene.bodies[0]
         own = plate.seen(near, np.array(when)) * [0, 1, 1] + np.pad(uv, ((0, 0), (1, 0)))
@@ -125,7 +125,7 @@ def on_mirror(scene: clsim.Scene, wall: int, uv: Any, near: Any, when: float) ->
 
 
 def on_body(body: clsim.Scatterer, uv: Any, near: Any, when: float) -> Callable[[Any], Any]:
-    """Return where a point of a scatterer's surface is at times, told by two unknowns (n, 2)."""
+    """Return positions at times of the point of a scatterer's surface with the coordinates (n, 2)."""
     motion, shape = body.trajectory, body.shape
     towards = rotate(motion.orientation(when) * [-1, -1, -1, 1], near - motion.position(when))
     axes = np.maximum(getattr(shape, "semi_axes", np.full(3, shape.radius)), 1e-12)
@@ -136,7 +136,7 @@ def on_body(body: clsim.Scatterer, uv: Any, near: Any, when: float) -> Callable[
 
 
 def emitted_last(scene: clsim.Scene, body: clsim.Scatterer, walls: tuple[Any, Any], time: float, events: Any) -> Any:
-    """Return how far back sound goes (n,) that is heard at a time, by points of all surfaces told by unknowns (n, m).
+    """Return the delays (n,) at a reception time by points of all surfaces with the coordinates (n, m).
 
     Two say where each mirror is met, from where the events say, and two by which point of the scatterer it goes.
     """
@@ -186,7 +186,7 @@ def test_what_is_heard_was_emitted_last() -> None:
 
 @pytest.mark.exhaustive
 def test_doppler_factors_are_derivatives_and_bounds_hold(moving: clsim.PathSet) -> None:
-    """Of both kinds of motion; and what rendering relies on: bounds of delays, of their rates, of gains."""
+    """Both kinds of motion, and the bounds that rendering relies on: of delays, of their rates, of gains."""
     family, times, h = family_of(moving), np.array([0.05, 0.09, 0.15]), 1e-4
     for kinematics in (RETARDED, QUASI_STATIC):
         fine = [family.arrivals(slice(None), times + k * h, kinematics).delay for k in (-2, -1, 1, 2)]

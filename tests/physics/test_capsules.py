@@ -18,7 +18,7 @@ K = 2.0 * np.pi * 40e3 / C
 
 
 def strengths(radius: float, length: float, source: np.ndarray, receiver: np.ndarray, wave: float = K) -> np.ndarray:
-    """Return what is scattered (n,) between ends (n, 3), m, relative to the phase of the shortest way."""
+    """Return the scattered field (n,) between ends (n, 3), m, relative to the phase of the shortest path."""
     ends = source.T, receiver.T
     glint = capsule_glint(radius, length, *ends, None, 1.0)
     for _ in range(3):

@@ -222,7 +222,7 @@ def test_drawn_walks_of_both_ends_past_a_corner(count: int, rng: np.random.Gener
 
 
 def test_a_way_that_turns_back_just_beyond_the_end_of_an_edge() -> None:
-    """By 30 µm, as the source sets out: a path over the edge was missing for 0.3 ms, -6 dB of the free field."""
+    """A miss of 30 µm as the source sets out: a path over the edge was missing for 0.3 ms, -6 dB of the free field."""
     hall, middle = clsim.Shoebox((40.0, 40.0, 40.0), SILENT), np.full(3, 20.0)
     sheet = clsim.MeshRoom(np.add(middle, [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.866, 0.0)]), [(0, 1, 2)], HARD)
     ways = [

@@ -165,7 +165,7 @@ def test_a_chirp_is_the_sum_over_its_spectrum(engine, v_s, v_r, measured):
 
 
 def test_pieces_of_any_length_are_the_same():
-    """As resumed runs and studies render them."""
+    """Chunks as resumed runs and studies render them."""
     paths = direct(CHIRP, along(0.0), along(10.0, 2.0))
     whole = clsim.render(paths, RATE, duration=0.2).pressure
     pieces = clsim.render_chunks(clsim.plan_render(paths, RATE, duration=0.2, chunk=18_432))

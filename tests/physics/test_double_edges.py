@@ -93,7 +93,7 @@ def test_behind_a_pillar(diffraction: int, bound: float, measured: Callable[...,
 def test_deep_shadows_of_pillars_of_a_room(
     side: float, level: float, bound: float, measured: Callable[..., float]
 ) -> None:
-    """Of 5 and 10 cm; the level is within 1.5 dB of that by collocation, as for 20 cm above."""
+    """Pillars of 5 and 10 cm: the level is within 1.5 dB of that by collocation, as for 20 cm above."""
     places = [(1.5, y * side / SIDE) for y in (-0.13, 0.0, 0.05, 0.11)]
     exact = field_behind((side, side), TONE, 14.0, places)
     paths = paths_past([clsim.Trajectory.fixed((*place, 0.0)) for place in places], 2, prism(side, side))
@@ -110,7 +110,7 @@ def test_deep_shadows_of_pillars_of_a_room(
 
 @pytest.mark.parametrize(("millimetres", "bound"), [(2, -49.0), (5, -44.0), (10, -40.0), (20, -36.0)])
 def test_behind_thin_walls(millimetres: int, bound: float, measured: Callable[..., float]) -> None:
-    """As a sheet with one edge, and as it is with two: both are what the wall does; of 2 mm, so is a thin wedge."""
+    """A wall as a sheet with one edge, as it is with two edges, and (2 mm) as a thin wedge: all agree with collocation."""
     thickness = 1e-3 * millimetres
     wall, exact = prism(thickness, HEIGHT), WALLS[thickness]
     sheet = closed(wall).with_sheets(0.03)

@@ -272,7 +272,7 @@ def test_partners_come_and_go_smoothly(n: float, boundary: int, law) -> None:
 @pytest.mark.parametrize("law", [utd, exact])
 @pytest.mark.parametrize("n", [1.5, 2.0])
 def test_on_a_boundary_all_is_the_mean_of_both_sides(n: float, law) -> None:
-    """As upsvensson's EDverify has it, at 100 Hz, source and receiver 1 m from the edge: 1e-5."""
+    """The value of upsvensson's EDverify at 100 Hz, source and receiver 1 m from the edge, to 1e-5."""
     came, k = np.radians(60.0), wave_number(100.0)
 
     def total(went: float) -> complex:

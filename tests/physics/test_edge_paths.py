@@ -330,7 +330,7 @@ def test_both_ends_are_alike() -> None:
 
 
 def test_an_edge_in_two_parts_sends_what_a_whole_one_does() -> None:
-    """Of two materials that are alike: their ends, which meet, take from each other, a hand's breadth from the way."""
+    """An edge of two equal materials: its halves, which meet a hand's breadth from the path, share the field."""
     tone, sums = clsim.Signal.tone(TONE, 0.1, RATE), []
     for joint in (None, 0.13, -0.02):
         heights = [-FAR, FAR] if joint is None else [-FAR, joint, FAR]

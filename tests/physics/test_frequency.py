@@ -27,7 +27,7 @@ def approach(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def received(chirp: clsim.Signal) -> np.ndarray:
-    """Return what is received of a source that approaches, of the samples of WINDOW."""
+    """Return the received samples of an approaching source within WINDOW."""
     times = np.arange(WINDOW.start, WINDOW.stop) / RATE
     distance, delay = approach(times)
     assert np.all((times - delay > -2e-3) & (times - delay < chirp.duration + 2e-3))  # the sum is periodic
@@ -99,7 +99,7 @@ def test_walls_and_a_beam_in_a_room(engine: str, once: Callable[..., Any], measu
 
 
 def walls_and_a_beam(scene: clsim.Scene, paths: clsim.PathSet, times: np.ndarray) -> np.ndarray:
-    """Return what is heard at times, a sum over the spectrum."""
+    """Return the pressure at times, a sum over the spectrum."""
     table = paths.table(times)
     materials, distance = walls(), table.delay * C
     cosine = np.clip(table.departure @ (np.array([1, 0.4, 0.2]) / np.linalg.norm([1, 0.4, 0.2])), -1, 1)

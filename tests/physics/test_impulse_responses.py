@@ -225,6 +225,6 @@ def test_what_is_not_known_and_not_heard_is_refused() -> None:
     paths = clsim.find_paths(scene, 1)
     images = replace(paths.families[0], start=np.full(len(paths), 0.5), end=np.full(len(paths), np.inf))
     later = replace(paths, families=(images,))
-    with pytest.raises(clsim.InputError, match=r"^paths: must hold paths that are heard at 0\.2 s, but hold none"):
+    with pytest.raises(clsim.InputError, match=r"^paths: must hold paths that are active at 0\.2 s, but hold none"):
         clsim.impulse_responses(later, RATE, at=0.2, tail="off")
     assert np.any(clsim.impulse_responses(later, RATE, at=0.5, tail="off").samples)

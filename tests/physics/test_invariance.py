@@ -86,7 +86,7 @@ def heard(scene: clsim.Scene, engine: str, paths: PathSet | None = None) -> np.n
 
 
 def checked(recording: clsim.Recording, receivers: list[int]) -> np.ndarray:
-    """Return what was heard (receivers, samples), after a look at some of it: tones are what the paths say."""
+    """Return the recording (receivers, samples), after a check of some tones against the paths."""
     pressure = recording.pressure.astype(float)
     some = np.linspace(0.2, 0.99, 300) * pressure.shape[1]
     for receiver in receivers:

@@ -81,7 +81,7 @@ def folded(height: float) -> float:
 
 @pytest.mark.parametrize("as_mesh", [False, True])
 def test_images_take_the_mean_slowness_of_their_folded_way(as_mesh: bool) -> None:
-    """By quadrature along the unfolded line, whose height is folded between floor and ceiling."""
+    """Quadrature along the unfolded line, whose height is folded between floor and ceiling."""
     room = clsim.MeshRoom(*box(SIZE), clsim.Material.from_reflection(0.9)) if as_mesh else None
     paths = at_rest(heated(), 3, room)
     images = paths.families[0]

@@ -39,7 +39,7 @@ def emitted(oracle: Oracle, sequence, source: clsim.Trajectory, at: np.ndarray, 
 
 
 def truth(oracle: Oracle, sequence, scene: clsim.Scene, times: np.ndarray, receiver: int = 0) -> np.ndarray:
-    """Return whether a path is valid at times of reception."""
+    """Test a path's validity at times of reception."""
     at = scene.receivers[receiver].trajectory.position(times)
     return oracle.valid(sequence, emitted(oracle, sequence, scene.sources[0].trajectory, at, times), at)
 
@@ -63,7 +63,7 @@ def by_sequence(paths: clsim.PathSet, oracle: Oracle, receiver: int = 0) -> dict
 
 
 def differing_samples(intervals: list, valid: np.ndarray, times: np.ndarray) -> int:
-    """Return how many samples are in an interval but not valid, or the other way round, ends less a sample left out."""
+    """Return the number of samples that are in an interval but not valid, or the reverse; a sample at either end is left out."""
     inside = np.zeros(len(times), dtype=bool)
     near = np.zeros(len(times), dtype=bool)
     step = times[1] - times[0]

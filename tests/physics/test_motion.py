@@ -24,7 +24,7 @@ def heard(source: clsim.Trajectory, receiver: clsim.Trajectory, engine: str, ord
 
 
 def checked(recording: clsim.Recording) -> np.ndarray:
-    """Return what was heard of tones (receivers, samples), after a look at some of it: it is what the paths say."""
+    """Return the recording of tones (receivers, samples), after a check of some samples against the paths."""
     pressure = recording.pressure.astype(float)
     some = np.linspace(0.1, 0.99, 300) * pressure.shape[1]
     for receiver, row in enumerate(pressure):

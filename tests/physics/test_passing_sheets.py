@@ -58,7 +58,7 @@ def test_all_is_as_it_is_for_ends_at_rest(moving: str, order: int, edges: int) -
 
 @cache
 def over_the_far_edge(moving: str) -> PathSet:
-    """Return what goes over the edge at x = 0 alone: two pieces."""
+    """Return the paths over the edge at x = 0 alone: two intervals."""
     sides = (FIXED(STILL), passing(2.0))
     paths = found(sides if moving == "receiver" else sides[::-1], 0, 1)
     edge = paths.families[1]

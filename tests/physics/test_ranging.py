@@ -63,7 +63,7 @@ def test_a_receding_chirp_seems_further_by_its_doppler_shift(receding: clsim.Rec
 
 
 def test_noise_is_met_as_well_as_it_can_be() -> None:
-    """Of 200 ranges by Gaussian noise, the deviation is within 15 % of the bound, three of its own deviations."""
+    """The deviation of 200 ranges in Gaussian noise is within 15 % of the bound, three of its own deviations."""
     pulse = clsim.Signal.chirp(30e3, 50e3, 2e-3, RATE, window="hann")
     source = clsim.Source("s", clsim.Signal.pulses(pulse, 0.01, 200), clsim.Trajectory.fixed((1, 2, 1)))
     electronics = clsim.Electronics(ambient_noise_db=10.0, self_noise_db=8.0, gain_db=6.0, seed=3)

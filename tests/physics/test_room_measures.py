@@ -42,7 +42,7 @@ def test_an_exponential_decay(seconds: float) -> None:
 
 
 def test_the_index_of_equal_bands() -> None:
-    """Of the same apparent ratio in every band: its share of 30 dB; masking and the threshold only lower it."""
+    """The index of one apparent ratio in all bands is its share of 30 dB; masking and the threshold only lower it."""
     assert transmission_index(np.ones((7, 14)))[0] == 1.0
     assert transmission_index(np.zeros((7, 14)))[0] == 0.0
     ratio_db = 3.0

@@ -72,7 +72,7 @@ def exact_delay(scene: clsim.Scene, body: clsim.Scatterer, walls: tuple[list[int
     heard_at = image(receiver.position(t), after)
 
     def emitted(v: np.ndarray) -> float:
-        """Return how long ago the sound was emitted that the surface in the direction v sends, s."""
+        """Return the delay of the sound from the surface point in the direction v, s."""
         own = surface(body, v / np.linalg.norm(v))
 
         def place(event: float) -> np.ndarray:
@@ -113,7 +113,7 @@ def surface(body: clsim.Scatterer, v: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["point", "ball", "arm", "leg"])
 def test_delays_are_those_of_the_shortest_way_at_the_time_of_each_event(moving: clsim.PathSet, name: str) -> None:
-    """By brute force over the surface and two roots, for walls of either side; asked are 1e-9 s."""
+    """Brute force over the surface and two roots, for walls on either side, to 1e-9 s."""
     time = 0.3
     table, scene = moving.table(np.array([time])), moving.scene
     body = next(s for s in scene.scatterers if s.name == name)
@@ -322,7 +322,7 @@ def test_a_sphere_that_moves_is_heard_as_its_series(device: None, measured: Call
 
 
 def modes(radius: float, wave: np.ndarray, to: np.ndarray, back: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Return what a rigid sphere scatters (n, F) between ends at distances (n,), by the sum over its modes."""
+    """Return the field (n, F) scattered by a rigid sphere between ends at distances (n,), by the sum over its modes."""
     n = np.arange(round(radius * wave.max()) + 30)[:, None]
 
     def hankel(x: np.ndarray, derivative: bool = False) -> np.ndarray:
@@ -337,7 +337,7 @@ def modes(radius: float, wave: np.ndarray, to: np.ndarray, back: np.ndarray, cos
 
 
 def nearest(radius: float, front: list[np.ndarray], apart: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return by what angle (T,) from the source the shortest way meets a sphere, by bisection."""
+    """Return the angle (T,) from the source at which the shortest path meets a sphere, by bisection."""
     low, high = np.zeros(len(apart)), apart
     for _ in range(60):
         angle = 0.5 * (low + high)
@@ -351,7 +351,7 @@ def nearest(radius: float, front: list[np.ndarray], apart: np.ndarray, weight: n
 
 
 def heard_of_a_sphere(scene: clsim.Scene, radius: float, times: np.ndarray) -> np.ndarray:
-    """Return what is heard (T,) of a moving sphere, by its nearest points and the series at each frequency."""
+    """Return the pressure (T,) scattered by a moving sphere, by its nearest points and the series at each frequency."""
     ends = [end.trajectory.position(0.0) for end in (scene.sources[0], scene.receivers[0])]
     way, signal = scene.scatterers[0].trajectory, scene.sources[0].signal
     middle, half = 0.5 * (times[0] + times[-1]), 0.5 * (times[-1] - times[0])

@@ -350,5 +350,5 @@ def test_bounds_are_those_of_known_signals() -> None:
     two = clsim.sensitivities(
         walk(1), ["sources[0].gain_db", "receivers[0].electronics.gain_db"], RATE, engine="reference", duration=0.02
     )
-    with pytest.raises(clsim.InputError, match="must be told apart"):
+    with pytest.raises(clsim.InputError, match="must be distinguishable"):
         two.bounds(0.1)

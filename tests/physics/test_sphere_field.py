@@ -62,7 +62,7 @@ def heard(paths: clsim.PathSet, frequency: float, times: np.ndarray) -> np.ndarr
 
 
 def error(radius: float, frequency: float, source: np.ndarray, receiver: np.ndarray, **options: str) -> float:
-    """Return by how much the total pressure is wrong, relative to the free field."""
+    """Return the error of the total pressure, relative to the free field."""
     tone = clsim.Signal.tone(frequency, 0.01, 4.0 * frequency)
     paths = clsim.find_paths(about(radius, source, clsim.Trajectory.fixed(MIDDLE + receiver), tone, **options), 0)
     direct, scattered = field(2.0 * np.pi * frequency / C, radius, source, receiver)

@@ -131,7 +131,7 @@ def _methods(value: type) -> Iterator[tuple[str, Any]]:
 
 
 def raises(function: Callable[..., Any]) -> bool:
-    """Return whether a function's own text raises, or has what is given checked."""
+    """Test that a function's own text raises, or calls a check of its arguments."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     checks = {"check", "checked", "as_number", "as_count", "as_floats", "as_flag", "as_choice"}
     called = {ast.unparse(n.func).split(".")[-1] for n in ast.walk(tree) if isinstance(n, ast.Call)}

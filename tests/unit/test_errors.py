@@ -28,6 +28,24 @@ def test_warnings_name_the_line_outside_that_called() -> None:
 
 
 @pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("direct_truth", "direct_path"),
+        ("SphericalTable", "SphericalDirectivity"),
+        ("DirectivityTable", "AxialDirectivity"),
+    ],
+)
+def test_a_name_of_an_earlier_version_is_the_new_one_and_warns(old: str, new: str) -> None:
+    with pytest.warns(DeprecationWarning, match=f"clsim.{old} is called clsim.{new} since version 0.2") as caught:
+        assert getattr(clsim, old) is getattr(clsim, new)
+    assert caught[0].filename == __file__
+    assert old not in dir(clsim)
+    with pytest.warns(DeprecationWarning, match=old) as caught:
+        exec(compile(f"from clsim import {old}", "mine.py", "exec"), {"__name__": "mine"})
+    assert {w.filename for w in caught} == {"mine.py"}
+
+
+@pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: clsim.write_flac(3, "out"), "recording: must be a Recording, but is 3"),

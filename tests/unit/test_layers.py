@@ -55,7 +55,6 @@ UPWARD: dict[tuple[str, str], str] = {}
 BY_NAME = {
     "__init__.py": "public names, when they are first asked for",
     "cli.py": "the command that is called",
-    "commands/completion.py": "every command, for its options",
     "study/content.py": "the user's own metrics",
 }
 # Of whose classes nobody outside asks what a value is one of: what differs by kind is the package's own.
@@ -114,7 +113,7 @@ def imported(path: Path) -> set[str]:
 
 @cache
 def graph() -> dict[str, set[str]]:
-    """Return what each module imports; made when a test asks, for every process collects this file."""
+    """Return the imports of each module; made when a test asks, since every process collects this file."""
     return {name: imported(path) for name, path in MODULES.items()}
 
 
@@ -253,7 +252,7 @@ def code_lines(path: Path) -> frozenset[int]:
 
 
 def kernel_code(text: str) -> int:
-    """Return how many lines of a kernel file hold code."""
+    """Return the number of lines of code in a kernel file."""
     bare = re.sub(r"/\*.*?\*/", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
     return sum(bool(line.split("//")[0].strip()) for line in bare.splitlines())
 
@@ -282,7 +281,7 @@ def test_functions_are_small() -> None:
 
 
 def asked_kinds(tree: ast.Module) -> list[tuple[ast.AST, set[str]]]:
-    """Return where a file asks what class a value is of, and the names of those classes."""
+    """Return the places where a file tests the class of a value, and the names of those classes."""
     asked: list[tuple[ast.AST, ast.AST]] = []
     for node in ast.walk(tree):
         if isinstance(node, ast.MatchClass):

@@ -13,7 +13,7 @@ SCRIPTS = sorted([*(ROOT / "benchmarks").glob("*.py"), *(ROOT / "examples").glob
 
 
 def has(module: str, name: str) -> bool:
-    """Return whether a module of clsim has a name, or a module of that name."""
+    """Test that a module of clsim has a name, or that a module of that name exists."""
     try:
         found = importlib.import_module(module)
         return hasattr(found, name) or importlib.import_module(f"{module}.{name}") is not None

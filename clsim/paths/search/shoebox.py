@@ -34,7 +34,7 @@ class Images:
 
 
 def shoebox_paths(scene: Scene, room: Shoebox, search: PathOptions) -> Chain:
-    """Return every path of a shoebox up to an order: each image is heard all the time."""
+    """Return every path of a shoebox up to an order: each image is active all the time."""
     order = as_count("max_order", search.max_order, at_most=LARGEST_ORDER)
     pairs, images = len(scene.sources) * len(scene.receivers), shoebox_image_count(order)
     if images * pairs > search.path_limit:

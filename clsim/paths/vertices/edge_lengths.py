@@ -94,7 +94,7 @@ class EdgeLengths:
     Attributes
     ----------
     places : tuple of ndarray (P, T)
-        Where each path meets the first edge and the last, which may be the same, m from its start.
+        Points of each path on the first edge and the last, which may be the same, m from its start.
     """
 
     source: Floats  # (3, P, T) coordinates of both images, that of the source at emission, m

@@ -41,7 +41,7 @@ class EdgePairVertex(EdgeVertex):
     Attributes
     ----------
     shared : ndarray (P, 2) int
-        Which face of the first and of the second edge both share: 0 for the 0-face, 1 for the n-face.
+        Shared face of the first and of the second edge: 0 for the 0-face, 1 for the n-face.
     """
 
     last: EdgeVertex

@@ -46,11 +46,11 @@ class EdgePairEvents(EdgeEvents):
     Attributes
     ----------
     along : ndarray (P, 2, T)
-        Where on the edges it is diffracted, m from their starts.
+        Points of diffraction on the edges, m from their starts.
     time : ndarray (P, T)
         When at the first edge, s.
     last : Events
-        Of the way from the second edge, with the delay, its rate and the distance of the way from the first one added.
+        Leg from the second edge; delay, its rate and distance include the leg from the first one.
     slope : ndarray (P, 2, T)
         By how much the way grows with each of the places.
     bend : ndarray (P, 2, 2, T)

@@ -38,7 +38,7 @@ class GapEvents(EdgePairEvents):
     Attributes
     ----------
     between : Events
-        Of the way from the first edge to the second, received when it leaves that, at `leaving`.
+        Leg from the first edge to the second, received when it leaves that, at `leaving`.
     middle : ndarray (P, T, 4)
         Angles of that way about both edges, rad, its length, m, and the cosine between the directions of the angles.
     gap : ndarray (P, T, 2, 4, 3)

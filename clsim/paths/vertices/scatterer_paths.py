@@ -100,7 +100,7 @@ class Body:
     scatterer : Scatterer
         Which.
     glint : Glint, optional
-        What is known of its specular points.
+        Its specular points, as far as known.
     """
 
     def __init__(self, scatterer: Scatterer, glint: Glint | None = None) -> None:
@@ -111,7 +111,7 @@ class Body:
 
     @property
     def change(self) -> float:
-        """By how much the specular point has turned when it was last looked for, rad."""
+        """Rotation of the specular point in the last step of its search, rad."""
         return 0.0 if self.glint is None else self.glint.change
 
     def seen(

@@ -1,4 +1,4 @@
-"""For how long it is certain that a path by mirrors that move stays as it is at a time.
+"""Time for which the state of a path by moving mirrors is certain.
 
 Times are counted from that of reception and places are those of the air's frame, so that a room at rest stays where it
 is. A path is a straight line from an image event to the reception, and leg k of it the line from the event S_k, the
@@ -125,7 +125,7 @@ def _mirrored(plane: tuple[Floats, Floats, Floats], event: Floats, c: float) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """At most how fast what decides about n paths of N mirrors changes, by the time of reception."""
+    """Upper bounds of the rates at which the criteria of n paths by N mirrors change, per time of reception."""
 
     dilation: Floats  # (n, N + 2) of times of events to those of reception
     place: Floats  # (n, N + 2) of emission, where mirrors are met, and reception in the room, m/s

@@ -44,7 +44,7 @@ class Legs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegDrift:
-    """At most how fast n legs change, by the time of reception."""
+    """Upper bounds of the rates at which n legs change, per time of reception."""
 
     start: Floats  # (n,) how fast their ends move in the room, m/s
     stop: Floats  # likewise
@@ -59,7 +59,7 @@ class LegDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalDrift:
-    """At most how fast n legs change as a body sees them: their ends, and what is between them by more than these, m/s.
+    """Upper bounds of the rates of n legs in a body's frame, m/s: at their ends, and between them beyond those.
 
     They are off the straight line from one end to the other by `curved`, m, and that matters for `half`, s.
     """

@@ -81,7 +81,7 @@ def _described(part: NarrowPart) -> list[str]:
             f"{part.plan.sampling_rate:.6g} Hz; it sounds up to {1e3 * reach:.3g} ms before an arrival",
             f"{here}: {filters.describe_filters()}",
             f"{here}: {filters.describe()}",
-            f"{here}: all of it together within {summed.promised_db(i):.0f} dB of what is heard in some 40 ms",
+            f"{here}: total error at most {summed.promised_db(i):.0f} dB of the level received within 40 ms",
         ]
     return lines
 
@@ -380,7 +380,7 @@ def _obstacle(
         if most > 0.0 and is_passed(ends_of, span[2], needed, most, radius):
             return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
     if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > silence:
-        return "ends move so quickly that what is heard is not narrow"
+        return "ends move so quickly that the received band is not narrow"
     return ""
 
 

@@ -39,8 +39,9 @@ class PathSum:
             if not self.plan.is_claimed(i):
                 here = f"source {i}" if self.name == "path sum" else f"source {i}, {self.name}"
                 lines += [f"{here}: {filters.describe_filters()}", f"{here}: {filters.describe()}"]
-                promised_db = self.promised_db(i)
-                lines.append(f"{here}: all of it together within {promised_db:.0f} dB of what is heard in some 40 ms")
+                lines.append(
+                    f"{here}: total error at most {self.promised_db(i):.0f} dB of the level received within 40 ms"
+                )
         return lines
 
     def promised_db(self, source: int) -> float:

@@ -231,7 +231,7 @@ def _described(part: ChannelPart) -> list[str]:
         f"(every {part.spacing} samples), within {part.error_db:.0f} dB between them; they sound up to {reach} samples "
         f"({1e3 * reach / rate:.3g} ms) before an arrival",
         f"{here}: {filters.describe()}",
-        f"{here}: all of it together within {promised_db:.0f} dB of what is heard in some 40 ms",
+        f"{here}: total error at most {promised_db:.0f} dB of the level received within 40 ms",
     ]
 
 

@@ -99,7 +99,7 @@ class OpenclEngine:
             if wrong_db > self._plan.motion_error_db + 6.0:  # that of the delay filters
                 warn(
                     f"source {i}: at about {time:.3f} s ends are so near and fast, or turn so sharply, that even the "
-                    f"shortest blocks are wrong by {wrong_db:.0f} dB of what is heard; sample faster, or keep off"
+                    f"shortest blocks are wrong by {wrong_db:.0f} dB of the received level; sample faster, or keep off"
                 )
 
     def note_coarse(self, source: int, wrong: float, time: float) -> None:

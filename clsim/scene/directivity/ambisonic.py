@@ -30,7 +30,7 @@ class Ambisonic(ChannelDirectivity):
     order : int
         0 to 7; there are ``(order + 1)²`` channels in ACN order.
     normalization : {"SN3D", "N3D"}
-        Of the harmonics: SN3D, as AmbiX files have it, or N3D, ``sqrt(2 l + 1)`` as much at degree l.
+        Normalization of the harmonics: SN3D as in AmbiX files, or N3D, larger by ``sqrt(2 l + 1)`` at degree l.
 
     Raises
     ------

@@ -93,21 +93,21 @@ class AxialDirectivity(AxisymmetricDirectivity):
         Gain of sound pressure, complex (``exp(+j 2 pi f t)``: a delay has falling phase) or real with its sign; or,
         with ``scale="db"``, its magnitude in dB.
     scale : {"linear", "db"}
-        What `values` are.
+        Scale of `values`.
     rear : {None, "hold", "mirror", "zero"}
-        What the gain is beyond the last angle: refused if the table does not reach 180° (None), the value at the last
+        Rule for angles beyond the last one: refused if the table does not reach 180° (None), the value at the last
         angle, that of the angle mirrored at 90° (of a table that ends there), or nothing: it falls to zero as a raised
         cosine over 10°.
     side : {None, "positive", "negative", "mean"}
-        Which of two unequal sides of a table over negative and positive angles counts: refused (None), one of them, or
+        Rule for two unequal sides of a table over negative and positive angles: refused (None), one of them, or
         the mean of both `values`.
     outside : {None, "hold"}
-        What the gain is beyond the table's frequencies: refused (None), or as at the nearest one.
+        Rule for frequencies beyond the table: refused (None), or the gain at the nearest one.
     relative_to_axis : bool
         Divide by the value on the axis, frequency by frequency: the response on the axis, its delay included, is then
         that of `transducer=` alone.
     name : str
-        What to call it.
+        Name in messages.
 
     Raises
     ------
@@ -120,7 +120,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
     out, real and imaginary part of the rest are joined by cubic splines over frequency and over angle, and the delay is
     put back. Magnitudes in dB are joined by monotone cubics (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17
     (2), 238-246, 1980), which do not overshoot. Both have zero slope on the axis and where the rear begins. With
-    ``outside="hold"`` the shared delay goes on.
+    ``outside="hold"`` the shared delay continues.
 
     Examples
     --------
@@ -281,7 +281,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
         phases_path : path-like, optional
             Another file of the same layout, angles and frequencies, with phases in degrees.
         scale : {"db", "linear"}
-            What the first file's values are.
+            Scale of the first file's values.
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
@@ -326,7 +326,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
         path : path-like
             Written by ``numpy.savez``.
         scale : {None, "linear", "db"}
-            What real values are; complex ones are linear.
+            Scale of real values; complex ones are linear.
         angle, frequency, values : str
             Names of the arrays: angles (a,), frequencies (f,) in Hz, values (a, f), or (f, a) where that fits only.
         angle_unit : {"degree", "radian"}

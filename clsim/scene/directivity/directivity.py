@@ -193,7 +193,7 @@ class Directivity(ABC):
             kHz in steps of 10° up to 90°, the last of them (-15 dB) kept behind. They are nominal, read to whole dB,
             and have no phase.
         outside : {None, "hold"}
-            What a table (T4010A1) gives at other frequencies than its own: refused (None), or the same.
+            Rule for other frequencies than those of a table (T4010A1): refused (None), or the same gain.
 
         Returns
         -------
@@ -271,7 +271,7 @@ class ChannelDirectivity(Directivity):
         speed_of_sound : float
             m/s.
         channels : range
-            Which of the channels, C of them.
+            Indices of C channels.
 
         Returns
         -------

@@ -48,13 +48,13 @@ class HeadRelated(ChannelDirectivity):
         From where the sound comes, in the head's frame (front +x, left +y, up +z), of any length. No cap without one
         may be wider than 60° from its centre.
     responses : array_like (n, 2, samples)
-        Of the left and the right ear, relative to the pressure at the head's centre without the head.
+        Responses of the left and the right ear, relative to the pressure at the head's centre without the head.
     sampling_rate : float
         Hz.
     outside : {None, "hold"}
-        What gains above half the sampling rate are: refused (None), or as there.
+        Rule for frequencies above half the sampling rate: refused (None), or the gain there.
     name : str
-        What to call it.
+        Name in messages.
 
     Raises
     ------
@@ -190,7 +190,7 @@ class SphericalHead(ChannelDirectivity):
     radius : float
         m, at most 1.
     ear_azimuth : float
-        Of the left ear from the front, degrees; the right one is opposite.
+        Angle of the left ear from the front, degrees; the right one is opposite.
 
     Raises
     ------
@@ -269,7 +269,7 @@ class SphericalHead(ChannelDirectivity):
         speed_of_sound : float
             m/s.
         channels : range
-            Which of the ears, C of them.
+            Indices of C ears.
 
         Returns
         -------

@@ -54,12 +54,12 @@ class SphericalDirectivity(Directivity):
     values : array_like (n, f)
         Gain of sound pressure, 1: complex (``exp(+j 2 pi f t)``: a delay has falling phase) or real with its sign.
     outside : {None, "hold"}
-        What the gain is beyond the table's frequencies: refused (None), or as at the nearest one.
+        Rule for frequencies beyond the table: refused (None), or the gain at the nearest one.
     relative_to_axis : bool
         Divide by the value on the axis (+x), frequency by frequency: the response on the axis, its delay included, is
         then that of `transducer=` alone.
     name : str
-        What to call it.
+        Name in messages.
 
     Raises
     ------
@@ -159,7 +159,7 @@ class SphericalDirectivity(Directivity):
             With the ending ``.sofa``, of the convention FreeFieldDirectivityTF, GeneralTF or GeneralFIR: one source,
             and a receiver in each direction.
         measurement : int
-            Which of the file's measurements (for example notes), from 0.
+            Index of the file's measurement (for example a note), from 0.
         **options : Any
             `outside`, `relative_to_axis` and `name` of the constructor.
 

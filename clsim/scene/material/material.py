@@ -156,22 +156,22 @@ MATERIAL_NAMES = tuple(LIBRARY)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Material(ReflectingSurface):
-    """What a wall is made of: how much sound it sends back, by frequency and angle of incidence.
+    """Acoustic properties of a wall: reflection, scattering and transmission by frequency and angle of incidence.
 
     Made by one of the constructors below, which all take `name` and `scattering`; `reflection_at` gives the factor.
 
     Parameters
     ----------
     model : SurfaceModel
-        What gives the reflection factor.
+        Model of the reflection factor.
     name : str
-        What to call it.
+        Name in messages and tables.
     roughness : float
         Root mean square of the wall's heights, m: see `rough`.
     scattering : float or (frequencies, values), optional
         Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
     transmission : TransmissionModel, optional
-        What gives the factor of the pressure behind the wall: see `transmitting`.
+        Model of the transmission factor of the pressure: see `transmitting`.
 
     Examples
     --------
@@ -244,7 +244,7 @@ class Material(ReflectingSurface):
         factors : array_like (n,)
             Real, -1 to 1, or complex with magnitudes of 1 at most.
         outside : {None, "hold"}
-            What the factor is outside the table: refused, or that at the nearest end.
+            Rule for frequencies outside the table: refused (None), or the factor at the nearest end.
 
         Raises
         ------
@@ -296,7 +296,7 @@ class Material(ReflectingSurface):
             least 0.
             Monotone cubics over the logarithm of frequency join real and imaginary parts.
         outside : {None, "hold"}
-            What the impedance is outside the table: refused, or that at the nearest end.
+            Rule for frequencies outside the table: refused (None), or the impedance at the nearest end.
 
         Raises
         ------
@@ -340,16 +340,16 @@ class Material(ReflectingSurface):
         Parameters
         ----------
         samples : array_like (n,)
-            What comes back of a unit impulse: their spectrum is the factor. All of them count, so cut or window away
+            Response to a unit impulse, whose spectrum is the factor. All of them count, so cut or window away
             what is not the wall's. At most 131 072.
         sampling_rate : float
             Hz.
         reference : float
             Index, perhaps between samples, at which a reflection by the wall's plane itself would be: 0 s.
         band : (low, high), optional
-            Where the measurement holds, Hz; from 0 Hz to half the sampling rate when left out.
+            Band in which the measurement is valid, Hz; from 0 Hz to half the sampling rate when left out.
         outside : {None, "hold"}
-            What the factor is outside the band: refused, or that at the nearest end.
+            Rule for frequencies outside the band: refused (None), or the factor at the nearest end.
         tolerance : float
             By how much magnitudes within the band may exceed 1, 0 to 1; they are then taken as 1. More is refused.
 
@@ -403,11 +403,11 @@ class Material(ReflectingSurface):
         Parameters
         ----------
         path : path-like
-            Of the file.
+            Path of the file.
         channel : int
-            Which of its channels, from 0.
+            Index of the channel, from 0.
         scale : float
-            What full scale means: 1 where the file holds the factor's own impulse response.
+            Value of full scale: 1 where the file holds the factor's own impulse response.
         reference, band, outside, tolerance, name
             See `from_impulse_response`.
         truncated : bool
@@ -440,7 +440,7 @@ class Material(ReflectingSurface):
         density : float
             kg/m³.
         sound_speed : float
-            Of longitudinal waves, m/s; density times sound speed is at least 1e5 Pa s/m.
+            Speed of longitudinal waves, m/s; density times sound speed is at least 1e5 Pa s/m.
         boundary_layer : bool
             Whether viscosity and heat conduction at the wall take their part. At 40 kHz this is 0.4 % of the pressure
             at normal incidence, and more at grazing incidence. Otherwise one real factor for all angles.
@@ -488,11 +488,11 @@ class Material(ReflectingSurface):
         Parameters
         ----------
         flow_resistivity : float
-            Of the absorber, 100 to 1e7 Pa s/m².
+            Flow resistivity of the absorber, 100 to 1e7 Pa s/m².
         thickness : float
             Above 0, at most 10 m.
         outside : {None, "extend"}
-            What happens where frequency over flow resistivity is not from 0.01 to 1 m³/kg, for which the formula was
+            Rule where frequency over flow resistivity is not from 0.01 to 1 m³/kg, for which the formula was
             fitted: refused, or the formula is used all the same.
 
         Raises

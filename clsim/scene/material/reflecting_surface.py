@@ -157,7 +157,7 @@ class SurfaceModel(Protocol):
         frequency : ndarray (...)
             Hz, within the band.
         cosine : ndarray (...)
-            Of the angle of incidence; broadcasts against `frequency`.
+            Cosine of the angle of incidence; broadcasts against `frequency`.
         speed_of_sound : float
             In the air, m/s.
 
@@ -181,15 +181,15 @@ class ReflectingSurface:
     Parameters
     ----------
     model : SurfaceModel
-        What gives the reflection factor.
+        Model of the reflection factor.
     name : str
-        What to call it.
+        Name in messages and tables.
     roughness : float
         Root mean square of the wall's heights, m: see `rough`.
     scattering : float or (frequencies, values), optional
         Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
     transmission : TransmissionModel, optional
-        What gives the factor of the pressure behind the wall: see `transmitting`. Nothing passes when left out.
+        Model of the transmission factor of the pressure: see `transmitting`. Nothing passes when left out.
     """
 
     model: SurfaceModel
@@ -251,7 +251,7 @@ class ReflectingSurface:
         Notes
         -----
         Factors are multiplied by ``exp(-2 (k rms cos θ)²)``: see `clsim.acoustics.reflection.coherent_share`, also for
-        its range. What they lose is scattered: `scattered_share`.
+        its range. The lost energy is scattered: `scattered_share`.
 
         Examples
         --------
@@ -275,7 +275,7 @@ class ReflectingSurface:
         Parameters
         ----------
         surface_mass : float, optional
-            Of a limp panel, 1e-3 to 1e5 kg/m²: the mass law.
+            Mass per area of a limp panel, 1e-3 to 1e5 kg/m²: the mass law.
         frequencies, losses_db : array_like (n,), optional
             In its place, transmission losses, 0 to 300 dB, at positive, increasing frequencies, Hz.
 
@@ -360,7 +360,7 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(factor, np.broadcast_shapes(f.shape, cos.shape)))
 
     def energy_at(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
-        """Return the share of energy that comes back, in the mirror's direction and in others together.
+        """Return the share of energy that is reflected, specularly and scattered together.
 
         Parameters
         ----------

@@ -62,7 +62,7 @@ class Trajectory(Motion):
     turning : Turning, optional
         Orientation over time; identity where left out.
     notes : tuple of str
-        What was found, smoothed or repaired in the making, a sentence each.
+        What the constructor found, smoothed or repaired, one sentence each.
     breaks : ndarray (k,)
         Times at which the velocity jumps, s; empty for smooth trajectories.
     residual : ndarray (3,), optional
@@ -333,9 +333,9 @@ class Trajectory(Motion):
         Parameters
         ----------
         carrier : Motion
-            Of the thing.
+            Trajectory of the carrier.
         own : Motion
-            Of what it carries, in the thing's own frame.
+            Trajectory in the carrier's own frame.
         aim : array_like (3,), optional
             A direction in that frame in which the axis of what is carried points.
 
@@ -387,7 +387,7 @@ class Trajectory(Motion):
             folder, ``.mcap``, ``.db3``) or ROS 1 (``.bag``), and read without ROS (``clsim[ros]``); times are those
             of the messages' headers.
         topic : str, optional
-            Of a bag, whose messages are PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped.
+            Topic of a bag, whose messages are PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped.
         columns : mapping, optional
             Names of a CSV file's columns for some of ``t x y z qx qy qz qw``, such as ``{"t": "time (ms)"}``.
         time_scale : float

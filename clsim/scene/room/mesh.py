@@ -52,7 +52,7 @@ class _Part(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshRoom:
-    """A room, or things in it, made of triangles; it may be open, and its walls are two-sided.
+    """A room or objects in it, made of triangles; it may be open, and its walls are two-sided.
 
     Parameters
     ----------
@@ -65,13 +65,13 @@ class MeshRoom:
     flatness : float
         Neighbours of one material whose corners lie this near to each other's planes are one wall, 0 to 10 m.
     labels : sequence of str, optional
-        What each triangle belongs to; walls are called after it.
+        Group of each triangle, which names its wall.
     notes : sequence of str
-        What was repaired before.
+        Earlier repairs.
     scale : float, optional
         Length of the unit of the files that it is from, m; None without files, or where they differ.
     healed_at : array_like (n, 3), optional
-        Where it was healed, m.
+        Positions of repairs, m.
 
     Attributes
     ----------
@@ -80,9 +80,9 @@ class MeshRoom:
     faces : Faces
         Planes, names and materials of the walls.
     shape : MeshShape
-        How the triangles hang together.
+        Topology of the triangles.
     notes : tuple of str
-        What was repaired.
+        Repairs, one sentence each.
 
     Raises
     ------
@@ -163,16 +163,16 @@ class MeshRoom:
         scale : float
             Length of the file's unit, m: 0.001 for millimetres.
         up : {"x", "y", "z"}
-            Which axis of the file points up.
+            Axis of the file that points up.
         materials : Material or mapping
             One for all walls, or materials by the file's own names (``usemtl`` groups of OBJ files), where
             ``"default"`` stands for those not named.
         flatness : float
             As in `MeshRoom`, m; raise it for files with rounded coordinates.
         heal : {"auto", "off"} or float
-            How far corners may be moved to meet others, m, and sides of triangles are cut at corners that lie on
+            Largest distance by which corners are moved to meet others, m. Triangles are cut at corners that lie on
             them. With "auto" they are moved as far as closing the mesh takes, at most 12 mm and 2 per mille of its
-            size. A mesh that is closed, or that gains nothing, keeps every bit. The notes say what was changed.
+            size. A mesh that is closed, or that gains nothing, keeps every bit. The notes state the changes.
 
         Raises
         ------
@@ -273,7 +273,7 @@ class MeshRoom:
         outline : array_like (n, 2)
             Corners of the floor in order, m; it may be concave.
         height : float
-            Of the ceiling above the floor at z = 0, m.
+            Height of the ceiling above the floor at z = 0, m.
         materials : Material or mapping
             One for all walls, or materials by ``floor``, ``ceiling``, ``wall i`` (from corner i of the outline to the
             next) and ``pillar p wall i``, where ``default`` stands for those not named.
@@ -298,7 +298,7 @@ class MeshRoom:
 
     @staticmethod
     def joined(parts: Sequence[_Part]) -> MeshRoom:
-        """Return one room made of several: a room and what stands in it.
+        """Return one room made of several: a room and the objects in it.
 
         Parameters
         ----------
@@ -340,7 +340,7 @@ class MeshRoom:
         )
 
     def with_sheets(self, thinner_than: float) -> MeshRoom:
-        """Return the room with thin panels as sheets, which sound goes round as round one edge.
+        """Return the room with thin panels as sheets, round which sound diffracts at one edge.
 
         Parameters
         ----------
@@ -351,7 +351,7 @@ class MeshRoom:
         Returns
         -------
         MeshRoom
-            The room; its notes tell what was done. Of a panel's two sides one gives the material.
+            The room; its notes state the changes. Of a panel's two sides one gives the material.
 
         Raises
         ------
@@ -498,7 +498,7 @@ class MeshRoom:
         return found[np.unique(self.walls.plane[found], return_index=True)[1]]
 
     def edges(self, wall: int | None = None) -> Edges:
-        """Find the edges at which sound turns round corners: of screens, of what stands in the room, of its corners.
+        """Find the edges at which sound diffracts: of screens, of objects in the room, of its corners.
 
         Parameters
         ----------

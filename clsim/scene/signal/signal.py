@@ -48,7 +48,7 @@ class Signal:
     Parameters
     ----------
     waveform : Waveform
-        What gives the samples.
+        Source of the samples.
     sampling_rate : float
         Hz.
 
@@ -295,7 +295,7 @@ class Signal:
         duration, sampling_rate : float
             s, Hz.
         method : {"linear", "exponential"}
-            How the frequency goes from start to stop.
+            Change of the frequency from start to stop.
         window : {"none", "tukey", "hann"}
             Envelope; ``"tukey"`` rises and falls within a tenth of the duration each.
         amplitude : float
@@ -340,7 +340,7 @@ class Signal:
         Parameters
         ----------
         pulse : Signal
-            What is repeated.
+            The repeated signal.
         period : float
             From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
         count : int
@@ -447,7 +447,7 @@ class Signal:
         bits : int
             Register length: 2 to 16 for "mls"; 5, 6, 7, 9, 10 or 11 for "gold".
         code : int
-            Which Gold sequence, from 0 to ``2**bits``; for "mls" the number of chips by which it is rotated.
+            Index of the Gold sequence, from 0 to ``2**bits``; for "mls" the number of chips by which it is rotated.
         repeats : int
             Periods; the whole signal has at most 67 million samples.
         rolloff : float
@@ -484,7 +484,7 @@ class Signal:
         samples : array_like (n,)
             Numbers in units of `scale`.
         scale : float, optional
-            Of a sample of 1, Pa, or V for a transducer; 1 where left out. Integers need it: they are steps of a
+            Amplitude of a sample of 1, Pa, or V for a transducer; 1 if left out. Integers need it: they are steps of a
             converter, whose full scale is rarely 32767 Pa.
 
         Raises
@@ -524,11 +524,11 @@ class Signal:
         Parameters
         ----------
         path : path-like
-            Of the sound file.
+            Path of the sound file.
         channel : int
             From 0.
         scale : float
-            Of a sample of 1, Pa, or V for a transducer.
+            Amplitude of a sample of 1, Pa, or V for a transducer.
         truncated : bool
             Whether a file that ends before its header says is taken as far as it goes; else it is refused.
 
@@ -547,7 +547,7 @@ class Signal:
 def _picked_segments(count: int, hop: int) -> tuple[NDArray[np.int64], Floats]:
     """Return segments of `hop` samples, those before the onset included, and how many each stands for.
 
-    Of many the first and the last are taken, and one each from equal stretches between them.
+    Of many segments the first, the last and equally spaced ones between them are taken.
     """
     last = -(-count // hop)
     if last + 1 <= _ALL_SEGMENTS:

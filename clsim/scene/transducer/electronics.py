@@ -35,13 +35,13 @@ class Electronics:
     self_noise_db : float, optional
         White noise of the receiver, dB re 20 µPa/√Hz where the transducer is most sensitive; added to its voltage.
     seed : int
-        Of both noises, from 0 to 2^64 - 1. Receivers of other names hear other noise from the same seed.
+        Seed of both noises, from 0 to 2^64 - 1. Receivers of other names have other noise from the same seed.
     low_cut, high_cut : float, optional
         Frequencies at which Butterworth filters have fallen by 3 dB, Hz.
     order : int
-        Of each of them, 1 to 8: 6 dB per octave and order.
+        Order of each filter, 1 to 8: 6 dB per octave and order.
     gain_db : float
-        Of the amplifier, dB.
+        Gain of the amplifier, dB.
     adc_bits : int, optional
         Bits of the converter, 1 to 24; with `adc_full_scale`.
     adc_full_scale : float, optional
@@ -198,7 +198,7 @@ class Electronics:
         Parameters
         ----------
         unit : str
-            Of the samples, "Pa" or "V".
+            Unit of the samples, "Pa" or "V".
 
         Returns
         -------

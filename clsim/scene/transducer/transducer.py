@@ -280,9 +280,9 @@ class Transducer:
     Parameters
     ----------
     model : Resonance, ResponseTable or ImpulseResponse
-        What gives the response.
+        Model of the response.
     name : str
-        What to call it.
+        Name in messages.
 
     Raises
     ------
@@ -405,7 +405,7 @@ class Transducer:
         Parameters
         ----------
         frequency : float
-            Of resonance, Hz.
+            Frequency of resonance, Hz.
         width : float
             Between the -6 dB points (half the magnitude), Hz; less than `frequency`.
         sensitivity : float
@@ -440,7 +440,7 @@ class Transducer:
             Real: magnitudes above 0, to which the minimum phase is found. Complex: magnitude and phase
             (``exp(+j 2 pi f t)``), which must belong to a response that does not begin before 0 s.
         outside : {None, "zero", "hold"}
-            What the response is beyond the table: refused if a signal needs it (None), nothing, or the value at its
+            Rule for frequencies beyond the table: refused if a signal needs it (None), nothing, or the value at its
             nearer end.
 
         Raises
@@ -514,11 +514,11 @@ class Transducer:
         Parameters
         ----------
         path : path-like
-            Of the sound file.
+            Path of the sound file.
         channel : int
             From 0.
         scale : float
-            Of a sample of 1: Pa at 1 m per V, or V per Pa.
+            Response of a sample of 1: Pa at 1 m per V, or V per Pa.
         truncated : bool
             Whether a file that ends before its header says is taken as far as it goes; else it is refused.
 

@@ -78,7 +78,7 @@ def test_a_receiver_outside_is_refused_by_name_by_every_command(
     assert main([door, str(corner_scene), *(["-o", str(tmp_path / "out")] if door == "run" else [])]) == 2
     error = capsys.readouterr().err
     assert error.startswith(
-        f"clsim: error: {corner_scene}: receivers[0].trajectory: must be where other ends can be heard, but 'corner'"
+        f"clsim: error: {corner_scene}: receivers[0].trajectory: must be where other ends are audible, but 'corner'"
     )
     assert error.count("\n") == 1
 

@@ -100,8 +100,8 @@ def test_check_says_what_a_mesh_is_like(mesh_scene: Path, capsys) -> None:
     assert {tuple(centre) for centre in centres.tolist()} == {(4.0, 3.0, 3.0), (4.0, 6.0, 1.5)}
     assert -1 in passing
     assert (
-        f"paths: {len(always) + len(set(passing))}, of which {len(always)} are heard all the time "
-        f"and {len(set(passing))} come and go ({len(passing)} intervals; the same walls in another order are another path)"
+        f"paths: {len(always) + len(set(passing))}, of which {len(always)} are active all the time "
+        f"and {len(set(passing))} in intervals ({len(passing)} of them; the same walls in another order are another path)"
     ) in lines
     assert lines[-1] == "the scene file is valid"
     assert sum("is inside at 0 s" in line for line in lines) == 2
@@ -113,7 +113,7 @@ def test_check_says_what_a_mesh_is_like(mesh_scene: Path, capsys) -> None:
         "room: watertight",
         "sources[0]: 'robot' is inside at 0 s",
         "receivers[0]: 'mic' is inside at 0 s",
-        "paths: 7, of which 7 are heard all the time and 0 come and go (0 intervals; the same walls in another order are another path)",
+        "paths: 7, of which 7 are active all the time and 0 in intervals (0 of them; the same walls in another order are another path)",
     ]
 
 

@@ -79,7 +79,7 @@ signal = { kind = "wav", path = "pulse.wav", truncated = true }
 
 
 def test_lengths_that_nobody_knew_and_padding_are_no_cuts(tmp_path: Path) -> None:
-    """As ffmpeg and SoX write into a pipe; and a byte of padding, which some writers leave out."""
+    """Headers as ffmpeg and SoX write into a pipe; and a byte of padding, which some writers leave out."""
     path, samples = tmp_path / "piped.wav", np.zeros(1000, np.float32).tobytes()
     for told in (OPEN_ENDED, 2**31 - 4096):
         header = bytearray(wav_header(RATE, 1, 1000))
@@ -129,7 +129,7 @@ def test_an_mp3_without_a_length_is_refused_within_a_frame_and_warned_of_else(
     path, sound = tmp_path / "sound.mp3", mp3(tmp_path, rng, 1, 44100)
     frames = sound[sound.index(b"\xff\xfb", 4) :]  # without the first one, which has the header
     path.write_bytes(frames)
-    with pytest.warns(clsim.ClsimWarning, match="does not tell its length"):
+    with pytest.warns(clsim.ClsimWarning, match="does not state its length"):
         clsim.Signal.from_wav(path)
     for cut in (1, 2, 100, 200):
         path.write_bytes(frames[:-cut])
@@ -152,7 +152,7 @@ def test_formats_that_do_not_tell_their_length_are_warned_of(
 ) -> None:
     path = tmp_path / "sound"
     soundfile.write(path, rng.uniform(-0.5, 0.5, 1000), 8000, format=form, subtype="PCM_16")
-    with pytest.warns(clsim.ClsimWarning, match=r"sound does not tell its length \("):
+    with pytest.warns(clsim.ClsimWarning, match=r"sound does not state its length \("):
         clsim.Signal.from_wav(path)
 
 
@@ -166,7 +166,7 @@ def test_formats_that_do_not_tell_their_length_are_warned_of(
 def test_a_cut_of_a_byte_is_one(
     form: str, subtype: str, cuts: tuple[int, ...], tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    """Of the last sample, or of the last page, some bytes are missing; a byte that was never wanted is no cut."""
+    """Some bytes of the last sample or of the last page are missing; a missing byte of padding is no cut."""
     path = tmp_path / "sound"
     soundfile.write(path, rng.uniform(-0.5, 0.5, COUNT), RATE, format=form, subtype=subtype)
     data = path.read_bytes()

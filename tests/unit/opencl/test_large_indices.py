@@ -89,7 +89,7 @@ def up(queue_array: Any, by: int) -> np.ndarray:
 
 
 def rendering(row: str) -> Callable:
-    """Return what moves blocks, branch signals and what is heard; `row` counts receivers."""
+    """Return a function that moves blocks, branch signals and samples; `row` counts receivers."""
 
     def moves(told: dict, constants: dict, offset: list[int]) -> dict[str, int]:
         parts = 2 if "envelope" in told else 1
@@ -201,7 +201,7 @@ RENDERED = {
 
 @pytest.fixture
 def moving(monkeypatch: pytest.MonkeyPatch) -> Callable[[], dict[str, set[str]]]:
-    """Return what moves all launches from then on, and tells which buffers of which programs were moved."""
+    """Return a function that moves the buffers of all later launches, and a list of the moved buffers by program."""
     if find_device(None)[0].platform != POCL:
         pytest.skip("only PoCL takes memory of the host as it is")
 

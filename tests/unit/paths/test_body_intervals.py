@@ -119,7 +119,7 @@ def drawn(seed: int) -> clsim.Scene:
 
 
 def searched(scene: clsim.Scene, order: int) -> BodySearch:
-    """Return what `find_paths` asks by default."""
+    """Return the default query of `find_paths`."""
     return BodySearch(scene, PathOptions(order, body_step=1.0, engine="reference"))
 
 

@@ -27,7 +27,7 @@ WALL = clsim.Material.from_reflection(0.9)
 
 @pytest.fixture
 def described(monkeypatch: pytest.MonkeyPatch) -> Callable:
-    """Return what gives the device of the search another description."""
+    """Return a function that gives the device of the search another description."""
     info, handle = find_device(None)
 
     def give(**limits) -> DeviceInfo:

@@ -85,7 +85,7 @@ def views_of(walls: Walls, centre: np.ndarray, radius: float) -> Views:
 
 
 def outside(ring: np.ndarray, normal: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return how far points (n, 3) of a plane are outside of a convex ring about its normal, m; 0 or less within."""
+    """Return the distance of points (n, 3) of a plane outside of a convex ring about its normal, m; 0 or less within."""
     inward = np.cross(normal, np.roll(ring, -1, axis=0) - ring)
     length = np.linalg.norm(inward, axis=1)
     real = length > 1e-9

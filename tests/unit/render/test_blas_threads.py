@@ -15,7 +15,7 @@ def told() -> list[int]:
 
 
 def test_threads_are_bounded_within_only() -> None:
-    """As threadpoolctl tells it, of NumPy's and SciPy's libraries; the number is that of now, not of the first look."""
+    """The number of threads that threadpoolctl reports for NumPy's and SciPy's libraries now, not at the first look."""
     np.linalg.svd(np.eye(3))
     __import__("scipy.linalg")
     if max(told(), default=1) == 0:

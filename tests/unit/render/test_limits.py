@@ -38,7 +38,7 @@ def plan(receivers: int = 2, order: int = 1, duration: float = 0.3, **options) -
 
 @pytest.fixture
 def described(monkeypatch: pytest.MonkeyPatch) -> Callable:
-    """Return what gives the device another description."""
+    """Return a function that gives the device another description."""
 
     def give(**limits) -> None:
         info, handle = device_module.find_device(None)

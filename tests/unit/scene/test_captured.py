@@ -67,7 +67,7 @@ def test_joints_of_bvh_are_turned_in_the_order_of_their_channels(tmp_path: Path,
 
 
 def ends_of(part: Any, times: np.ndarray) -> list[np.ndarray]:
-    """Return where both ends of a limb of a walking person are (n, 3), the upper one first."""
+    """Return the positions of both ends of a limb of a walking person (n, 3), the upper one first."""
     along = part.shape.semi_axes[2] * rotate(part.trajectory.orientation(times), np.array([0.0, 0.0, 1.0]))
     middle = part.trajectory.position(times)
     return [middle + along, middle - along]
@@ -145,7 +145,7 @@ def test_who_stands_starts_and_turns_is_heard(tmp_path: Path) -> None:
         ("t,a x,a y,a z\n0,1,2,3\n", {}, "line 2: must be the last of 4 rows at least, not of 1"),
         ("t,a x,a y,a z\n" + "0,1,2,3\n" * 4, {}, "column t: times: must increase strictly"),
         ("t,a x,a y,a z\n0,1,2,3\n1,1,2,3\n2,1,2,inf\n3,1,2,3\n", {}, "frame 3: 'a' must be at a finite place"),
-        ("TABLE", {}, "must have a joint for the left hip, or segments be told; its joints are a, b"),
+        ("TABLE", {}, "must have a joint for the left hip, or segments given; its joints are a, b"),
         ("TABLE", {"segments": [("a", "c", 0.1)]}, r"segments\[0\]: must name joints of the file \(a, b\), but names 'c'"),
         ("TABLE", {"segments": [("a", "b", 0.0)]}, r"segments\[0\].radius: must be above 0 m"),
         ("TABLE", {"segments": [("a", "a", 0.1)]}, "must have a length"), ("TABLE", {"segments": []}, "segments: must be a list"),

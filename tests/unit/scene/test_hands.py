@@ -12,7 +12,7 @@ FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 
 def ends_of(part: Any, time: float) -> np.ndarray:
-    """Return where the centres of both round ends of a finger's part are (2, 3), the one nearer to the palm first."""
+    """Return the centres of both round ends of a finger's part (2, 3), the one nearer to the palm first."""
     at = np.array([time])
     along = 0.5 * part.shape.length * rotate(part.trajectory.orientation(at), np.array([0.0, 0.0, 1.0]))[0]
     return part.trajectory.position(at)[0] + np.array([[-1.0], [1.0]]) * along

@@ -89,7 +89,7 @@ def test_a_room_whose_walls_are_solids_is_a_room() -> None:
     assert house.shape.watertight
     scene(house)
     for places, name in ((((1, 1, 1), (3, 2, 3.1)), "sources"), (((1, 1, 3.1), (3, 2, 1)), "receivers")):
-        with pytest.raises(clsim.InputError, match="must be where other ends can be heard") as error:
+        with pytest.raises(clsim.InputError, match="must be where other ends are audible") as error:
             scene(house, places)
         assert error.value.field == f"{name}[0].trajectory"
     two = [clsim.Receiver(n, clsim.Trajectory.fixed(p)) for n, p in (("a", (3, 2, 1)), ("b", (4, 2, 3.1)))]

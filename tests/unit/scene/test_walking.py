@@ -17,13 +17,13 @@ TIMES = np.arange(0.0, 2.8, 0.005)
 
 @pytest.fixture(scope="module")
 def parts() -> dict[str, Any]:
-    """Return where the parts of a person are who walks straight along y."""
+    """Return the positions of the parts of a person who walks straight along y."""
     way = clsim.Trajectory.line((1.0, 1.0, 0.2), (1.0, 6.2, 0.2), 4.0)
     return {s.name.removeprefix("Ada "): s for s in clsim.walking_person("Ada", TALL, way)}
 
 
 def pitch(part: Any) -> np.ndarray:
-    """Return by how many degrees the lower end of a part is ahead, along y."""
+    """Return the angle in degrees by which the lower end of a part leads, along y."""
     down = rotate(part.trajectory.orientation(TIMES), np.array([0.0, 0.0, -1.0]))
     return np.degrees(np.arctan2(down[:, 1], -down[:, 2]))
 

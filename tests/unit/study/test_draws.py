@@ -193,7 +193,7 @@ def test_reverberation_times_by_frequency() -> None:
     ("walls", "message"),
     [
         ("{ reverberation_time = 0.0 }", "room.walls.reverberation_time: must be above 0 s, but is 0 s"),
-        ("{ default = { reverberation_time = 0.4 } }", "must stand in the one material of all walls of a shoebox"),
+        ("{ default = { reverberation_time = 0.4 } }", "must be in the one material of all walls of a shoebox"),
         ("{ reverberation_time = 0.4, reflection = 0.9 }", "room.walls: must have one of "),
     ],
 )

@@ -17,7 +17,7 @@ RESONANCE = Transducer.resonance(40e3, 2.4e3, 0.007)
 
 
 def recorded(samples: np.ndarray, name: str = "r", transducer: Transducer | None = None, **electronics) -> np.ndarray:
-    """Return what a receiver records of pressure (n,), in one piece."""
+    """Return the recording of pressure (n,) by a receiver, in one block."""
     receiver = clsim.Receiver(name, PLACE, transducer=transducer, electronics=Electronics(**electronics))
     return ReceiverEnd(receiver, name, RATE)(0, samples)
 
