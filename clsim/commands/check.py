@@ -10,7 +10,7 @@ import numpy as np
 from clsim.commands.arguments import add_scene
 from clsim.numerics.quaternions import rotate
 from clsim.paths.without_edges import largest_jump_db
-from clsim.render.planning import left_by_images
+from clsim.render.diffuse_tail import left_by_images
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.shaded import shaded_pairs
 from clsim.scene_file import load_scene

@@ -70,13 +70,12 @@ _FIELDS = (
     "nodes/vertices/capsule_field.h", "nodes/vertices/sphere.h", "nodes/vertices/scattered_field.h",
     "nodes/legs/mirrored_field.h", "nodes/node_gains.h",
 )  # fmt: skip
-_WALLS = ("paths/wall_tree.h", "paths/walls.h")
+_POLYNOMIALS, _WALLS = ("common/polynomials.h",), ("paths/wall_tree.h", "paths/walls.h")
 _INTERVAL_FILES = (
     *_PROPAGATION, *_WALLS, "paths/wall_walk.h", "paths/trajectory_tables.h", "paths/unfolded.h", "paths/visibility.h",
 )  # fmt: skip
 _EDGES = "paths/edge.h", "paths/edge_gap.h", "paths/edge_evaluate.h", "paths/gap_evaluate.h", "paths/spans.h"
-_POLYNOMIALS, _ROUNDING = ("common/polynomials.h",), ("common/rounding.h",)
-_GAINS, _MASK = ("common/gains.h",), ("common/mask.h",)
+_GAINS, _MASK, _ROUNDING = ("common/gains.h",), ("common/mask.h",), ("common/rounding.h",)
 
 _INTERVAL_CONSTANTS = {
     "ORDER", "DEPTH", "GRAZE_TIME", "ALONG", "CERTAIN", "LEAST_SHARE", "EVER", "INNER", "PARALLEL", "AT_EDGE",

@@ -299,7 +299,7 @@ def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], 
     active: NDArray[np.bool_] = np.ones(delay.shape, dtype=bool)
     for _ in range(_NEWTON_LIMIT):
         which: Any = (slice(None), slice(None)) if active.all() else np.nonzero(active)
-        time, mach = travel(*which, times[which[1]] - delay[which])
+        time, mach = travel(which[0], which[1], times[which[1]] - delay[which])
         step = (time - delay[which]) / (1.0 - mach)
         delay[which] += step
         active[which] = np.abs(step) > _CONVERGED + 4e-16 * np.abs(times[which[1]])

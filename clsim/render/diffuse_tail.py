@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import DeviceError
-from clsim.opencl.device import find_device
-from clsim.opencl.launch import Scratch, compiler_of, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
-from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT
+from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.tail.design import NoTailError, TailOptions, find_tail, searched_order
 from clsim.tail.ears import ears_among
 from clsim.tail.noise import (
     at_one_place,
@@ -27,13 +25,14 @@ from clsim.tail.noise import (
     row_gains,
     static_gains,
 )
-from clsim.tail.streams import NEIGHBOURS, NODE, Between, HostWaves, Motion, Streams
-from clsim.tail.zones import Crossings, fastest, is_static
+from clsim.tail.streams import NODE, Between, HostWaves, Motion, Streams
+from clsim.tail.zones import Crossings, Zones, fastest, is_static
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.path_set import PathSet
     from clsim.render.plan import Plan
     from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
@@ -360,47 +359,20 @@ class SourceSignals:
         return self._filters.signal.read(first - begin, last - begin)
 
 
-assert CPU_LAYOUT.lanes <= NEIGHBOURS
+def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
+    """Return the energy that images leave at 0 s, relative to all, of the source where it is most, dB, by a few rays.
 
-
-class DeviceWaves:
-    """Sums streams on an OpenCL device; `HostWaves` is its twin."""
-
-    def __init__(self, between: Between, device: str | None, lanes: int | None = None) -> None:
-        import pyopencl as cl
-
-        self._info, found = find_device(device)
-        compiler = compiler_of(found)
-        self._queue, self._scratch = cl.CommandQueue(compiler.context), Scratch(compiler.context)
-        self._lanes = lanes or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT).lanes
-        powers, taps = between.bank.shape
-        constants = {"LANES": self._lanes, "NODE": NODE, "POWERS": powers, "TAPS": taps}
-        self._kernel = compiler.kernel("plane_waves", constants)
-        self._bank = upload(compiler.context, np.pad(between.bank.ravel(), (0, self._lanes)))
-
-    def heard(
-        self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
-    ) -> NDArray[np.float32]:
-        """Return the pressure at listeners (R, n), see `Waves`."""
-        import pyopencl as cl
-
-        listeners, nodes, count = motion.ahead[:, :-1].shape
-        begin = start // NODE * NODE
-        whole = np.floor(motion.ahead[:, :-1])
-        packed = np.empty((listeners, nodes, count, 4), np.float32)
-        packed[..., 0] = motion.ahead[:, :-1] - whole
-        packed[..., 1] = np.diff(motion.ahead, axis=1) / NODE
-        packed[..., 2] = motion.gains[:, :-1]
-        packed[..., 3] = np.diff(motion.gains, axis=1) / NODE
-        heard = np.empty((listeners, nodes * NODE), np.float32)
+    None in rooms from which most of the energy escapes.
+    """
+    scene, most = paths.scene, -np.inf
+    receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
+    asked = TailOptions(searched_order(paths), directions=1, error_db=np.inf)
+    for i, source in enumerate(scene.sources):
+        low, high = source.emitted.band()
+        own = Zones.frozen([source], scene.room, 0.0, beams=True)
         try:
-            out = self._scratch.take("heard", heard.nbytes)
-            self._kernel(
-                self._queue, work(nodes * NODE // self._lanes, listeners), streams=streams, count=count,
-                stride=streams.shape[1], lead=begin - first, whole=whole.astype(np.int32),
-                motion=packed, nodes=nodes, bank=self._bank, heard=out,
-            )  # fmt: skip
-            cl.enqueue_copy(self._queue, heard, out)
-        except cl.Error as error:
-            raise DeviceError(f"{self._info.name} ran out of memory or failed ({error}) at a diffuse tail") from error
-        return heard[:, start - begin : stop - begin]
+            found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), asked)
+        except NoTailError:
+            return None
+        most = max(most, found.left_db)
+    return float(most)

@@ -452,7 +452,7 @@ class Allocation:
     @property
     def claimed(self) -> frozenset[int]:
         """Indices of the pairs that are not rendered path by path."""
-        parts = (*self.channels, *self.ears, *self.shadows)
+        parts: list[ChannelPart | EarPart | ShadowPart] = [*self.channels, *self.ears, *self.shadows]
         return self.convolved.union(*(part.pairs for part in parts))
 
     def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:

@@ -35,7 +35,7 @@ from clsim.render.plan import (
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.scene.signal.occupied_bandwidth import spectra
-from clsim.tail.design import ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
+from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
 from clsim.tail.zones import DiffuseField, Zones
 from clsim.tracks.pruning import pruned
 from clsim.tracks.sampled import Draw
@@ -230,25 +230,6 @@ def _without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
     left = float(field.left_db(searched_order(paths)).max())
     much = f"images leave some {left:.0f} dB of the reverberation: higher orders, and what walls scatter"
     return (f'{much} (tail="auto" adds it)',) if left > _MUCH_DB else ()
-
-
-def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
-    """Return the energy that images leave at 0 s, relative to all, of the source where it is most, dB, by a few rays.
-
-    None in rooms from which most of the energy escapes.
-    """
-    scene, most = paths.scene, -np.inf
-    receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
-    asked = TailOptions(searched_order(paths), directions=1, error_db=np.inf)
-    for i, source in enumerate(scene.sources):
-        low, high = source.emitted.band()
-        own = Zones.frozen([source], scene.room, 0.0, beams=True)
-        try:
-            found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), asked)
-        except NoTailError:
-            return None
-        most = max(most, found.left_db)
-    return float(most)
 
 
 def allocate(

@@ -25,13 +25,13 @@ from clsim.opencl import launch as compiler_module
 from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module
-from clsim.render.diffuse_tail import DeviceWaves
 from clsim.render.methods import sampled_channel as channel_module
 from clsim.render.methods.sampled_channel import ChannelEngine
 from clsim.render.opencl import batches as layout_module
 from clsim.render.opencl import branch_signals as limits_module
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
