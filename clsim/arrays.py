@@ -78,7 +78,7 @@ def as_floats(
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(field, f"must be numbers, but is {_told(value)}") from error
+        raise InputError(field, f"must be numbers, but is {_given(value)}") from error
     wanted = " x ".join("n" if n is None else str(n) for n in shape) or "a single number"
     if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
         got = " x ".join(map(str, array.shape)) or "a single number"
@@ -96,7 +96,7 @@ def as_floats(
     return read_only(array)
 
 
-def _told(value: Any) -> str:
+def _given(value: Any) -> str:
     """Return the first characters of a value's ``repr``."""
     try:
         return f"{value!r:.80}"
@@ -116,7 +116,7 @@ def as_number(
 ) -> float:
     """Convert to a finite float inside the stated bounds (``above`` and ``below`` exclude their end)."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
-        raise InputError(field, f"must be a number, but is {_told(value)}")
+        raise InputError(field, f"must be a number, but is {_given(value)}")
     try:
         number = float(value)
     except OverflowError:  # a whole number beyond all floats
@@ -137,10 +137,10 @@ def as_number(
 def as_count(field: str, value: Any, *, at_least: int = 0, at_most: int | None = None) -> int:
     """Convert to an int inside the stated bounds; floats and bools are refused."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise InputError(field, f"must be a whole number, but is {_told(value)}")
+        raise InputError(field, f"must be a whole number, but is {_given(value)}")
     if value < at_least or (at_most is not None and value > at_most):
         rule = f"at least {at_least}" if at_most is None else f"from {at_least} to {at_most}"
-        raise InputError(field, f"must be {rule}, but is {_told(value)}")
+        raise InputError(field, f"must be {rule}, but is {_given(value)}")
     return int(value)
 
 

@@ -6,11 +6,12 @@ import sys
 import traceback
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
+T = TypeVar("T")
 _FEW = 8  # names that are listed though one of them is close to what was given
 _NEAR = 0.65  # share of letters that names have in common where one is meant: of three, two in order
 
@@ -123,6 +124,22 @@ def counted(count: int, noun: str) -> str:
 def renamed(old: str, new: str, since: str) -> None:
     """Warn that a public name is another since a version, and works for one more minor version."""
     warn(f"clsim.{old} is called clsim.{new} since version {since}", DeprecationWarning)
+
+
+def old_names(since: str, **names: str) -> Callable[[type[T]], type[T]]:
+    """Return a class decorator that keeps former names of attributes: those warn and give the new ones."""
+
+    def decorated(kind: type[T]) -> type[T]:
+        def missing(self: T, name: str) -> Any:
+            if name not in names:
+                raise AttributeError(f"{kind.__name__!r} object has no attribute {name!r}")
+            renamed(f"{kind.__name__}.{name}", f"{kind.__name__}.{names[name]}", since)
+            return getattr(self, names[name])
+
+        setattr(kind, "__getattr__", missing)  # noqa: B010 - mypy knows no such attribute
+        return kind
+
+    return decorated
 
 
 def warn(message: str, category: type[Warning] = ClsimWarning) -> None:

@@ -197,14 +197,14 @@ def impulse_responses(
     as_choice("lead", lead, LEADS)
     with_tail = as_choice("tail", tail, TAILS) == "auto" and kept.low < ULTRASOUND
     options = _tail_options(paths, tail_seed, tail_scattering)
-    heard = _active_pairs(paths, time)
-    if not heard:
+    audible = _active_pairs(paths, time)
+    if not audible:
         raise InputError("paths", f"must hold paths that are active at {time:g} s, but hold none")
     channels = [receiver.directivity.channels for receiver in scene.receivers]
     first_row = np.cumsum([0, *map(len, channels)])
     found, shape = {}, (len(scene.sources), int(first_row[-1]))
     first_arrivals, cut_db = np.full(shape, math.nan), np.full(shape, -math.inf)
-    for i, ((source, receiver), kinds) in enumerate(heard.items()):
+    for i, ((source, receiver), kinds) in enumerate(audible.items()):
         now = np.array([time])
         by_kind = [frozen_responses(kind, time, rate, kept) for kind in kinds]
         for row, parts in enumerate(zip(*by_kind, strict=True), first_row[receiver]):
@@ -214,7 +214,7 @@ def impulse_responses(
             if lead == "cut":
                 found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
-            progress((i + 1) / len(heard))
+            progress((i + 1) / len(audible))
     notes = _add_tails(paths, time, rate, kept, options, found) if with_tail else _left(paths, kept)
     samples, before = _on_one_axis(shape, found)
     made = ImpulseResponses(
@@ -262,7 +262,7 @@ def _left(paths: PathSet, band: ResponseBand) -> tuple[str, ...]:
 def _earliest(pair: PairPaths, now: Floats) -> float:
     """Return the delay of the earliest of a pair's paths, s."""
     found = pair.arrivals(now, QUASI_STATIC)
-    return float((found.delay + pair.group_lag(found)).min())
+    return float((found.delay + pair.group_delay_offset(found)).min())
 
 
 def _on_one_axis(pairs: tuple[int, int], found: dict[tuple[int, int], ImpulseResponse]) -> tuple[Floats, int]:
@@ -307,11 +307,11 @@ def _as_instant(scene: Scene, at: Any) -> float:
 
 def _active_pairs(paths: PathSet, time: float) -> dict[tuple[int, int], list[PairPaths]]:
     """Return the active paths of every kind at a time, by source and receiver."""
-    heard: NDArray[np.bool_] = (paths.start <= time) & (time < paths.end)
+    audible: NDArray[np.bool_] = (paths.start <= time) & (time < paths.end)
     found: dict[tuple[int, int], list[PairPaths]] = {}
     for rows, pair in paths.pairs():
-        if heard[rows].any():
-            found.setdefault((pair.source, pair.receiver), []).append(pair.part(np.flatnonzero(heard[rows])))
+        if audible[rows].any():
+            found.setdefault((pair.source, pair.receiver), []).append(pair.part(np.flatnonzero(audible[rows])))
     return found
 
 

@@ -194,8 +194,8 @@ def _function() -> Any:
     """Return the `torch.autograd.Function` of a render."""
     import torch
 
-    ways = {"forward": staticmethod(_forward), "backward": staticmethod(_backward)}
-    return type("Render", (torch.autograd.Function,), ways)
+    methods = {"forward": staticmethod(_forward), "backward": staticmethod(_backward)}
+    return type("Render", (torch.autograd.Function,), methods)
 
 
 def _forward(

@@ -27,7 +27,7 @@ def main() -> None:
     times = np.linspace(0.0, 2.0, 401)
     table = paths.table(times, motion=file.render["motion"])
     heard = [p for p in range(len(paths)) if table.gain[p, 0] != 0.0]
-    names = [table.name_way(p) for p in heard]
+    names = [table.name_objects(p) for p in heard]
     overlay = [(times, 40e3 * table.doppler_factor[p], name) for p, name in zip(heard, names, strict=True)]
     spectrogram_picture(
         recording.pressure[0], recording.sampling_rate, folder / "paper_circle.png",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.acoustics import silhouette
-from clsim.acoustics.scattering import Glint, lit_share
+from clsim.acoustics.scattering import SpecularPoint, lit_share
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,9 +25,9 @@ NEAR_JUNCTION = 1e-4  # slope of the way where the side ends below which the ben
 ASPECTS = 11  # numbers that a field takes, and as many more as `silhouette_field` with the field about the outline
 
 
-def capsule_glint(
-    radius: float, length: float, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float
-) -> Glint:
+def capsule_specular_point(
+    radius: float, length: float, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+) -> SpecularPoint:
     """Return the specular point of a rigid capsule, by geometrical optics; source, receiver (3, n) m; weight (n,).
 
     near: that of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
@@ -46,11 +46,11 @@ def capsule_glint(
         hidden = near.staying(hidden)
     if hidden.any():
         place, change = np.where(hidden, between, place), np.where(hidden, 0.0, change)
-    return Glint(place, place, hidden, float(change.max(initial=0.0)))
+    return SpecularPoint(place, place, hidden, float(change.max(initial=0.0)))
 
 
 def capsule_aspects(
-    radius: float, length: float, source: Floats, receiver: Floats, glint: Glint, outlined: bool = False
+    radius: float, length: float, source: Floats, receiver: Floats, specular: SpecularPoint, outlined: bool = False
 ) -> tuple[Floats, Floats]:
     """Return the strength (n,) that `capsule_field` is relative to, m, and what that takes (n, 11), outlined (n, 22).
 
@@ -64,19 +64,19 @@ def capsule_aspects(
     """
     half, ends = 0.5 * length, (source, receiver)
     oblique = _positive if outlined else _obliquity
-    at, normal = _split(half, glint.place)
+    at, normal = _split(half, specular.place)
     aside = _unit(np.stack([normal[0], normal[1], np.where(np.hypot(*normal[:2]) > 0.0, 0.0, 1.0)]))
     around = np.stack([-aside[1], aside[0], 0.0 * at])
     along = np.cross(normal, around, axis=0)
-    way, _, steep, bend, inward = _ways(radius, ends, glint.place, (normal, around, along))
+    detour, _, steep, bend, inward = _lengths_by(radius, ends, specular.place, (normal, around, along))
     side, cosine = bend, 0.5 * np.maximum(inward, 0.0)
     aspects = np.empty((len(at), ASPECTS))
     on_end = np.zeros(len(at), dtype=bool)
     for i, sign in enumerate((-1.0, 1.0)):
         place = radius * aside + np.stack([0.0 * at, 0.0 * at, np.full(len(at), sign * half)])
         axis = np.broadcast_to(np.array([[0.0], [0.0], [sign]]), place.shape)
-        there, slope, _, flat, pressed = _ways(radius, ends, place, (aside, around, axis))
-        late, sharp = np.maximum(there - way, 0.0), np.maximum(flat + pressed / radius, FLATTEST)
+        there, slope, _, flat, pressed = _lengths_by(radius, ends, place, (aside, around, axis))
+        late, sharp = np.maximum(there - detour, 0.0), np.maximum(flat + pressed / radius, FLATTEST)
         on_end |= slope < 0.0
         # Where the specular point is on this round end, the parabola that is as late at the junction.
         held = slope**2 / (slope**2 + NEAR_JUNCTION**2)
@@ -90,10 +90,10 @@ def capsule_aspects(
     bend = np.maximum(side + np.where(on_end, np.maximum(inward, 0.0) / radius, 0.0), FLATTEST)
     aspects[:, 0] = oblique(cosine) / np.sqrt(bend)
     if not outlined:
-        aspects[glint.hidden] = 0.0
+        aspects[specular.hidden] = 0.0
         return 1.0 / np.sqrt(steep), aspects
-    curvature = _incidence_curvature(radius, half, source, (glint.place, normal, around))
-    strength, outline = silhouette.silhouette_aspects(ends, glint, (1.0 / np.sqrt(steep), cosine, curvature))
+    curvature = _incidence_curvature(radius, half, source, (specular.place, normal, around))
+    strength, outline = silhouette.silhouette_aspects(ends, specular, (1.0 / np.sqrt(steep), cosine, curvature))
     return strength, np.concatenate([aspects, outline], axis=1)
 
 
@@ -183,7 +183,7 @@ def _between(radius: float, half: float, source: Floats, receiver: Floats) -> tu
 
 
 def _search(
-    radius: float, half: float, ends: tuple[Floats, Floats], near: Glint | None, between: tuple[Floats, Floats],
+    radius: float, half: float, ends: tuple[Floats, Floats], near: SpecularPoint | None, between: tuple[Floats, Floats],
     weight: Floats | float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return specular points (3, n) by steps that shorten the path, and their change (n,) by the last step, rad."""
@@ -198,16 +198,16 @@ def _search(
         begin = _split(half, near.place)
     nearest, on = between
     other = on, _unit(np.stack([nearest[0], nearest[1], nearest[2] - on]))
-    ways = [_way(_joined(radius, guess), ends, weight) for guess in (begin, other)]
-    at, normal = (np.where(ways[0] <= ways[1], one, two) for one, two in zip(begin, other, strict=True))
-    place, way = _joined(radius, (at, normal)), np.minimum(*ways)
-    longest = np.full(len(way), _LONGEST_STEP)
+    detours = [_length_by(_joined(radius, guess), ends, weight) for guess in (begin, other)]
+    at, normal = (np.where(detours[0] <= detours[1], one, two) for one, two in zip(begin, other, strict=True))
+    place, detour = _joined(radius, (at, normal)), np.minimum(*detours)
+    longest = np.full(len(detour), _LONGEST_STEP)
     for step in range(_STEPS):
         new, change = _newton(radius, half, ends, _split(half, place), weight, longest)
-        shorter = _way(new, ends, weight)
-        better = shorter <= way * (1.0 + 1e-15)
+        shorter = _length_by(new, ends, weight)
+        better = shorter <= detour * (1.0 + 1e-15)
         longest = np.where(better, np.minimum(2.0 * longest, _LONGEST_STEP), 0.25 * np.minimum(longest, change))
-        place, way = np.where(better, new, place), np.where(better, shorter, way)
+        place, detour = np.where(better, new, place), np.where(better, shorter, detour)
         if not np.any(change > (_FAR if step == 0 else _FOUND)):
             break
     return place, change
@@ -219,13 +219,13 @@ def _joined(radius: float, of: tuple[Floats, Floats]) -> Floats:
     return np.asarray(radius * normal + np.stack([0.0 * at, 0.0 * at, at]))
 
 
-def _way(place: Floats, ends: tuple[Floats, Floats], weight: Floats | float) -> Floats:
+def _length_by(place: Floats, ends: tuple[Floats, Floats], weight: Floats | float) -> Floats:
     """Return the lengths (n,) of the paths by places (3, n)."""
     to, back = (place - end for end in ends)
     return np.asarray(np.sqrt(_dot(to, to)) + weight * np.sqrt(_dot(back, back)))
 
 
-def _ways(
+def _lengths_by(
     radius: float, ends: tuple[Floats, Floats], place: Floats, frame: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return the way's length, slope along, bend around, bend along and pressure by places (3, n), each (n,).
@@ -234,19 +234,19 @@ def _ways(
     slope and bend along are those where it is, to the second order.
     """
     normal, around, along = frame
-    way, inward = np.zeros(place.shape[1]), np.zeros(place.shape[1])
+    detour, inward = np.zeros(place.shape[1]), np.zeros(place.shape[1])
     g = [np.zeros(place.shape[1]) for _ in range(2)]
     h = [np.zeros(place.shape[1]) for _ in range(3)]
     for end in ends:
         away = place - end
         distance = np.sqrt(_dot(away, away))
         a, b = _dot(around, away) / distance, _dot(along, away) / distance
-        way, inward = way + distance, inward - _dot(normal, away) / distance
+        detour, inward = detour + distance, inward - _dot(normal, away) / distance
         g = [g[0] + a, g[1] + b]
         h = [h[0] + (1.0 - a * a) / distance, h[1] - a * b / distance, h[2] + (1.0 - b * b) / distance]
     steep = np.maximum(h[0] + np.maximum(inward, 0.0) / radius, FLATTEST)
     off = g[0] / steep
-    return way - 0.5 * g[0] * off, g[1] - h[1] * off, steep, np.maximum(h[2] - h[1] ** 2 / steep, 0.0), inward
+    return detour - 0.5 * g[0] * off, g[1] - h[1] * off, steep, np.maximum(h[2] - h[1] ** 2 / steep, 0.0), inward
 
 
 def _newton(

@@ -8,7 +8,7 @@ Notes
 The four terms of the field at an edge belong to four ways beside it, their partners, each of which is seen on one side
 of a boundary: the way past the edge for ``θ_r - θ_s`` above -π, and below π, the reflection by the 0-face for
 ``θ_r + θ_s`` below π, and that by the n-face for ``θ_r + θ_s`` above (2n - 1)π. In an inner corner, n < 1, the way past
-the edge is always seen; the partners are ways by both faces in turn, see `partner_reflections`. On its boundary a term
+the edge is always seen; the partners are ways by both faces in turn, see `adjacent_reflections`. On its boundary a term
 is minus a half of its partner where this is seen, and a half where it is not, so that the sum is smooth.
 """
 
@@ -50,7 +50,7 @@ _DOUBLE_LEAST = 2e-5  # the same where both edges are on their boundaries: the f
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeWay:
+class EdgePath:
     """The shortest paths over edges, each array (...)."""
 
     length: Floats  # (...) of the whole way, m
@@ -60,7 +60,7 @@ class EdgeWay:
     breadth: Floats
 
 
-def edge_way(source_r: Floats, source_z: Floats, receiver_r: Floats, receiver_z: Floats) -> EdgeWay:
+def path_over_edge(source_r: Floats, source_z: Floats, receiver_r: Floats, receiver_z: Floats) -> EdgePath:
     """Return the shortest paths over edges between places at distances r and heights z (...), m.
 
     Rolled out, the ends are at (-r_s, z_s) and (r_r, z_r) of a plane, and the edge is its z-axis (J. B. Keller,
@@ -70,7 +70,7 @@ def edge_way(source_r: Floats, source_z: Floats, receiver_r: Floats, receiver_z:
     length = np.hypot(across, source_z - receiver_z)
     apex = (source_z * receiver_r + receiver_z * source_r) / across
     # s' = L r_s / (r_s + r_r), s = L r_r / (r_s + r_r), sin β = (r_s + r_r) / L
-    return EdgeWay(length, apex, 2.0 * source_r * receiver_r / length)
+    return EdgePath(length, apex, 2.0 * source_r * receiver_r / length)
 
 
 def off_line(n: ArrayLike, x: Floats, y: Floats, low: ArrayLike) -> tuple[Floats, Floats]:
@@ -84,7 +84,7 @@ def off_line(n: ArrayLike, x: Floats, y: Floats, low: ArrayLike) -> tuple[Floats
     return np.maximum(r, ON_LINE), np.where(r < ON_LINE, 0.5 * np.pi * np.asarray(n), angle)
 
 
-def partner_reflections(n: ArrayLike) -> NDArray[np.int64]:
+def adjacent_reflections(n: ArrayLike) -> NDArray[np.int64]:
     """Count the reflections by the two faces of each term's partner; result (... 4).
 
     result: an even number for the first two terms, which begin at the 0-face and at the n-face, and an odd one for the
@@ -105,13 +105,13 @@ def lit_angles(n: ArrayLike, source: ArrayLike, receiver: ArrayLike) -> Floats:
     result: angles to the four boundaries, positive where the partner is seen, in radians.
 
     The boundaries are the zeros of ``a±`` of Kouyoumjian and Pathak (1974), eq. 27, that lie between the faces, with
-    ``N±`` not 0 alone but as of `partner_reflections`.
+    ``N±`` not 0 alone but as of `adjacent_reflections`.
     """
     n, source, receiver = (np.asarray(x, dtype=np.float64) for x in (n, source, receiver))
     between, together = receiver - source, receiver + source
     past = np.pi + between, np.pi - between
     angles = np.stack(np.broadcast_arrays(*past, np.pi - together, together - (2.0 * n - 1.0) * np.pi), axis=-1)
-    return np.asarray(angles - n[..., None] * np.pi * (partner_reflections(n) // 2 * 2))
+    return np.asarray(angles - n[..., None] * np.pi * (adjacent_reflections(n) // 2 * 2))
 
 
 def wedge_terms(n: ArrayLike, angles: Floats, lit: ArrayLike | None = None) -> tuple[Floats, Floats]:
@@ -192,16 +192,18 @@ def _transition(root: Floats) -> Complexes:
     return found
 
 
-def end_detour(way: EdgeWay, source: tuple[Floats, Floats], receiver: tuple[Floats, Floats], end: ArrayLike) -> Floats:
+def end_detour(
+    edge_path: EdgePath, source: tuple[Floats, Floats], receiver: tuple[Floats, Floats], end: ArrayLike
+) -> Floats:
     """Return the detour over a point of the edge beyond the shortest path, (...) m.
 
     Our own derivation: each leg's ``far - near`` is ``(far² - near²) / (far + near)``. The parts linear in the offset
     of the point from the apex cancel over both legs, by Fermat's principle, and are left out before they round.
     """
-    off = np.asarray(end, dtype=np.float64) - way.apex
-    total = np.zeros(np.broadcast(off, way.length).shape)
+    off = np.asarray(end, dtype=np.float64) - edge_path.apex
+    total = np.zeros(np.broadcast(off, edge_path.length).shape)
     for r, z in (source, receiver):
-        along = way.apex - z
+        along = edge_path.apex - z
         near, far = np.hypot(r, along), np.hypot(r, along + off)
         longer = off * (off + 2.0 * along) / (near + far)
         total += off * (off - along * longer / near) / (near + far)
@@ -209,7 +211,13 @@ def end_detour(way: EdgeWay, source: tuple[Floats, Floats], receiver: tuple[Floa
 
 
 def exact_wedge_terms(
-    n: ArrayLike, angles: Floats, lit: ArrayLike, source_r: Floats, receiver_r: Floats, way: EdgeWay, wave: Floats
+    n: ArrayLike,
+    angles: Floats,
+    lit: ArrayLike,
+    source_r: Floats,
+    receiver_r: Floats,
+    edge_path: EdgePath,
+    wave: Floats,
 ) -> list[Complexes]:
     """Return the four terms of the exact field at a hard wedge, each (..., F), over ``exp(-jkL) / L``.
 
@@ -227,12 +235,12 @@ def exact_wedge_terms(
     angle = angles - 2.0 * n * np.pi * np.round(angles / (2.0 * n * np.pi))
     side = np.where(angle >= 0.0, 1.0, -1.0)
     lit = np.where(np.abs(angles) <= n * np.pi, lit, side)
-    length, product = way.length[..., None], (source_r * receiver_r)[..., None]
+    length, product = edge_path.length[..., None], (source_r * receiver_r)[..., None]
     shorter = 4.0 * product * np.sin(0.5 * angle) ** 2
     direct = np.sqrt(np.maximum(length**2 - shorter, 1e-30 * length**2))
     detour = shorter / (length + direct)
     has_pole = np.abs(angle) < np.pi
-    v, step = _contour(way, wave)
+    v, step = _contour(edge_path, wave)
     rests = _integrands(n, angle, length, product, v)
     fall = step[..., None] * np.exp(-(v**2)[..., None] * wave[..., None, :])
     found = []
@@ -247,9 +255,9 @@ def exact_wedge_terms(
     return found
 
 
-def _contour(way: EdgeWay, wave: Floats) -> tuple[Floats, Floats]:
+def _contour(edge_path: EdgePath, wave: Floats) -> tuple[Floats, Floats]:
     """Return the points v (..., points) of the contour, roots of m, and their weights."""
-    finest = np.minimum(np.sqrt(way.breadth), 1.0 / np.sqrt(wave.max(axis=-1)))
+    finest = np.minimum(np.sqrt(edge_path.breadth), 1.0 / np.sqrt(wave.max(axis=-1)))
     last = np.arcsinh(np.sqrt(_WEDGE_FADED / wave.min(axis=-1)) / finest)
     spacing = (last / _WEDGE_POINTS)[..., None]
     u = spacing * (np.arange(_WEDGE_POINTS) + 0.5)
@@ -355,14 +363,14 @@ def _end_cubics() -> Complexes:
     return np.ascontiguousarray(np.moveaxis(CubicSpline(place, values).c[::-1], 2, 0))
 
 
-def double_tie(way: EdgeWay, first: Floats, last: Floats) -> Floats:
+def double_tie(edge_path: EdgePath, first: Floats, last: Floats) -> Floats:
     """Return the coupling of the transitions at two edges (...): 0 for edges far apart, 1 for one edge.
 
     Our own derivation: ``w² = s1 s2 / ((s1 + s) (s + s2))`` with the part s between the edges is the square of the
     mixed second derivative of the way's length by both angles over the product of the others; what is left, 1 - w², is
     the ratio by which the breadth is less where the other edge itself is the receiver.
     """
-    between = np.maximum(way.length - first - last, 0.0)
+    between = np.maximum(edge_path.length - first - last, 0.0)
     return np.asarray(np.sqrt(first * last / ((first + between) * (between + last))))
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, edge_way, off_line
+from clsim.acoustics.diffraction import ON_LINE, off_line, path_over_edge
 
 if TYPE_CHECKING:
     from clsim.arrays import Floats
@@ -119,10 +119,10 @@ def _nearer(
     near, moves = longest <= NEWTON * scale, (r_s / s**2, r_r / t**2)
     slides = np.stack([d * moves[0] + np.abs(b) * moves[1], a * moves[1] + np.abs(b) * moves[0]]) / determinant
     # Where that is far, each in turn with the other one as it is.
-    place = edge_way(r_s, z_s, _off(apart, one), u - one).apex
+    place = path_over_edge(r_s, z_s, _off(apart, one), u - one).apex
     one, other = first + place - v * cosine, last + place * cosine - v
     apart = square + place**2 + v**2 + 2.0 * (place * first - v * last - place * v * cosine)
-    behind = edge_way(r_r, z_r, _off(apart, other), v + other).apex
+    behind = path_over_edge(r_r, z_r, _off(apart, other), v + other).apex
     found = near & (longest <= FOUND * scale)
     return np.where(near, u - step[0], place), np.where(near, v - step[1], behind), found, slides
 

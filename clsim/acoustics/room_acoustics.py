@@ -17,7 +17,7 @@ _OWN_FALL = 0.75  # of how far a decay falls in a fifth of a response: what fall
 _INTERVAL = 0.03  # s, over which the first look at a decay is averaged
 _PER_TEN_DB = 3  # intervals of later looks
 _ABOVE_DB, _LATE_DB = 10.0, 20.0  # above noise, where its late decay begins to be looked at, and over how much
-_LOOKS = 5
+_EVALUATIONS = 5
 _FULL = 0.999  # of full scale, from which on a sample of a sound file may be cut off
 _EARLIEST, _EARLY = 0.005, 0.08  # s from the direct sound, of early lateral sound
 _EARS = 1e-3  # s, by which one ear may be late
@@ -84,7 +84,7 @@ def before_noise(samples: Floats, sampling_rate: float) -> tuple[int, float, flo
         return count, 0.0, 0.0
     if noise < earlier * 10.0 ** (0.1 * _OWN_FALL * slope[0] * 0.2 * count / sampling_rate):
         return count, 0.0, 0.0
-    for _ in range(_LOOKS):
+    for _ in range(_EVALUATIONS):
         fall, crossing = slope
         steady = min(round((crossing - _ABOVE_DB / fall) * sampling_rate), count - tenth)
         noise = float(np.mean(power[max(steady, 0) :]))

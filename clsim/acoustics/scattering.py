@@ -29,7 +29,7 @@ _SMALL = 1e-100  # in divisors: what is divided by it is squared, too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Glint:
+class SpecularPoint:
     """Specular points of a body for n pairs of ends."""
 
     place: Floats  # (3, n) the specular point, m; where the body hides the ends from each other, a point between them
@@ -42,14 +42,14 @@ class Glint:
         """Return the ends that stay hidden from each other at the next step, of those (n,) found hidden now."""
         return hidden | self.hidden if self.stays else hidden
 
-    def guessed(self, normal: Floats) -> Glint:
+    def guessed(self, normal: Floats) -> SpecularPoint:
         """Return the specular points of other ends, guessed by vectors (3, m) near to u."""
-        return Glint(normal, _unit(normal), np.zeros(normal.shape[1], dtype=np.bool_), math.inf)
+        return SpecularPoint(normal, _unit(normal), np.zeros(normal.shape[1], dtype=np.bool_), math.inf)
 
 
-def ellipsoid_glint(
-    semi_axes: Floats, source: Floats, receiver: Floats, near: Glint | None = None, weight: Floats | float = 1.0
-) -> Glint:
+def ellipsoid_specular_point(
+    semi_axes: Floats, source: Floats, receiver: Floats, near: SpecularPoint | None = None, weight: Floats | float = 1.0
+) -> SpecularPoint:
     """Return the specular point of a rigid ellipsoid, by geometrical optics.
 
     Shapes: semi_axes (3,) m; source, receiver (3, n) m; weight (n,). near: that of nearly the same ends: one step is
@@ -73,10 +73,10 @@ def ellipsoid_glint(
     place = scale * u
     if hidden.any():
         change, place = np.where(hidden, 0.0, change), np.where(hidden, scale * between, place)
-    return Glint(place, u, hidden, float(change.max(initial=0.0)))
+    return SpecularPoint(place, u, hidden, float(change.max(initial=0.0)))
 
 
-def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glint: Glint) -> Floats:
+def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, specular: SpecularPoint) -> Floats:
     """Return the strength (n,) of a rigid ellipsoid, m, by geometrical optics.
 
     With H the second derivatives of L along the surface, the principle of stationary phase gives ``cos(theta) /
@@ -87,13 +87,13 @@ def ellipsoid_strength(semi_axes: Floats, source: Floats, receiver: Floats, glin
     Towards grazing incidence it is let go to 0 by ``1 - exp(-(cos(theta) / 0.25)^3)``, our own choice: 3 % off at an
     angle of 68°, where for k R = 150 the penumbra begins (V. A. Fock: ``(k R / 2)^(1/3) cos(theta)`` about 1).
     """
-    _, _, steep, cosine, bend = _incidence(semi_axes[:, None], source, receiver, glint.normal)
+    _, _, steep, cosine, bend = _incidence(semi_axes[:, None], source, receiver, specular.normal)
     strength = lit_share(cosine) * cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend)
-    return np.asarray(np.where(glint.hidden, 0.0, strength))
+    return np.asarray(np.where(specular.hidden, 0.0, strength))
 
 
 def ellipsoid_mirror(
-    semi_axes: Floats, source: Floats, receiver: Floats, glint: Glint
+    semi_axes: Floats, source: Floats, receiver: Floats, specular: SpecularPoint
 ) -> tuple[Floats, Floats, Floats]:
     """Return the specular reflection of a rigid ellipsoid: strength, m, cosine of incidence, curvature, 1/m, each (n,).
 
@@ -101,7 +101,7 @@ def ellipsoid_mirror(
     Cross Section Handbook, 1970, section 2.2.3). The curvature is that in the plane of incidence.
     """
     scale = semi_axes[:, None]
-    normal, away, steep, cosine, bend = _incidence(scale, source, receiver, glint.normal)
+    normal, away, steep, cosine, bend = _incidence(scale, source, receiver, specular.normal)
     along = away - _dot(normal, away) / steep**2 * normal
     curvature = _dot(along / scale, along / scale) / (steep * np.maximum(_dot(along, along), _SMALL))
     flattest = semi_axes.min() / semi_axes.max() ** 2
@@ -133,9 +133,9 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 def _between(s: Floats, r: Floats) -> tuple[Floats, Any]:
     """Return the points (3, n) between two that are nearest to the origin, and which lie in the unit sphere."""
-    way = r - s
-    share = np.clip(-_dot(s, way) / np.maximum(_dot(way, way), _SMALL), 0.0, 1.0)
-    nearest = s + share * way
+    line = r - s
+    share = np.clip(-_dot(s, line) / np.maximum(_dot(line, line), _SMALL), 0.0, 1.0)
+    nearest = s + share * line
     return nearest, _dot(nearest, nearest) < 1.0
 
 
@@ -158,15 +158,15 @@ def _careful(
 ) -> tuple[Floats, Floats]:
     """Return unit vectors as of `_search`, by steps that shorten the path, from the shorter of two guesses (3, n)."""
     guesses = (u, other)
-    ways = [_way(scale, s, r, v, weight) for v in guesses]
-    u, way = np.where(ways[0] <= ways[1], *guesses), np.minimum(*ways)
-    longest = np.full(len(way), LONGEST_STEP)
+    lengths = [_length_by(scale, s, r, v, weight) for v in guesses]
+    u, line = np.where(lengths[0] <= lengths[1], *guesses), np.minimum(*lengths)
+    longest = np.full(len(line), LONGEST_STEP)
     for _ in range(_STEPS):
         new, change = _newton(scale, s, r, u, weight, longest)
-        shorter = _way(scale, s, r, new, weight)
-        better = shorter <= way * (1.0 + 1e-15)
+        shorter = _length_by(scale, s, r, new, weight)
+        better = shorter <= line * (1.0 + 1e-15)
         longest = np.where(better, np.minimum(2.0 * longest, LONGEST_STEP), 0.25 * np.minimum(longest, change))
-        u, way = np.where(better, new, u), np.where(better, shorter, way)
+        u, line = np.where(better, new, u), np.where(better, shorter, line)
         if not np.any(change > FOUND):
             break
     return u, change
@@ -207,7 +207,7 @@ def _unit(v: Floats) -> Floats:
     return np.asarray(v / np.sqrt(np.maximum(_dot(v, v), _SMALL)))
 
 
-def _way(scale: Floats, s: Floats, r: Floats, u: Floats, weight: Floats | float) -> Floats:
+def _length_by(scale: Floats, s: Floats, r: Floats, u: Floats, weight: Floats | float) -> Floats:
     """Return the lengths (n,) of the paths by ``A u``."""
     to, back = (scale * u - end for end in (s, r))
     return np.asarray(np.sqrt(_dot(to, to)) + weight * np.sqrt(_dot(back, back)))

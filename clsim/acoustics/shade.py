@@ -40,7 +40,7 @@ def shade(outline: Outline, wave: Floats, source: Floats, receiver: Floats) -> C
     )
     some = np.flatnonzero(weight.any(axis=1))
     rows, weight = rows[some], weight[some]
-    counts = outline.asked(float(wave.max(initial=0.0))).counts(source[rows], receiver[rows])
+    counts = outline.requested(float(wave.max(initial=0.0))).counts(source[rows], receiver[rows])
     for count in np.unique(counts).tolist():
         alike = np.flatnonzero(counts == count)
         here = rows[alike]

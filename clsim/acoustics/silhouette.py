@@ -18,7 +18,7 @@ from clsim.numerics.band_filters import chebyshev_points, interpolation
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.acoustics.scattering import Glint
+    from clsim.acoustics.scattering import SpecularPoint
     from clsim.arrays import Complexes, Floats
 
 ASPECTS = 11  # numbers that a field takes
@@ -66,7 +66,7 @@ class Outline(Protocol):
         """Largest distance of the surface from the centre, m."""
         ...
 
-    def asked(self, wave: float) -> PointsAsked:
+    def requested(self, wave: float) -> RequestedPoints:
         """Points that a largest wave number needs, 1/m."""
         ...
 
@@ -94,9 +94,9 @@ class EllipsoidOutline:
         """Longest semi-axis, m."""
         return float(self.semi_axes.max())
 
-    def asked(self, wave: float) -> PointsAsked:
+    def requested(self, wave: float) -> RequestedPoints:
         """Points for a largest wave number, 1/m."""
-        return PointsAsked.of(wave, self.largest, POINTS_OF_ELLIPSOID)
+        return RequestedPoints.of(wave, self.largest, POINTS_OF_ELLIPSOID)
 
     def table(self, count: int) -> Floats:
         """Cosine and sine of the eccentric angle, and the share of a turn, of points (6, count)."""
@@ -151,9 +151,9 @@ class CapsuleOutline:
         """Half of the whole length, m."""
         return self.radius + self.half
 
-    def asked(self, wave: float) -> PointsAsked:
+    def requested(self, wave: float) -> RequestedPoints:
         """Points for a largest wave number, 1/m."""
-        return PointsAsked.of(wave, self.largest, POINTS_OF_CAPSULE)
+        return RequestedPoints.of(wave, self.largest, POINTS_OF_CAPSULE)
 
     def table(self, count: int) -> Floats:
         """Points (6, count) on two half circles and the sides between them: a quarter on each, fewer towards its ends.
@@ -229,7 +229,7 @@ def _placed(
 
 
 def silhouette_aspects(
-    ends: tuple[Floats, Floats], glint: Glint, mirrored: tuple[Floats, Floats, Floats]
+    ends: tuple[Floats, Floats], specular: SpecularPoint, mirrored: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Return the strength (n,) that `silhouette_field` is relative to, m, and what that takes (n, 11).
 
@@ -240,12 +240,12 @@ def silhouette_aspects(
     falls. Where the body hides the endpoints from each other, its point is on that line. Our own derivation.
     """
     source, receiver = ends
-    legs = [np.sqrt(np.sum((glint.place - end) ** 2, axis=0)) for end in ends]
+    legs = [np.sqrt(np.sum((specular.place - end) ** 2, axis=0)) for end in ends]
     sight = np.sqrt(np.sum((receiver - source) ** 2, axis=0))
     held = np.maximum(sight, SHORTEST * (legs[0] + legs[1]))
     strength = legs[0] * legs[1] / held
-    columns = [*source, *receiver, held, np.where(glint.hidden, 0.0, mirrored[0]) / strength]
-    columns += [np.where(glint.hidden, -1.0, mirrored[1]), mirrored[2], sight - legs[0] - legs[1]]
+    columns = [*source, *receiver, held, np.where(specular.hidden, 0.0, mirrored[0]) / strength]
+    columns += [np.where(specular.hidden, -1.0, mirrored[1]), mirrored[2], sight - legs[0] - legs[1]]
     return strength, np.stack(columns, axis=1)
 
 
@@ -274,7 +274,7 @@ def silhouette_field(
     found = flat[:, 7:8] * (1.0 - share) * np.reshape(mirror, (-1, np.shape(mirror)[-1] if np.ndim(mirror) else 1))
     found = found.astype(np.complex128)
     some = np.flatnonzero(share.any(axis=1) & left.any(axis=1))
-    counts = outline.asked(float(wave.max(initial=0.0))).counts(flat[some, 0:3], flat[some, 3:6])
+    counts = outline.requested(float(wave.max(initial=0.0))).counts(flat[some, 0:3], flat[some, 3:6])
     for count in np.unique(counts).tolist():
         alike = some[counts == count]
         each = max(_AT_A_TIME // (count * FEW), 1)
@@ -287,7 +287,7 @@ def silhouette_field(
 
 
 @dataclass(frozen=True, slots=True)
-class PointsAsked:
+class RequestedPoints:
     """Points that an outline needs at the largest wave number: ``fewest + slope x``, but at most `most`.
 
     x is ``(a + y) (1 / t1 + 1 / t2)``, with the largest radius a, the distance y of the line of sight from the centre,
@@ -302,7 +302,7 @@ class PointsAsked:
     largest: float  # m
 
     @classmethod
-    def of(cls, wave: float, largest: float, points: tuple[float, float]) -> PointsAsked:
+    def of(cls, wave: float, largest: float, points: tuple[float, float]) -> RequestedPoints:
         """Points of a body of a largest radius, m, by fewest points and how many more by ``k a x``."""
         most = MOST_POINTS[0] + MOST_POINTS[1] * (wave * largest) ** (2.0 / 3.0)
         return cls(points[0], points[1] * wave * largest, most, largest)
@@ -318,9 +318,11 @@ class PointsAsked:
         sight = sight / np.maximum(np.linalg.norm(sight, axis=1), _LEAST)[:, None]
         beside = np.linalg.norm(np.cross(source, sight), axis=1)
         along = [np.maximum(np.sum(end * sight, axis=1), self.largest) for end in (-source, receiver)]
-        asked = self.fewest + self.slope * (self.largest + beside) * (1.0 / along[0] + 1.0 / along[1])
+        requested = self.fewest + self.slope * (self.largest + beside) * (1.0 / along[0] + 1.0 / along[1])
         limits, counts = (np.array(column) for column in zip(*self.steps(), strict=True))
-        return np.asarray(counts[np.minimum(np.searchsorted(limits, np.minimum(asked, self.most)), len(limits) - 1)])
+        return np.asarray(
+            counts[np.minimum(np.searchsorted(limits, np.minimum(requested, self.most)), len(limits) - 1)]
+        )
 
 
 def outline_field(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from clsim.acoustics.scattering import Glint
+    from clsim.acoustics.scattering import SpecularPoint
     from clsim.arrays import Complexes, Floats
 
 LEFT_OUT = 1e-7  # of the largest mode: where one is smaller, behind mode number ka, the series ends
@@ -71,7 +71,7 @@ def sphere_modes(ka: tuple[float, ...]) -> SphereModes:
     return SphereModes(x, (2 * n + 1) / (x * size), 1.0 / (size * np.concatenate([one, size[:-1]])), weight)
 
 
-def sphere_aspects(radius: float, source: Floats, receiver: Floats, glint: Glint) -> tuple[Floats, Floats]:
+def sphere_aspects(radius: float, source: Floats, receiver: Floats, specular: SpecularPoint) -> tuple[Floats, Floats]:
     """Return the strength (n,) that `sphere_field` is relative to, m, and what that takes (n, 4).
 
     Shapes: source, receiver (3, n) m.
@@ -81,7 +81,7 @@ def sphere_aspects(radius: float, source: Floats, receiver: Floats, glint: Glint
     / d2, and by how much the path by the centre is longer than that by the place, over a. Our own derivation.
     """
     far = [np.sqrt(np.sum(end * end, axis=0)) for end in (source, receiver)]
-    legs = [np.sqrt(np.sum((glint.place - end) ** 2, axis=0)) for end in (source, receiver)]
+    legs = [np.sqrt(np.sum((specular.place - end) ** 2, axis=0)) for end in (source, receiver)]
     cosine = np.clip(np.sum(source * receiver, axis=0) / (far[0] * far[1]), -1.0, 1.0)
     longer = (far[0] - legs[0]) + (far[1] - legs[1])
     aspects = np.stack([cosine, radius / far[0], radius / far[1], longer / radius], axis=1)

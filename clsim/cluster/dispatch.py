@@ -122,7 +122,7 @@ class Dispatch:
             if row is None:
                 yield from self._died(number, found)
             else:
-                yield self._settled(number, row)
+                yield self._decided(number, row)
 
     def _chosen(self, there: dict[str, int]) -> Iterator[tuple[int, str]]:
         """Yield tasks to start and their workers: tasks on all free workers, or one suspect alone."""
@@ -138,7 +138,7 @@ class Dispatch:
         """Repeat a task whose worker died, or yield its row if the results exist."""
         row = found(number)
         if row is not None:
-            yield self._settled(number, row)
+            yield self._decided(number, row)
             return
         del self._running[number]
         self._deaths[number] += 1
@@ -149,9 +149,9 @@ class Dispatch:
         else:
             deaths = f"its worker died {self._deaths[number]} times, the last {_ALONE} while it ran nothing else"
             row = {"status": "failed", "error": f"{deaths} (out of memory?)", "seconds": 0.0}
-            yield self._settled(number, row)
+            yield self._decided(number, row)
 
-    def _settled(self, number: int, row: Row) -> tuple[int, Row]:
+    def _decided(self, number: int, row: Row) -> tuple[int, Row]:
         self._running.pop(number, None)
         self.left -= 1
         return number, row

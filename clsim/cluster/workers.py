@@ -116,7 +116,7 @@ class DaskTeam:
         with _scheduler_there():
             there = self._client.nthreads()
             new = sorted(there.keys() - self._known)
-            answers = self._ask(self._tasks.check(), new, "return") if new else {}
+            answers = self._request(self._tasks.check(), new, "return") if new else {}
         for address, found in answers.items():
             if isinstance(found, ImportError) and found.name in (None, "clsim"):
                 raise InputError("--scheduler", f"its workers must have clsim installed, but: {found}")
@@ -171,9 +171,9 @@ class DaskTeam:
         last_call = self._tasks.over()
         if last_call is not None:
             there = self._client.nthreads()  # one that died would be waited for half a minute
-            self._ask(last_call, sorted(self._known & there.keys()), "ignore")
+            self._request(last_call, sorted(self._known & there.keys()), "ignore")
 
-    def _ask(self, call: Call, workers: list[str], on_error: str) -> dict[str, Any]:
+    def _request(self, call: Call, workers: list[str], on_error: str) -> dict[str, Any]:
         """Return the workers' results of a call, by address."""
         function, arguments = call
         answers: dict[str, Any] = self._client.run(function, *arguments, workers=workers, on_error=on_error)

@@ -84,7 +84,7 @@ def execute(options: argparse.Namespace) -> int:
             paths, rate, band=band, lead="keep", tail="auto", tail_seed=options.seed, progress=shares(advance)
         )  # fmt: skip
     aligned = align(samples, simulated, images)
-    print(*_told(aligned, simulated), sep="\n")
+    print(*_given(aligned, simulated), sep="\n")
     theirs, ours = (room_measures(one, options.bands) for one in (aligned.responses, simulated))
     print(*_parameters(theirs, ours), sep="\n")
     until = float(simulated.first_arrivals[0, 0]) + _EARLY
@@ -119,7 +119,7 @@ def _one_pair(file: SceneFile, source: str | None, receiver: str | None) -> Scen
     return replace(file, scene=replace(file.scene, sources=[sources[s]], receivers=[receivers[r]]))
 
 
-def _told(aligned: Aligned, simulated: ImpulseResponses) -> list[str]:
+def _given(aligned: Aligned, simulated: ImpulseResponses) -> list[str]:
     """Describe delay and gain between both."""
     level = 20.0 * np.log10(abs(aligned.gain))
     turned = ", polarity reversed" if aligned.gain < 0.0 else ""
@@ -151,7 +151,7 @@ def _reflections(found: list[Reflection]) -> list[str]:
     lines = [f"{'ms':>8} {'order':>5} {'measured':>9} {'simulated':>9}  dB re the first arrival, by"]
     for one in found[:_LISTED]:
         lines.append(
-            f"{1e3 * one.delay:>8.3f} {one.order:>5} {one.measured_db:>9.1f} {one.simulated_db:>9.1f}  {one.way}"
+            f"{1e3 * one.delay:>8.3f} {one.order:>5} {one.measured_db:>9.1f} {one.simulated_db:>9.1f}  {one.objects}"
         )
     more = len(found) - _LISTED
     return [*lines, f"and {more} more up to {1e3 * _EARLY:.0f} ms after the first"] if more > 0 else lines
@@ -199,4 +199,4 @@ def _write(found: list[Reflection], path: Path) -> None:
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as out:
         writer = csv.writer(out)
         writer.writerow(("delay", "order", "measured_db", "simulated_db", "way"))
-        writer.writerows((one.delay, one.order, one.measured_db, one.simulated_db, one.way) for one in found)
+        writer.writerows((one.delay, one.order, one.measured_db, one.simulated_db, one.objects) for one in found)

@@ -53,12 +53,12 @@ def execute(options: argparse.Namespace) -> int:
     head = f"{'receiver':<16} {'source':<16} {'order':>5} {'delay (ms)':>11} {'gain (dB)':>10}"
     print(f"{head} {'doppler factor':>14}  objects")
     for p in rows[: options.limit]:
-        gain = f"{20 * np.log10(abs(table.gain[p, 0])):.1f}" if table.heard[p, 0] else "silent"
-        way = table.name_way(p)
+        gain = f"{20 * np.log10(abs(table.gain[p, 0])):.1f}" if table.audible[p, 0] else "silent"
+        objects = table.name_objects(p)
         print(
             f"{table.receiver_names[table.receiver[p]]:<16} {table.source_names[table.source[p]]:<16} "
             f"{table.order[p]:>5} {table.delay[p, 0] * 1e3:>11.4f} {gain:>10} "
-            f"{table.doppler_factor[p, 0]:>14.6f}  {way}"
+            f"{table.doppler_factor[p, 0]:>14.6f}  {objects}"
         )
     if len(rows) > options.limit:
         print(f"and {len(rows) - options.limit} more (--limit)")

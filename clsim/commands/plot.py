@@ -133,13 +133,13 @@ def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> lis
     chosen = [item for item in ends if end is None or item.name == end]
     if not chosen:
         raise InputError("--end", not_one_of(end, [item.name for item in ends]))
-    heard = wanted if wanted is not None else _emitted_frequencies(scene)
+    audible = wanted if wanted is not None else _emitted_frequencies(scene)
     diagrams = []
     for item in chosen:
-        frequencies = heard
+        frequencies = audible
         if wanted is None:  # those of the sources that the directivity is known at
             low, high = item.directivity.band
-            frequencies = heard[(heard >= low) & (heard <= high)]
+            frequencies = audible[(audible >= low) & (audible <= high)]
             if not len(frequencies):
                 frequencies = _usual_frequencies(item.directivity)
         what = "source" if isinstance(item, Source) else "receiver"

@@ -81,8 +81,8 @@ def _box() -> Shoebox:
 
 def _render(signal: Signal, room: Room, device: str) -> None:
     """Render a source that passes the corner at 6 m/s, for receivers at rest and in motion."""
-    way = Trajectory.line((3.6, 4.55, 1.5), (3.6, 4.55 - 6.0 * signal.duration, 1.5), signal.duration)
-    source = Source("source", signal, way)
+    walk = Trajectory.line((3.6, 4.55, 1.5), (3.6, 4.55 - 6.0 * signal.duration, 1.5), signal.duration)
+    source = Source("source", signal, walk)
     at_rest = Receiver("at rest", Trajectory.fixed((7.0, 1.0, 2.0)))
     moving = Receiver("moving", Trajectory.line((1.0, 7.0, 1.0), (1.1, 7.1, 1.0), signal.duration))
     for receivers in ([at_rest], [at_rest, moving]):

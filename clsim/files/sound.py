@@ -41,7 +41,18 @@ _CHUNKS = {
     "W64": (40, "<16sq", 0, b"data\xf3\xac\xd3\x11\x8c\xd1\x00\xc0\x4f\x8e\xdb\x8a", 8),
     "CAF": (8, ">4sq", 12, b"data", 1),
 }
-_TELL_LENGTH = {"WAV", "WAVEX", "RF64", "AIFF", "W64", "AU", "CAF", "SVX", "OGG", "FLAC"}  # formats whose cuts are seen
+_STATES_LENGTH = {
+    "WAV",
+    "WAVEX",
+    "RF64",
+    "AIFF",
+    "W64",
+    "AU",
+    "CAF",
+    "SVX",
+    "OGG",
+    "FLAC",
+}  # formats whose cuts are seen
 _PADDING = 5000  # samples by which compressed sound can be shorter than its file says
 _LARGEST_WAV = 2**32 - 2**16  # bytes; beyond that RF64
 _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
@@ -88,7 +99,7 @@ def _end_of_data(raw: BinaryIO, form: str, size: int) -> int:
 
 def _check_whole(path: str | PathLike[str], file: Any) -> None:
     """Refuse a file that has been cut, as far as its format shows that; warn where it does not."""
-    size, told = Path(path).stat().st_size, file.format in _TELL_LENGTH
+    size, stated = Path(path).stat().st_size, file.format in _STATES_LENGTH
     with Path(path).open("rb") as raw:
         missing = max(missing_bytes(file.extra_info), _end_of_data(raw, file.format, size) - size)
         problem = f"ends {missing} bytes before its header says" if missing else ""
@@ -99,10 +110,10 @@ def _check_whole(path: str | PathLike[str], file: Any) -> None:
             if not count or not page[1] & _LAST_PAGE or len(page) < 23 + count + sum(page[23 : 23 + count]):
                 problem = "ends before its last page does"
     if file.format == "MP3":
-        problem, told = cut_of_mp3(path)
+        problem, stated = cut_of_mp3(path)
     if problem:
         raise InputError("path", f"must be whole, but {path} {problem}; truncated=True takes what is there")
-    if not told:
+    if not stated:
         warn(f"{path} does not state its length ({file.format_info}): if it was cut, the signal is as short")
 
 

@@ -39,7 +39,7 @@ class Reflection:
 
     delay: float  # s
     order: int
-    way: str  # what it is reflected by
+    objects: str  # what it is reflected by
     simulated_db: float  # energy about its delay re that about the first path's
     measured_db: float
 
@@ -89,7 +89,7 @@ def reflections(
 
     Paths that arrive within 0.5 ms of each other share their sound.
     """
-    rows = [int(p) for p in np.argsort(table.delay[:, 0]) if table.heard[p, 0] and table.delay[p, 0] <= until]
+    rows = [int(p) for p in np.argsort(table.delay[:, 0]) if table.audible[p, 0] and table.delay[p, 0] <= until]
     found: list[Reflection] = []
     first = np.ones(2)
     for row in rows:
@@ -98,7 +98,9 @@ def reflections(
         if not found:
             first = np.maximum(energies, 1e-300)
         levels = 10.0 * np.log10(np.maximum(energies / first, 1e-30))
-        found.append(Reflection(delay, int(table.order[row]), table.name_way(row), float(levels[0]), float(levels[1])))
+        found.append(
+            Reflection(delay, int(table.order[row]), table.name_objects(row), float(levels[0]), float(levels[1]))
+        )
     return found
 
 

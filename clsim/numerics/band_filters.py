@@ -78,8 +78,8 @@ def band_filters(
     """
     edges, count = 2.0 * math.pi * np.array([low, high]) / sampling_rate, len(importance)
     points = np.cos(math.pi * (np.arange(count) + 0.5) / count)
-    looked_at = np.cos(math.pi * (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count))
-    at, wanted = 0.5 * (edges.sum() + looked_at * (edges[1] - edges[0])), _polynomials(coefficients, looked_at)
+    evaluated_at = np.cos(math.pi * (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count))
+    at, wanted = 0.5 * (edges.sum() + evaluated_at * (edges[1] - edges[0])), _polynomials(coefficients, evaluated_at)
     half, best, least = _SHORTEST // 2, BandFilters(np.zeros((len(coefficients), 1)), math.inf, low), math.inf
 
     def wanted_at(w: Floats) -> tuple[Floats, Floats | Complexes]:
@@ -235,24 +235,24 @@ class BandKernels:
         `weights` (T, K) are those of the polynomials. What lies beyond the ends is left out.
         """
         self._tabulate(weights.shape[1])
-        heard = np.flatnonzero(np.any(weights != 0.0, axis=1))
-        whole = np.floor(late[heard]).astype(np.int64)
-        place = (late[heard] - whole) * _STEPS
+        audible = np.flatnonzero(np.any(weights != 0.0, axis=1))
+        whole = np.floor(late[audible]).astype(np.int64)
+        place = (late[audible] - whole) * _STEPS
         step = np.minimum(place.astype(np.int64), _STEPS - 1)
         t = place - step
         cubic = np.stack([
             -t * (t - 1.0) * (t - 2.0) / 6.0, (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
             -(t + 1.0) * t * (t - 2.0) / 2.0, (t + 1.0) * t * (t - 1.0) / 6.0,
         ])  # fmt: skip
-        made = np.zeros((len(heard), 2 * self.reach), dtype=np.complex128)
+        made = np.zeros((len(audible), 2 * self.reach), dtype=np.complex128)
         for one in np.unique(step):
             mine = np.flatnonzero(step == one)
             for node in range(_NODES):
                 table = self._tables[one + node, : weights.shape[1]]
-                made[mine] += (weights[heard[mine]] * cubic[node, mine, None]) @ table
+                made[mine] += (weights[audible[mine]] * cubic[node, mine, None]) @ table
         taps = whole[:, None] + np.arange(1 - self.reach, self.reach + 1)
         inside = (taps >= 0) & (taps < out.shape[1])
-        rows = np.broadcast_to(heard[:, None], taps.shape)
+        rows = np.broadcast_to(audible[:, None], taps.shape)
         out[rows[inside], taps[inside]] += made[inside]
 
     def _tabulate(self, count: int) -> None:

@@ -172,5 +172,5 @@ def _lags(rows: Floats) -> Floats:
     before, here, after = (np.take_along_axis(alike, (best[:, None] + i) % alike.shape[1], 1)[:, 0] for i in (-1, 0, 1))
     bend = before - 2.0 * here + after
     between = np.where(bend < 0.0, 0.5 * (before - after) / np.where(bend < 0.0, bend, 1.0), 0.0)
-    lag = np.where(best > alike.shape[1] // 2, best - alike.shape[1], best) + between
-    return np.asarray(lag / _UPSAMPLED)
+    offset = np.where(best > alike.shape[1] // 2, best - alike.shape[1], best) + between
+    return np.asarray(offset / _UPSAMPLED)

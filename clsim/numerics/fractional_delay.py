@@ -187,8 +187,8 @@ def _length_beyond(error_db: float, cutoff: float, importance: tuple[float, ...]
     Measured over bands of 0.2 to 2.9 rad and errors of -60 to -110 dB.
     """
     ends = cutoff * np.arange(1, len(importance) + 1) / len(importance)
-    asked = 20.0 * np.log10(np.maximum(importance, 1e-15)) - error_db  # dB
-    most = float(np.max(np.maximum(asked, 0.0) * np.maximum(ends - 0.2, 0.0)))
+    requested = 20.0 * np.log10(np.maximum(importance, 1e-15)) - error_db  # dB
+    most = float(np.max(np.maximum(requested, 0.0) * np.maximum(ends - 0.2, 0.0)))
     return _LENGTH_PER_DB * most / (math.pi - cutoff)
 
 

@@ -260,7 +260,7 @@ PROGRAMS = {
             "motion": taken("float4", "listeners, nodes, count"),
             "nodes": INT,
             "bank": taken("float", "POWERS, TAPS"),
-            "heard": made("float", "listeners, nodes NODE"),
+            "audible": made("float", "listeners, nodes NODE"),
         },
         frozenset({"LANES", "NODE", "POWERS", "TAPS"}),
     ),

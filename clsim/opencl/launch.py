@@ -129,12 +129,12 @@ class Compiler:
             # with a constant that nothing uses, the program is another one and is built anew.
             anew = [*options, f"-DANEW={uuid.uuid4().int % 2**31}"]
             uncached: Any = False  # as PyOpenCL takes it, but does not say in its types
-            ways = [(text, options, None), (text, anew, uncached)]
+            attempts = [(text, options, None), (text, anew, uncached)]
             if self.context.devices[0].platform.name == "Portable Computing Language":
-                ways.insert(0, (as_built(program, text, options), [*options, HEADER_READ], None))
-            for source, told, cache in ways:
+                attempts.insert(0, (as_built(program, text, options), [*options, HEADER_READ], None))
+            for source, given, cache in attempts:
                 try:
-                    built = cl.Program(self.context, source).build(options=told, cache_dir=cache)
+                    built = cl.Program(self.context, source).build(options=given, cache_dir=cache)
                     cl.Kernel(built, program)
                 except cl.Error as error:
                     failed = error
@@ -202,8 +202,8 @@ class Launch:
 
     def _refusal(self, arguments: Mapping[str, Any]) -> ClsimError:
         missing, unknown = self._arguments.keys() - arguments, arguments.keys() - self._arguments
-        told = [f"{what} {', '.join(sorted(n))}" for what, n in (("lacks", missing), ("has no", unknown)) if n]
-        return ClsimError(f"launch of kernel {self._name}: it {' and '.join(told)}")
+        given = [f"{what} {', '.join(sorted(n))}" for what, n in (("lacks", missing), ("has no", unknown)) if n]
+        return ClsimError(f"launch of kernel {self._name}: it {' and '.join(given)}")
 
 
 def _elements(array: NDArray[Any], element: type[np.generic] | None) -> NDArray[Any]:

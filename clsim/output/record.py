@@ -45,7 +45,7 @@ class Record:
         return Record({}, self.finished, {}, marks)
 
 
-def load_record(folder: Path, asked_by: str = "--output") -> Record:
+def load_record(folder: Path, requested_by: str = "--output") -> Record:
     """Return the record of a folder, which a field or an option named; an empty one where there is none."""
     path = folder / RECORD
     if not os.path.lexists(path):
@@ -60,7 +60,9 @@ def load_record(folder: Path, asked_by: str = "--output") -> Record:
         replaced = tuple((_plain(name), (int(size), str(digest))) for name, (size, digest) in read["replaced"])
         return Record(dict(read["identity"]), bool(read["finished"]), files, replaced)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise InputError(asked_by, f"must hold no {RECORD} of others, but {path} cannot be read: {error}") from error
+        raise InputError(
+            requested_by, f"must hold no {RECORD} of others, but {path} cannot be read: {error}"
+        ) from error
 
 
 def save_record(folder: Path, record: Record, work: Path) -> None:

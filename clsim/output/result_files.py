@@ -182,7 +182,7 @@ def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> No
     sofa.GLOBAL_Title = f"Impulse responses at {responses.at:g} s"
     sofa.GLOBAL_Origin = "simulated by image sources"
     sofa.GLOBAL_ApplicationName, sofa.GLOBAL_ApplicationVersion = "clsim", __version__
-    _tell_room(sofa, responses.scene)
+    _describe_room(sofa, responses.scene)
     sofa.GLOBAL_Comment = (
         f"sources {', '.join(responses.source_names)}; receivers {', '.join(responses.receiver_names)}; "
         f"exact from {responses.band[0]:g} to {responses.band[1]:g} Hz; Pa per Pa at 1 m on the axis"
@@ -214,7 +214,7 @@ def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> No
             raise not_written(path, error) from error
 
 
-def _tell_room(sofa: Any, scene: Scene) -> None:
+def _describe_room(sofa: Any, scene: Scene) -> None:
     """Fill in the room and the air, and take out fields that stand for nothing that is known."""
     unknown = [
         "ReceiverDescriptions", "EmitterDescriptions", "MeasurementDate", "RoomVolume", "RoomVolume_Units",

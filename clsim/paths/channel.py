@@ -109,8 +109,8 @@ class ChannelTaps:
             "times": ("times", self.times),
         }
         found = labelled_dataset({"gain": (("source", "receiver", "tap", "times"), self.gain)}, coordinates)
-        told = ("carrier", "bandwidth", "sampling_rate")
-        return found.assign_attrs({name: getattr(self, name) for name in told})
+        given = ("carrier", "bandwidth", "sampling_rate")
+        return found.assign_attrs({name: getattr(self, name) for name in given})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +150,10 @@ def channel_paths(
         at = SceneResponse(scene, pair.source, np.array([carrier]))
         for part in slices_of(len(times), len(rows)):
             found = pair.arrivals(times[part], kinematics)
-            delay[rows, part], rate[rows, part] = found.delay + pair.group_lag(found, carrier), found.delay_rate
+            delay[rows, part], rate[rows, part] = (
+                found.delay + pair.group_delay_offset(found, carrier),
+                found.delay_rate,
+            )
             turned = np.exp(-2j * np.pi * _fraction(carrier * found.delay))
             gain[rows, part] = pair.response(found, times[part], at)[..., 0] * turned
     silent = (times < span[0][:, None]) | (times >= span[1][:, None])
@@ -174,14 +177,14 @@ def channel_taps(
     low, high = band.carrier - 0.5 * band.bandwidth, band.carrier + 0.5 * band.bandwidth
     check_band_coverage(scene, range(len(scene.sources)), low, high, "the band of the taps")
     kernels = BandKernels(band.bandwidth / band.sampling_rate)
-    heard = [(rows, pair) for rows, pair in pairs]
+    audible = [(rows, pair) for rows, pair in pairs]
     ends = len(scene.sources), len(scene.receivers)
     _check_size((*ends, 2 * kernels.reach, len(times)))  # at least, before delays are known
-    first, last = _reach(heard, times, kinematics, band.sampling_rate, kernels.reach)
+    first, last = _reach(audible, times, kinematics, band.sampling_rate, kernels.reach)
     shape = (*ends, last - first + 1, len(times))
     _check_size(shape)
     out = np.zeros((*shape[:2], shape[3], shape[2]), dtype=np.complex128)
-    for rows, pair in heard:
+    for rows, pair in audible:
         for part in slices_of(len(times), len(rows)):
             now = times[part]
             found = pair.arrivals(now, kinematics)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 CUBIC_COLUMNS = 12  # coefficients of a position or an axis between two knots, [power][xyz]
-LOOKED_AT = 0.5, 0.2764  # of the way from knot to knot: what repeats with knots may be right in the middle alone
+EVALUATED_AT = 0.5, 0.2764  # of the way from knot to knot: what repeats with knots may be right in the middle alone
 _AXIS = np.array([1.0, 0.0, 0.0])
 _AXIS_TOLERANCE = 1e-6  # rad: narrow beams are steep at their sides, where they are heard 30 dB below the axis
 _BESIDE = 1e-9  # of the way from knot to knot: so far from a knot angular velocities are taken, which may jump there
@@ -95,7 +95,7 @@ def _knot_error(source: Source, end: float, rate: float, tolerance: float) -> fl
         if len(times) < 2:
             break
         cubic = cubics_between(trajectory.position(times), trajectory.velocity(times) / rate)
-        for share in LOOKED_AT:
+        for share in EVALUATED_AT:
             there = sum(c * share**power for power, c in enumerate(cubic))
             error = np.linalg.norm(there - trajectory.position(times[:-1] + share / rate), axis=1)
             largest = max(largest, float(error.max()))
@@ -107,7 +107,7 @@ def _knot_error(source: Source, end: float, rate: float, tolerance: float) -> fl
 def _axis_error(source: Source, times: Floats, step: float) -> float:
     """Return the largest error of the axis between knots, rad."""
     cubic, largest = _axis_cubics(source, times, _AXIS, step), 0.0
-    for share in LOOKED_AT:
+    for share in EVALUATED_AT:
         there = sum(c * share**power for power, c in enumerate(cubic))
         error = np.linalg.norm(there - rotate(source.orientation(times[:-1] + share * step), _AXIS), axis=1)
         largest = max(largest, float(error.max()))
@@ -169,8 +169,8 @@ def _pieces(motion: Motion, times: Floats) -> Floats:
     turned = motion.orientation(times)
     turn = [motion.angular_velocity(t) * step for t in (after, before)]
     for axis in np.eye(3)[:2]:
-        way = rotate(turned, axis)
-        columns += _pose_cubics(way, cross_product(turn[0], way[:-1]), cross_product(turn[1], way[1:]))
+        moved = rotate(turned, axis)
+        columns += _pose_cubics(moved, cross_product(turn[0], moved[:-1]), cross_product(turn[1], moved[1:]))
     return np.concatenate(columns, axis=1)
 
 
@@ -189,7 +189,7 @@ def _is_right(motion: Motion, radius: float, end: float, rate: float, tolerance:
         grid = np.arange(first, min(first + _CELLS_AT_A_TIME, last) + 1) / rate
         times = np.union1d(grid, _corners(motion, grid[0], grid[-1]))
         pieces = _pieces(motion, times)[:, 2:].reshape(-1, 3, 4, 3)
-        for share in LOOKED_AT:
+        for share in EVALUATED_AT:
             at = np.einsum("p,napx->nax", share ** np.arange(4), pieces)
             now = times[:-1] + share * np.diff(times)
             wrong = np.linalg.norm(at[:, 0] - motion.position(now), axis=1)
@@ -277,7 +277,7 @@ def _face_error(body: Body, end: float, rate: float) -> float:
         times = np.arange(first, min(first + _KNOTS_AT_A_TIME, math.ceil(end * rate) + 1) + 1, dtype=np.float64) / rate
         knots = _Poses.of(body, times)
         found = [_face_cubics(*knots.plane(axis, 0.0), rate) for axis in np.eye(3)]
-        for share in LOOKED_AT:
+        for share in EVALUATED_AT:
             between, powers = _Poses.of(body, times[:-1] + share / rate), share ** np.arange(4)
             for axis, cubics in zip(np.eye(3), found, strict=True):
                 normal, offset, _, _ = between.plane(axis, 0.0)

@@ -315,16 +315,18 @@ class PairPaths:
         centre = np.array([scene.sources[self.source].emitted.centre_frequency])
         return self.family.response(self.rows, found, times, SceneResponse(scene, self.source, centre))[..., 0]
 
-    def group_lag(self, found: Arrivals, frequency: float | None = None) -> Floats:
+    def group_delay_offset(self, found: Arrivals, frequency: float | None = None) -> Floats:
         """Group delay minus phase delay (P, T) at a frequency, s.
 
         The frequency is the centre of what the source emits where left out. What air does is counted from 1 m on,
         where the emitted pressure is told.
         """
         centre = self.family.scene.sources[self.source].emitted.centre_frequency
-        told = centre if frequency is None else frequency
-        lag = self.family.scene.air.by_height(lambda air: 1.0 / air.group_speed_at(told) - 1.0 / air.speed_at(centre))
-        mean = lag[0] if found.means is None else found.means @ lag
+        chosen = centre if frequency is None else frequency
+        offset = self.family.scene.air.by_height(
+            lambda air: 1.0 / air.group_speed_at(chosen) - 1.0 / air.speed_at(centre)
+        )
+        mean = offset[0] if found.means is None else found.means @ offset
         return np.asarray(mean * (found.through - 1.0) * found.frequency_ratio)
 
 

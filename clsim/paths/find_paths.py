@@ -90,8 +90,8 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
         found = at_one_time(scene, found, resolution_of(scene, options.resolution))
     if scene.bodies:
         bodies = BodySearch(scene, options)
-        found = tuple(behind_bodies(bodies, family, next(parts).tell) for family in found)
-        found = (*found, bodies.paths(next(parts).tell))
+        found = tuple(behind_bodies(bodies, family, next(parts).notify) for family in found)
+        found = (*found, bodies.paths(next(parts).notify))
         for of_bodies in OVER_BODIES[:edges]:
             found = (*found, of_bodies(bodies, found))
     if scene.scatterers:
@@ -151,7 +151,7 @@ def _unreflected(scene: Scene, search: PathOptions) -> Side:
 def _parts(search: PathOptions, count: int) -> Iterator[PathOptions]:
     """Yield what is asked of each of several kinds of paths, whose shares of the work are even parts of all."""
     for i in range(count):
-        yield replace(search, progress=partial(report, search.tell, i / count, (i + 1) / count))
+        yield replace(search, progress=partial(report, search.notify, i / count, (i + 1) / count))
 
 
 def _specular_paths(scene: Scene, search: PathOptions) -> PathFamily:

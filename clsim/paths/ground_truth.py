@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.scattering import Glint
+from clsim.acoustics.scattering import SpecularPoint
 from clsim.arrays import as_choice, as_floats, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
@@ -18,7 +18,7 @@ from clsim.paths.legs.static import direct_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import categories, labelled_dataset, labelled_frame
 from clsim.paths.propagation import mean_medium_of
-from clsim.paths.search.scatterers import direct_ways
+from clsim.paths.search.scatterers import direct_legs
 from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.paths.visibility.obstacles import Legs, Obstacles
@@ -202,7 +202,7 @@ def _direct_sound(pair: PairPaths, received: Floats, kinematics: Kinematics) -> 
     scene = pair.family.scene
     source, receiver = scene.sources[pair.source].trajectory, scene.receivers[pair.receiver]
     arrivals = pair.arrivals(received, kinematics)
-    delay = (arrivals.delay + pair.group_lag(arrivals))[0]
+    delay = (arrivals.delay + pair.group_delay_offset(arrivals))[0]
     left = received - delay if kinematics.retarded else received
     return {
         "delay": delay,
@@ -223,7 +223,7 @@ def reception_times(pair: PairPaths, emitted: Floats, kinematics: Kinematics) ->
     received = emitted
     for _ in range(_NEWTON_LIMIT):
         arrivals = pair.arrivals(received, kinematics)
-        late = emitted + (arrivals.delay + pair.group_lag(arrivals))[0] - received
+        late = emitted + (arrivals.delay + pair.group_delay_offset(arrivals))[0] - received
         received = received + late / (1.0 - arrivals.delay_rate[0])
         if np.all(np.abs(late) <= 1e-15 + 4e-16 * np.abs(received)):
             break
@@ -369,10 +369,10 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
         raise InputError("scene", "must hold scatterers, but has none")
     shape = len(scene.scatterers), len(scene.sources), len(scene.receivers), len(times)
     delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
-    for pair in direct_ways(scene).pairs():
+    for pair in direct_legs(scene).pairs():
         found = pair.arrivals(times, kinematics)
         here = (slice(None), pair.source, pair.receiver)
-        delay[here], rate[here] = found.delay + pair.group_lag(found), found.delay_rate
+        delay[here], rate[here] = found.delay + pair.group_delay_offset(found), found.delay_rate
         bearing[here] = found.arrival
         away[here] = found.more["second_length"]
     names = tuple(scatterer.name for scatterer in scene.scatterers)
@@ -470,9 +470,9 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     )  # fmt: skip
 
 
-def _leg(events: Events, heard: Floats) -> Legs:
+def _leg(events: Events, audible: Floats) -> Legs:
     """Return the one leg of ways by no mirror (1, T) as legs (T,)."""
-    at = np.broadcast_to(heard, events.delay.shape)[0]
+    at = np.broadcast_to(audible, events.delay.shape)[0]
     return Legs(events.place[0, :, 0], events.place[0, :, 1], at + events.time[0, :, 0], at)
 
 
@@ -483,13 +483,15 @@ class _Surface(PointShape):
     corners: Floats
     radius: ClassVar[float] = 1.0  # it is no point: its sides matter
 
-    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
+    def specular(
+        self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    ) -> SpecularPoint:
         """Return the nearest point, which needs no search."""
         count, least = source.shape[1], np.broadcast_to(weight, source.shape[1])
         parts = np.array_split(np.arange(count), -(-count * len(self.corners) // _AT_A_TIME))
         place = [_nearest(self.corners, source.T[p], receiver.T[p], least[p, None]) for p in parts]
         found = np.concatenate(place).T
-        return Glint(found, found, np.zeros(count, dtype=bool), 0.0)
+        return SpecularPoint(found, found, np.zeros(count, dtype=bool), 0.0)
 
 
 def _nearest(corners: Floats, source: Floats, receiver: Floats, weight: Floats) -> Floats:
@@ -499,8 +501,8 @@ def _nearest(corners: Floats, source: Floats, receiver: Floats, weight: Floats) 
     places = np.concatenate(
         [_on_faces(corners, along, source, receiver, weight), _on_edges(start, step, source, receiver, weight)], axis=1
     )
-    ways = [np.linalg.norm(places - end[:, None], axis=2) for end in (source, receiver)]
-    best = np.nanargmin(ways[0] + weight * ways[1], axis=1)
+    lengths = [np.linalg.norm(places - end[:, None], axis=2) for end in (source, receiver)]
+    best = np.nanargmin(lengths[0] + weight * lengths[1], axis=1)
     return np.asarray(places[np.arange(len(places)), best])
 
 

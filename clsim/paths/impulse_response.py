@@ -143,10 +143,10 @@ def _skeleton(
     everyone = np.arange(count)
     low = max(band.low - band.below, 0.5 * sampling_rate / span)  # walls need not know what they do at 0 Hz
     high = min(band.high + band.above, 0.5 * sampling_rate)
-    most, looked_at = span // 2, _FREQUENCIES
+    most, evaluated_at = span // 2, _FREQUENCIES
     while True:
-        fine = np.linspace(low, high, 2 * looked_at + 1)
-        between = fine[:: 2 * (looked_at // _FREQUENCIES)]
+        fine = np.linspace(low, high, 2 * evaluated_at + 1)
+        between = fine[:: 2 * (evaluated_at // _FREQUENCIES)]
         found = responses(fine[1::2], everyone)
         parts = [found.real, found.imag] if np.iscomplexobj(found) else [found]
         rows: Any = np.concatenate(parts, axis=1).T
@@ -160,9 +160,9 @@ def _skeleton(
         weights[order[rank:]] = made.T
         unseen = responses(between, everyone)
         wrong = float(np.abs(weights @ unseen[few] - unseen).max())
-        if wrong <= _ALLOWED * strongest or looked_at >= most:
+        if wrong <= _ALLOWED * strongest or evaluated_at >= most:
             return few, weights
-        looked_at *= 4
+        evaluated_at *= 4
 
 
 def _synthesis(
@@ -179,11 +179,11 @@ def _synthesis(
 
     frequencies: Floats = np.arange(size // 2 + 1, dtype=np.float64) * (sampling_rate / size)
     weight = band_taper(frequencies, band.low, band.high, band.below, band.above)
-    heard = np.flatnonzero(weight)
+    audible = np.flatnonzero(weight)
     spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
     sums = delayed_sums(late, weights, size)
-    above_zero = np.maximum(frequencies[heard], 0.5 * sampling_rate / size)
-    spectrum[heard] = weight[heard] * np.einsum("kf,kf->f", responses(above_zero, few), sums[:, heard])
+    above_zero = np.maximum(frequencies[audible], 0.5 * sampling_rate / size)
+    spectrum[audible] = weight[audible] * np.einsum("kf,kf->f", responses(above_zero, few), sums[:, audible])
     return np.asarray(irfft(spectrum, size))
 
 

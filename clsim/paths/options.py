@@ -119,7 +119,7 @@ class PathOptions:
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
-    def tell(self, share: float) -> None:
+    def notify(self, share: float) -> None:
         """Report the share of the work that is done, 0 to 1."""
         if self.progress is not None:
             self.progress(share)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from clsim.arrays import Floats, as_count, as_floats, as_number, read_only
-from clsim.errors import InputError, counted
+from clsim.errors import InputError, counted, old_names
 from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.channel import (
     ChannelBand,
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 _Number = TypeVar("_Number", bound=np.number[Any])
 
 
+@old_names("0.3", heard_by="at_receiver")
 @dataclass(frozen=True, eq=False)
 class PathSet:
     """Every path from a source to a receiver, as columns of equal length: those of each kind in turn.
@@ -152,7 +153,7 @@ class PathSet:
                 yield first + pair.index, pair
             first += len(family)
 
-    def heard_by(self, receiver: int) -> PathSet:
+    def at_receiver(self, receiver: int) -> PathSet:
         """Return the paths to one receiver.
 
         Parameters
@@ -206,9 +207,9 @@ class PathSet:
                 found = pair.arrivals(times[part], kinematics)
                 delay[rows, part], gain[rows, part] = found.delay, pair.gain(found, times[part])
                 if self.scene.air.dispersion:  # delays told are those of groups
-                    lag = pair.group_lag(found)
-                    delay[rows, part] += lag
-                    gain[rows, part] *= np.exp(2j * np.pi * centres[pair.source] * lag)
+                    offset = pair.group_delay_offset(found)
+                    delay[rows, part] += offset
+                    gain[rows, part] *= np.exp(2j * np.pi * centres[pair.source] * offset)
                 doppler_factor[rows, part] = 1.0 - found.delay_rate
                 departure[rows, part], arrival[rows, part] = found.departure, found.arrival
         silent = (times[None, :] < self.start[:, None]) | (times[None, :] >= self.end[:, None])
@@ -449,8 +450,8 @@ class PathSet:
         """
         found = np.full((len(self), self.interactions.shape[1] + 2, 3), np.nan)
         for rows, pair in self.pairs():
-            way = pair.family.vertices(pair.rows, time, Kinematics(motion))
-            found[rows, : way.shape[1]] = way
+            vertices_of = pair.family.vertices(pair.rows, time, Kinematics(motion))
+            found[rows, : vertices_of.shape[1]] = vertices_of
         found[~((self.start <= time) & (time < self.end))] = np.nan
         return found
 

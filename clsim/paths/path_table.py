@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import short_repr, texts
+from clsim.errors import old_names
 from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
 
@@ -23,6 +24,7 @@ _OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain")
 _DIRECTIONS = ("departure", "arrival")
 
 
+@old_names("0.3", heard="audible", name_way="name_objects")
 @dataclass(frozen=True, slots=True, eq=False)
 class PathTable:
     """Delay, Doppler factor, gain and directions of P paths at T times.
@@ -80,7 +82,7 @@ class PathTable:
         """Walls of reflections (P, N) from the source's side, -1 elsewhere."""
         return np.where(self.interactions == SPECULAR, self.objects, -1)
 
-    def name_way(self, path: int | np.integer[Any]) -> str:
+    def name_objects(self, path: int | np.integer[Any]) -> str:
         """Return the names of the walls and other objects that a path meets.
 
         Parameters
@@ -129,7 +131,7 @@ class PathTable:
             "source": [self.source_names[i] for i in self.source],
             "receiver": [self.receiver_names[i] for i in self.receiver],
             "interactions": [_listed(row) for row in self.interactions.tolist()],
-            "objects": [self.name_way(p) for p in range(len(self.source))],
+            "objects": [self.name_objects(p) for p in range(len(self.source))],
         }
         of_paths = {name: ("path", texts(values)) for name, values in said.items()}
         of_paths |= {"order": ("path", self.order), "direct": ("path", self.direct)}
@@ -140,7 +142,7 @@ class PathTable:
         )
 
     @property
-    def heard(self) -> NDArray[np.bool_]:
+    def audible(self) -> NDArray[np.bool_]:
         """Whether each path is active (P, T): it exists, and its gain is not 0."""
         return np.asarray(np.isfinite(self.delay) & (self.gain != 0.0))
 
@@ -152,29 +154,29 @@ def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], 
     """
     part = slice(rows.start, rows.stop)
     count = len(table.times)
-    heard = np.isfinite(table.delay[part]).ravel()
-    ways = [",".join(table.object_names[i] for i in row if i >= 0) for row in table.objects[part]]
+    audible = np.isfinite(table.delay[part]).ravel()
+    joined = [",".join(table.object_names[i] for i in row if i >= 0) for row in table.objects[part]]
     kinds = [_listed(row) for row in table.interactions[part].tolist()]
 
     def per_path(values: Any) -> Any:
         """Return a column of one value per path, repeated at the instants at which it is heard."""
-        return np.repeat(np.asarray(values), count)[heard]
+        return np.repeat(np.asarray(values), count)[audible]
 
     columns = {
-        "times": np.tile(table.times, len(rows))[heard],
+        "times": np.tile(table.times, len(rows))[audible],
         "path": per_path(np.arange(rows.start, rows.stop)),
         "source": words(table.source_names, per_path(table.source[part])),
         "receiver": words(table.receiver_names, per_path(table.receiver[part])),
         "order": per_path(table.order[part]),
         "interactions": words(kinds, per_path(np.arange(len(rows)))),
-        "objects": words(ways, per_path(np.arange(len(rows)))),
+        "objects": words(joined, per_path(np.arange(len(rows)))),
         "direct": per_path(table.direct[part]),
     }
     for name in _OVER_TIME:
-        columns[name] = getattr(table, name)[part].ravel()[heard]
+        columns[name] = getattr(table, name)[part].ravel()[audible]
     for name in _DIRECTIONS:
         for axis in range(3):
-            columns[f"{name}_{'xyz'[axis]}"] = getattr(table, name)[part, :, axis].ravel()[heard]
+            columns[f"{name}_{'xyz'[axis]}"] = getattr(table, name)[part, :, axis].ravel()[audible]
     return columns
 
 
@@ -227,8 +229,8 @@ def labelled_dataset(variables: dict[str, Any], coordinates: dict[str, Any]) -> 
     check_packages("to_xarray", "a Dataset", "tables", "xarray")
     import xarray
 
-    def told(what: dict[str, Any]) -> dict[str, Any]:
+    def given(what: dict[str, Any]) -> dict[str, Any]:
         """Return variables, each with the attributes of its name."""
         return {name: (*value, ATTRIBUTES.get(name, {})) for name, value in what.items()}
 
-    return xarray.Dataset(told(variables), told(coordinates))
+    return xarray.Dataset(given(variables), given(coordinates))

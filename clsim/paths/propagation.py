@@ -83,7 +83,7 @@ class Passage:
         return np.asarray(slowness / np.linalg.norm(slowness, axis=-1, keepdims=True))
 
 
-class Ways(Protocol):
+class LegTable(Protocol):
     """Ways of P paths from any place of the source to a receiver at T times."""
 
     def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
@@ -124,7 +124,7 @@ class Medium(Protocol):
         """Noise of delays."""
         ...
 
-    def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats | None:
+    def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> Floats | None:
         """Return means (..., terms) of what it depends on along ways, arguments as for `Ways.leave`; or None."""
         ...
 
@@ -169,7 +169,7 @@ class UniformAir:
         """The speed with the wind."""
         return self.speed_of_sound + (0.0 if self.wind is None else math.hypot(*self.wind))
 
-    def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> None:
+    def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> None:
         """Return nothing: it is the same everywhere."""
         return
 
@@ -193,9 +193,9 @@ class LayeredAir:
     wind: tuple[float, float, float] | None  # as of `UniformAir`
     fluctuation: Fluctuation | None  # likewise
 
-    def means(self, ways: Ways, p: Any, t: Any, start: Floats) -> Floats:
+    def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> Floats:
         """Return means (..., terms) of Chebyshev polynomials of the height."""
-        return means_along(*ways.bends(p, t, start), self.extent, len(self.slowness))
+        return means_along(*leg_table.bends(p, t, start), self.extent, len(self.slowness))
 
     def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
         """Return length times mean slowness; in wind as of `UniformAir`, at the mean speed."""
@@ -309,7 +309,7 @@ def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], 
 
 
 def arrivals_by(
-    ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats,
+    mirrored_to: Callable[[Floats], LegTable], medium: Medium, ends: tuple[Motion, Motion], times: Floats,
     kinematics: Kinematics,
 ) -> Arrivals:  # fmt: skip
     """Arrivals of paths between one source and one receiver.
@@ -321,14 +321,14 @@ def arrivals_by(
     Theoretical Acoustics, 1968, section 11.2); d is the length of the way along the wavefront's normal: less in wind.
     """
     source, receiver = ends
-    heard_at, heading = receiver.position(times), receiver.velocity(times)
-    ways, whole = ways_to(heard_at), (slice(None), slice(None))
+    receiver_at, heading = receiver.position(times), receiver.velocity(times)
+    leg_table, whole = mirrored_to(receiver_at), (slice(None), slice(None))
 
     def passage(p: Any, t: Any, start: Floats) -> tuple[Floats, Passage, Floats | None]:
         """Departure of sound from `start` (m): direction, effect of the medium on the path, its means along it."""
-        length, direction = ways.leave(p, t, start)
-        means = medium.means(ways, p, t, start)
-        return direction, medium.passage(length, heard_at[t] - start, means), means
+        length, direction = leg_table.leave(p, t, start)
+        means = medium.means(leg_table, p, t, start)
+        return direction, medium.passage(length, receiver_at[t] - start, means), means
 
     def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
         """Return the time that sound takes which was emitted at a time (s), and how fast that time grows with it."""
@@ -337,7 +337,7 @@ def arrivals_by(
         time = sound.time if noise is None else sound.time + noise[0][p, t]
         return time, sound.growth(direction, source.velocity(flat).reshape(shape))
 
-    noise = _noise(ways_to, medium, ends, times)
+    noise = _noise(mirrored_to, medium, ends, times)
     delay = passage(*whole, source.position(times)[None])[1].time
     if noise is not None:
         delay = delay + noise[0]
@@ -348,12 +348,12 @@ def arrivals_by(
         emission_time = times - delay
     flat, shape = emission_time.ravel(), (*delay.shape, 3)
     start, velocity = source.position(flat).reshape(shape), source.velocity(flat).reshape(shape)
-    (direction, sound, means), onwards = passage(*whole, start), ways.arrive(start)
+    (direction, sound, means), onwards = passage(*whole, start), leg_table.arrive(start)
     mach, receding = sound.growth(direction, velocity), sound.growth(onwards, heading)
     if means is not None:  # which change too as the ends move
-        growth = partial(_growth_by_means, medium, sound.length, heard_at - start)
-        mach -= growth(lambda step: medium.means(ways, *whole, start + step), velocity)
-        receding += growth(lambda step: medium.means(ways_to(heard_at + step), *whole, start), heading)
+        growth = partial(_growth_by_means, medium, sound.length, receiver_at - start)
+        mach -= growth(lambda step: medium.means(leg_table, *whole, start + step), velocity)
+        receding += growth(lambda step: medium.means(mirrored_to(receiver_at + step), *whole, start), heading)
     rate = receding - mach if noise is None else receding - mach + noise[1]
     factor, ratio = np.ones_like(mach), np.ones_like(mach)
     if kinematics.retarded:
@@ -364,15 +364,15 @@ def arrivals_by(
 
 
 def _noise(
-    ways_to: Callable[[Floats], Ways], medium: Medium, ends: tuple[Motion, Motion], times: Floats
+    mirrored_to: Callable[[Floats], LegTable], medium: Medium, ends: tuple[Motion, Motion], times: Floats
 ) -> tuple[Floats, Floats] | None:
     """Noise of delays (P, T), s, and of their rates, with both endpoints as at reception; or None."""
     if medium.fluctuation is None:
         return None
     source, receiver = ends
-    heard_at, heading = receiver.position(times), receiver.velocity(times)
-    seen = ways_to(heard_at).seen()
-    turned = ways_to(heard_at + heading).seen() - seen  # isometries: velocities as the source sees them
+    receiver_at, heading = receiver.position(times), receiver.velocity(times)
+    seen = mirrored_to(receiver_at).seen()
+    turned = mirrored_to(receiver_at + heading).seen() - seen  # isometries: velocities as the source sees them
     return medium.fluctuation.at(times, seen, source.position(times), (turned, source.velocity(times)))
 
 
@@ -392,7 +392,7 @@ def _growth_by_means(
 
 
 def contract_delay(
-    medium: Medium, position: Callable[[Floats], Floats], mirrored: Floats, heard_at: Floats, times: Floats
+    medium: Medium, position: Callable[[Floats], Floats], mirrored: Floats, receiver_at: Floats, times: Floats
 ) -> Floats:
     """Return the delays (n,) of a source of which only positions are known, s.
 
@@ -403,7 +403,7 @@ def contract_delay(
     delay: Floats = np.zeros(len(times))
     for _ in range(_CONTRACTIONS):
         emitted_at = position(times - delay)
-        step = medium.passage(straight(emitted_at, mirrored)[0], heard_at - emitted_at).time - delay
+        step = medium.passage(straight(emitted_at, mirrored)[0], receiver_at - emitted_at).time - delay
         delay = delay + step
         if not np.any(np.abs(step) > _CONTRACTED):
             break

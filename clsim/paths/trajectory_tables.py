@@ -108,10 +108,10 @@ class TrajectoryTables:
         spheres = [self.sphere(row, begin, end) for row in range(1, len(self.places))]
         return BoundingSpheres(np.array([s[0] for s in spheres]).reshape(-1, 3), np.array([s[1] for s in spheres]))
 
-    def delay(self, mirrored: Floats, heard_at: Floats, time: Floats, medium: Medium) -> Floats:
+    def delay(self, mirrored: Floats, receiver_at: Floats, time: Floats, medium: Medium) -> Floats:
         """Return the delays (n,) from the source to places as it sees them and as they are, (n, 3) m each; s."""
         source = np.zeros(len(time), dtype=np.int64)
-        return contract_delay(medium, lambda emitted: self.position(source, emitted), mirrored, heard_at, time)
+        return contract_delay(medium, lambda emitted: self.position(source, emitted), mirrored, receiver_at, time)
 
 
 def trajectory_tables(

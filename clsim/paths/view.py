@@ -142,19 +142,19 @@ def _same(one: ViewedPaths, other: ViewedPaths) -> bool:
 def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
     """Return the strongest paths that are heard at a time."""
     table = paths.table(np.array([time]), motion, amplitude)
-    heard = np.flatnonzero(table.heard[:, 0])
-    gain = np.abs(table.gain[heard, 0])
+    audible = np.flatnonzero(table.audible[:, 0])
+    gain = np.abs(table.gain[audible, 0])
     level = 20.0 * np.log10(gain / gain.max(initial=0.0))
     strongest = np.argsort(-level, kind="stable")[:limit]
-    heard, level = heard[strongest], level[strongest]
-    vertices = paths.vertices(time, motion)[heard]
+    audible, level = audible[strongest], level[strongest]
+    vertices = paths.vertices(time, motion)[audible]
     names = [
         f"{table.source_names[table.source[p]]} to {table.receiver_names[table.receiver[p]]}, "
-        + table.name_way(p)
+        + table.name_objects(p)
         + f": {table.delay[p, 0] * 1e3:.3f} ms, {decibels + 0.0:.1f} dB"
-        for p, decibels in zip(heard, level, strict=True)
+        for p, decibels in zip(audible, level, strict=True)
     ]
-    order = table.order[heard]
-    pairs = tuple((table.source_names[table.source[p]], table.receiver_names[table.receiver[p]]) for p in heard)
+    order = table.order[audible]
+    pairs = tuple((table.source_names[table.source[p]], table.receiver_names[table.receiver[p]]) for p in audible)
     drawn = tuple(c[: n + 2] for c, n in zip(vertices, order, strict=True))
     return ViewedPaths(drawn, order, tuple(names), pairs, level)

@@ -36,7 +36,7 @@ _MOST_TESTED = 4  # faces of which it is found out whether they have edges that 
 _SOFTEST_DB = -40.0  # re the free direct sound
 _FARTHEST = 100.0  # m, of paths whose Fresnel zones matter
 _SAME_EVENT = 1e-5  # s
-_LOOKS = np.linspace(0.0, 1.0, 9)  # of the known time, at which shadows are looked for
+_EVALUATIONS = np.linspace(0.0, 1.0, 9)  # of the known time, at which shadows are looked for
 _MOST_ECHOES = 4096  # then
 
 
@@ -179,7 +179,9 @@ def largest_jump_db(paths: PathSet, most: int | None = None) -> float | None:
     Paths that take over from each other, such as by the same walls in another order, cancel. None stands for less than
     -60 dB.
     """
-    jumps = [jump for receiver in range(len(paths.scene.receivers))[:most] for jump in _jumps(paths.heard_by(receiver))]
+    jumps = [
+        jump for receiver in range(len(paths.scene.receivers))[:most] for jump in _jumps(paths.at_receiver(receiver))
+    ]
     worst = 20.0 * np.log10(max(jumps, default=0.0) + 1e-300)
     return float(worst) if worst > _LEAST_JUMP_DB else None
 
@@ -301,7 +303,7 @@ def warn_without_shadows(paths: PathSet, scattering_order: int) -> None:
     if not casting or echoes is None or not np.any(high := echoes.order > scattering_order):
         return
     until = known_until([*scene.named_ends(), *scene.named_scatterers()])
-    for time in (until * (_LOOKS if until > 0.0 else _LOOKS[:1])).tolist():
+    for time in (until * (_EVALUATIONS if until > 0.0 else _EVALUATIONS[:1])).tolist():
         rows = np.flatnonzero(high & (echoes.start <= time) & (echoes.end > time))[:_MOST_ECHOES]
         places = echoes.vertices(rows, time)
         for scatterer in casting:

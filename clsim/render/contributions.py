@@ -75,7 +75,7 @@ class Adding(Protocol):
         ...
 
 
-class Unshared:
+class WithoutTables:
     """Base class of contributions whose chunks share no arrays."""
 
     def shared(self, first: int, last: int) -> list[str]:
@@ -90,7 +90,7 @@ class Unshared:
         """Look nothing up."""
 
 
-class Stateless(Unshared):
+class Stateless(WithoutTables):
     """Base class of contributions whose chunks do not depend on earlier chunks."""
 
     def until(self, last: int) -> None:

@@ -14,7 +14,7 @@ from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.design import NoTailError, TailOptions, find_tail, searched_order
+from clsim.tail.design import ULTRASOUND, NoTailError, TailOptions, find_tail, searched_order
 from clsim.tail.ears import ears_among
 from clsim.tail.noise import (
     at_one_place,
@@ -26,7 +26,7 @@ from clsim.tail.noise import (
     static_gains,
 )
 from clsim.tail.streams import NODE, Between, HostWaves, Motion, Streams
-from clsim.tail.zones import Crossings, Zones, fastest, is_static
+from clsim.tail.zones import Crossings, DiffuseField, Zones, fastest, is_static
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
+_MUCH_DB = -20.0  # of the reverberation, above which a note tells of it
 _RECEIVERS = 16  # of them, or filters of ears, at a time
 
 
@@ -78,28 +79,28 @@ class _Tail(Stateless):
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._heard: list[_ZoneHeard] | None = None
+        self._audible: list[_ZoneAudible] | None = None
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add the tail from sample `start` on to the pressure (rows, n), Pa."""
-        if self._heard is None:
-            self._heard = [
-                _ZoneHeard(self._plan, signals, zone)
+        if self._audible is None:
+            self._audible = [
+                _ZoneAudible(self._plan, signals, zone)
                 for source, tail in enumerate(self._plan.allocation.tails)
                 if tail is not None
                 for signals in [SourceSignals(self._plan, source, tail)]
                 for zone in range(len(tail.receiver_zones))
             ]
         held = 0
-        for heard in self._heard:
-            heard.add(pressure, start)
-            for streams in heard.streams.values():
+        for audible in self._audible:
+            audible.add(pressure, start)
+            for streams in audible.streams.values():
                 held = streams.kept_within(held)
-        for heard in self._heard:
-            heard.signals.crossings.forget()
+        for audible in self._audible:
+            audible.signals.crossings.forget()
 
 
-class _ZoneHeard:
+class _ZoneAudible:
     """Tail of one source in one zone of receivers."""
 
     def __init__(self, plan: Plan, signals: SourceSignals, zone: int) -> None:
@@ -126,9 +127,9 @@ class _ZoneHeard:
         """Add it from sample `start` on to the pressure (receivers, n)."""
         still = self._alone or self._combined
         if still:
-            heard = self._of(waves=False).read(start, start + pressure.shape[1])
-            if heard is not None:
-                pressure[[row for r in still for row in self._rows[r]]] += heard
+            audible = self._of(waves=False).read(start, start + pressure.shape[1])
+            if audible is not None:
+                pressure[[row for r in still for row in self._rows[r]]] += audible
         for first in range(0, pressure.shape[1] if self._moving else 0, _TOGETHER):
             some = pressure[:, first : first + _TOGETHER]
             grid = _grid(start + first, start + first + some.shape[1])
@@ -147,9 +148,9 @@ class _ZoneHeard:
             for r in receivers
             for row, motion in zip(self._rows[r], self._motions(r, _grid(start, stop)), strict=False)
         }
-        heard = self._heard(list(found.values()), start, stop)
-        if heard is not None:
-            pressure[list(found)] += heard
+        audible = self._audible(list(found.values()), start, stop)
+        if audible is not None:
+            pressure[list(found)] += audible
 
     def _add_ears(self, pressure: NDArray[Any], receiver: int, start: int) -> None:
         """Add all streams at a head from sample `start` on to the pressure (receivers, n)."""
@@ -158,14 +159,14 @@ class _ZoneHeard:
         last = start + pressure.shape[1] + filters.lead
         motions = self._motions(receiver, _grid(first, last))
         parts = [
-            self._heard(motions[group : group + _RECEIVERS], first, last)
+            self._audible(motions[group : group + _RECEIVERS], first, last)
             for group in range(0, len(motions), _RECEIVERS)
         ]
         given = [part for part in parts if part is not None]
         if given:
             pressure[self._rows[receiver]] += filters.through(np.concatenate(given))
 
-    def _heard(self, motions: list[tuple[Floats, Floats]], start: int, stop: int) -> NDArray[np.float32] | None:
+    def _audible(self, motions: list[tuple[Floats, Floats]], start: int, stop: int) -> NDArray[np.float32] | None:
         """Return the sum (rows, n) of all streams by motions from sample `start` to `stop`; None where it is silent."""
         if not motions:
             return None
@@ -174,7 +175,7 @@ class _ZoneHeard:
         (least, most), half = motion.reach, self.signals.between.half + 1
         first = start - NODE + least - half
         streams = self._of(waves=True).read(first, stop + NODE + most + half)
-        return None if streams is None else self.signals.waves.heard(streams, first, motion, start, stop)
+        return None if streams is None else self.signals.waves.audible(streams, first, motion, start, stop)
 
     def _motions(self, receiver: int, grid: NDArray[np.int64]) -> list[tuple[Floats, Floats]]:
         """Return the advance of streams, samples, and gains (N, M) by row of a receiver; none out of the zone.
@@ -275,8 +276,8 @@ class SourceSignals:
         self._rate = plan.sampling_rate
         self.moves = not is_static(self._end, turning=tail.zones.beams)
         highest = self.highest = min(_SPARE * self._end.emitted.band()[1], _HIGHEST * self._rate)
-        ways = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.paths.scene.receivers)]
-        speed = max(map(fastest, ways)) / self._air.speed_of_sound
+        trajectories = [self._end.trajectory, *(receiver.trajectory for receiver in of_scene.paths.scene.receivers)]
+        speed = max(map(fastest, trajectories)) / self._air.speed_of_sound
         self.between = Between.up_to(highest, self._rate, min(speed, _FASTEST))
         self._options = plan.options
         self.crossings = Crossings(tail.receiver_zones, of_scene.paths.scene.receivers, self._rate, plan.samples + NODE)
@@ -320,7 +321,7 @@ class SourceSignals:
         near = self._near(zone, grid)
         ahead[:, near, 0], level[:, near, 0] = self._sending(zone, grid[near])
         motion = Motion(ahead, level)
-        return self.waves.heard(emitted[None], low, motion, first, last)
+        return self.waves.audible(emitted[None], low, motion, first, last)
 
     def _near(self, zone: int, grid: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Mask (N,) of nodes at and next to which a zone may be heard in some direction."""
@@ -366,13 +367,24 @@ def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
     """
     scene, most = paths.scene, -np.inf
     receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
-    asked = TailOptions(searched_order(paths), directions=1, error_db=np.inf)
+    requested = TailOptions(searched_order(paths), directions=1, error_db=np.inf)
     for i, source in enumerate(scene.sources):
         low, high = source.emitted.band()
         own = Zones.frozen([source], scene.room, 0.0, beams=True)
         try:
-            found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), asked)
+            found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), requested)
         except NoTailError:
             return None
         most = max(most, found.left_db)
     return float(most)
+
+
+def without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
+    """Note on the energy that images leave in a diffuse field, where that is much and tails are off."""
+    highest = np.array([min(source.emitted.centre_frequency, 0.5 * sampling_rate) for source in paths.scene.sources])
+    field = DiffuseField.of(paths.scene, highest[highest < ULTRASOUND])
+    if field is None or not np.any(highest < ULTRASOUND):
+        return ()
+    left = float(field.left_db(searched_order(paths)).max())
+    much = f"images leave some {left:.0f} dB of the reverberation: higher orders, and what walls scatter"
+    return (f'{much} (tail="auto" adds it)',) if left > _MUCH_DB else ()

@@ -357,11 +357,11 @@ class RestFilters(SourceFilters):
         return int(self.filters.shape[1] // 2) + self.oversampling * (self.split.reach + CELL)
 
     @property
-    def unheld_db(self) -> float:
+    def residual_db(self) -> float:
         """Infinite: engines know the residual of the rest, but not its level relative to the narrow part."""
         return math.inf
 
-    def sounding(self, first: int, last: int) -> Floats:
+    def emitting(self, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of the rest."""
         return self.split.rest(self.signal, first, last)
 

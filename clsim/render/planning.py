@@ -16,7 +16,7 @@ from clsim.numerics.resampling import Upsampler
 from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
-from clsim.render.diffuse_tail import DiffuseTail
+from clsim.render.diffuse_tail import DiffuseTail, without_tails
 from clsim.render.envelope import NarrowFilters, design_envelope, design_split
 from clsim.render.interpolator import Bandlimited
 from clsim.render.memory import with_blas_threads
@@ -36,7 +36,7 @@ from clsim.render.plan import (
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.scene.signal.occupied_bandwidth import spectra
 from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
-from clsim.tail.zones import DiffuseField, Zones
+from clsim.tail.zones import Zones
 from clsim.tracks.pruning import pruned
 from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
@@ -50,9 +50,6 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import SceneTracks, Tracks
 
 
-_MUCH_DB = -20.0  # of the reverberation, above which a note tells of it
-
-
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 
@@ -61,7 +58,7 @@ class FoundTails:
     """The tails of a scene's sources."""
 
     of_sources: tuple[SourceTail | None, ...] = ()  # by source; empty if none was asked for
-    told: tuple[str, ...] = ()  # why some have none
+    given: tuple[str, ...] = ()  # why some have none
 
     @property
     def duration(self) -> float:
@@ -133,15 +130,25 @@ def plan_tracks(
     if options.tail != "off" and tracks.of_scene is None:
         raise InputError("tail", f"must be 'off' for tracks without a room, but is {options.tail!r}")
     rate = options.sampling_rate
-    heard_at = rate if options.baseband is None else options.baseband[2] or rate
-    samples = _samples(emissions, tracks, heard_at, options.duration, ringing, tails.duration)
+    receiver_at = rate if options.baseband is None else options.baseband[2] or rate
+    samples = _samples(emissions, tracks, receiver_at, options.duration, ringing, tails.duration)
     filters, allocation = allocate(emissions, tracks, options, samples)
     carrier = None if options.baseband is None else options.baseband[0]
-    segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, heard_at, carrier)
-    chunk = chunk_of(options, samples, heard_at, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
-    allocation = allocation.with_tails(tails.of_sources, tails.told)
+    segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, receiver_at, carrier)
+    chunk = chunk_of(options, samples, receiver_at, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
+    allocation = allocation.with_tails(tails.of_sources, tails.given)
     return Plan(
-        options, tracks, allocation, filters, heard_at, samples, chunk, segment, blocks, _builders(), left_out=left_out
+        options,
+        tracks,
+        allocation,
+        filters,
+        receiver_at,
+        samples,
+        chunk,
+        segment,
+        blocks,
+        _builders(),
+        left_out=left_out,
     )
 
 
@@ -193,43 +200,32 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
     """Return the tails that options ask for."""
     scene = paths.scene
     if options.tail == "off":
-        return FoundTails(told=_without_tails(paths, options.sampling_rate))
+        return FoundTails(given=without_tails(paths, options.sampling_rate))
     found: list[SourceTail | None] = []
-    told: list[str] = []
+    given: list[str] = []
     until = max(source.end for source in scene.sources) if options.duration is None else options.duration
     receivers = Zones.along(scene.receivers, scene.room, np.inf if options.duration is None else until, beams=False)
-    asked = TailOptions(
+    requested = TailOptions(
         searched_order(paths), options.tail_directions, options.tail_error_db, options.tail_seed,
         options.tail_scattering, options.device,
     )  # fmt: skip
     for i, source in enumerate(scene.sources):
         low, high = source.emitted.band()
         if low >= ULTRASOUND:
-            told.append(
+            given.append(
                 f"source {i}: no tail, for its band begins at {low:.0f} Hz and tails end at {ULTRASOUND:.0f} Hz"
             )
             found.append(None)
             continue
         own = Zones.along([source], scene.room, until, beams=True)
-        tail = find_tail(scene, i, (low, min(high, 0.5 * options.sampling_rate)), (own, receivers), asked, progress)
+        tail = find_tail(scene, i, (low, min(high, 0.5 * options.sampling_rate)), (own, receivers), requested, progress)
         faint = tail.left_db < _FAINT_DB
-        told += [f"source {i}: no tail, for images leave {tail.left_db:.0f} dB of the energy"] if faint else []
+        given += [f"source {i}: no tail, for images leave {tail.left_db:.0f} dB of the energy"] if faint else []
         found.append(None if faint else tail)
     if scene.bodies and any(tail is not None for tail in found):
         names = ", ".join(repr(body.name) for body in scene.bodies)
-        told.append(f"tails are those of the room without its bodies ({names}), which take no sound out of them")
-    return FoundTails(tuple(found), tuple(told))
-
-
-def _without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
-    """Note on the energy that images leave in a diffuse field, where that is much and tails are off."""
-    highest = np.array([min(source.emitted.centre_frequency, 0.5 * sampling_rate) for source in paths.scene.sources])
-    field = DiffuseField.of(paths.scene, highest[highest < ULTRASOUND])
-    if field is None or not np.any(highest < ULTRASOUND):
-        return ()
-    left = float(field.left_db(searched_order(paths)).max())
-    much = f"images leave some {left:.0f} dB of the reverberation: higher orders, and what walls scatter"
-    return (f'{much} (tail="auto" adds it)',) if left > _MUCH_DB else ()
+        given.append(f"tails are those of the room without its bodies ({names}), which take no sound out of them")
+    return FoundTails(tuple(found), tuple(given))
 
 
 def allocate(

@@ -91,8 +91,8 @@ class Emission:
         low = min(max(low, least, _LEAST_BIN * float(sound.frequencies[1])), 0.999 * high)
         band_at = partial(band_of, low, high, sound)
         if not at_centre:
-            asked_db = min(floor_db, options.response_error_db)
-            return scene_basis(self.drawn(), band_at, rate, asked_db)
+            requested_db = min(floor_db, options.response_error_db)
+            return scene_basis(self.drawn(), band_at, rate, requested_db)
         if of_scene.paths.is_complex:
             return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)
         return flat
@@ -222,9 +222,9 @@ class SourceFilters:
         return -(-(self.filter_half + self.bank.half_length) // self.oversampling)
 
     @property
-    def unheld_db(self) -> float:
+    def residual_db(self) -> float:
         """Residual of the functions of frequency relative to the received signal, dB, above which engines warn."""
-        return self.basis.asked_db + 1.0
+        return self.basis.requested_db + 1.0
 
     @property
     def rows(self) -> NDArray[Any]:
@@ -252,16 +252,16 @@ class SourceFilters:
         """
         return filtered(self._read, self.filters, first, last)
 
-    def sounding(self, first: int, last: int) -> Floats:
+    def emitting(self, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of the signal that is rendered path by path."""
         return self.signal.read(first, last)
 
     def _read(self, first: int, last: int) -> Floats:
         """Return samples at `rate` of the signal that is rendered path by path, with zeros between its own samples."""
         if self.oversampling == 1:
-            return self.sounding(first, last)
+            return self.emitting(first, last)
         before, times = first // self.oversampling, self.oversampling
-        own = self.sounding(before, -(-last // times))
+        own = self.emitting(before, -(-last // times))
         return np.kron(own, np.eye(1, times)[0])[first - times * before :][: last - first]
 
     def carrier_phase(self, delay_samples: Floats) -> Floats | Complexes | float:
@@ -298,7 +298,7 @@ class SourceFilters:
     def describe(self) -> str:
         """Describe the approximation of air, walls and directivities, and its cost."""
         basis = self.basis
-        if not math.isfinite(basis.asked_db):
+        if not math.isfinite(basis.requested_db):
             return f"air, walls and directivities are those at {basis.nodes[0]:.6g} Hz"
         if len(basis) == 1 and basis.at_one_frequency:
             return f"air, walls and directivities hardly change over the signal's band ({basis.error_db:.1f} dB)"
@@ -364,12 +364,12 @@ def filtered(
     samples = read(first - half, last + half)
     if _sounds_throughout(samples, half + 1):
         return np.arange(last - first), np.asarray(convolved(samples, filters)[:, length : length + last - first])
-    heard = np.flatnonzero(samples)
-    if not len(heard):
-        return heard, np.zeros((len(filters), 0))
-    pause = np.flatnonzero(np.diff(heard) > length + 1)
-    begins = np.maximum(heard[np.concatenate([[0], pause + 1])] - length, 0)
-    lengths = np.minimum(heard[np.concatenate([pause, [-1]])] + 1, last - first) - begins
+    audible = np.flatnonzero(samples)
+    if not len(audible):
+        return audible, np.zeros((len(filters), 0))
+    pause = np.flatnonzero(np.diff(audible) > length + 1)
+    begins = np.maximum(audible[np.concatenate([[0], pause + 1])] - length, 0)
+    lengths = np.minimum(audible[np.concatenate([pause, [-1]])] + 1, last - first) - begins
     places = _ranges(begins, lengths)
     if length == 0:
         return places, samples[places] * filters

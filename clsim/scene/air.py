@@ -33,7 +33,7 @@ UNPLACED = (0.0, 1.0)  # m, heights of air that is in no room yet
 MOST_TERMS = 33  # of polynomials
 
 
-def told_by_height(field: str, value: Any, **rule: Any) -> ByHeight:
+def height_profile(field: str, value: Any, **rule: Any) -> ByHeight:
     """Return normalised height profile: a number, a pair of numbers or a function; an equal pair becomes one number."""
     if callable(value):
         function: Callable[[Floats], Any] = value
@@ -46,13 +46,13 @@ def told_by_height(field: str, value: Any, **rule: Any) -> ByHeight:
     return as_number(field, value, **rule)
 
 
-def at_heights(field: str, told: ByHeight, where: tuple[float, float], heights: Floats) -> Floats:
+def at_heights(field: str, given: ByHeight, where: tuple[float, float], heights: Floats) -> Floats:
     """Return values of a height profile at heights (n,), m; a pair is interpolated linearly between two heights."""
-    if isinstance(told, tuple):
-        return told[0] + (told[1] - told[0]) * (heights - where[0]) / (where[1] - where[0])
-    if not callable(told):
-        return np.full(len(heights), told)
-    found = np.asarray(told(heights), dtype=np.float64)
+    if isinstance(given, tuple):
+        return given[0] + (given[1] - given[0]) * (heights - where[0]) / (where[1] - where[0])
+    if not callable(given):
+        return np.full(len(heights), given)
+    found = np.asarray(given(heights), dtype=np.float64)
     if found.shape not in ((), heights.shape) or not np.all(np.isfinite(found)):
         raise InputError(
             field,
@@ -76,7 +76,7 @@ _STRONGEST = 0.5  # of the speed of sound, a wind
 _FEWEST_TERMS = 3  # of polynomials of the height
 _TIME_HELD, _LOSS_HELD = 1e-10, 1e-6  # relative errors of these at which more terms are not looked for
 _TIME_WRONG = 3e-6  # the same of times, told from there on: 90 ns over 10 m
-_LOOKED_AT = np.array([1e3, 20e3, 40e3, 80e3, 200e3])  # Hz, at which absorption is held
+_EVALUATED_AT = np.array([1e3, 20e3, 40e3, 80e3, 200e3])  # Hz, at which absorption is held
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -150,7 +150,7 @@ class Air:
     extent: tuple[float, float] | None
     layers: tuple[Air, ...] = field(init=False, repr=False, compare=False)
     state: tuple[float, float, float] = field(init=False, repr=False, compare=False)  # °C, 1, Pa, half way up
-    _asked_speed: float | str | None = field(repr=False)  # so that `dataclasses.replace` keeps what was asked for
+    _requested_speed: float | str | None = field(repr=False)  # so that `dataclasses.replace` keeps what was asked for
 
     def __init__(
         self,
@@ -165,14 +165,14 @@ class Air:
         fluctuation: Fluctuation | None = None,
         *,
         extent: tuple[float, float] | None = None,
-        _asked_speed: float | str | None = None,
+        _requested_speed: float | str | None = None,
     ) -> None:
-        warm = told_by_height(
+        warm = height_profile(
             "temperature_celsius", temperature_celsius, at_least=_COLDEST, at_most=_HOTTEST, unit="°C"
         )
         humid = _checked_humidity(relative_humidity)
         pascal = as_number("pressure", pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa")
-        asked = _checked_speed(_asked_speed if speed_of_sound is None else speed_of_sound)
+        requested = _checked_speed(_requested_speed if speed_of_sound is None else speed_of_sound)
         absorbs = as_flag("absorption", absorption)
         disperses = as_flag("dispersion", dispersion)
         if disperses and not absorbs:
@@ -180,12 +180,12 @@ class Air:
         where = None if heights is None else _checked_heights(heights)
         if not isinstance(fluctuation, Fluctuation | None):
             raise InputError("fluctuation", f"must be a Fluctuation, but is {fluctuation!r:.80}")
-        told = {
+        given = {
             "temperature_celsius": warm, "relative_humidity": humid, "pressure": pascal, "absorption": absorbs,
             "dispersion": disperses, "wind": None, "heights": where, "fluctuation": fluctuation,
-            "extent": extent, "_asked_speed": asked,
+            "extent": extent, "_requested_speed": requested,
         }  # fmt: skip
-        for name, value in told.items():
+        for name, value in given.items():
             object.__setattr__(self, name, value)
         self._settle()
         object.__setattr__(self, "wind", _checked_wind(wind, self.speed_of_sound))
@@ -203,7 +203,7 @@ class Air:
                 f"must leave room for air, but at {celsius:g} °C and {pascal:g} Pa "
                 f"{humidity:g} is nothing but water vapour",
             )
-        speed = _speed(self._asked_speed, celsius, humidity, pascal)
+        speed = _speed(self._requested_speed, celsius, humidity, pascal)
         for name, value in (("layers", layers), ("state", (celsius, humidity, pascal)), ("speed_of_sound", speed)):
             object.__setattr__(self, name, value)
         for message in (_doubt_in_speed(self, vapour), _doubt_in_absorption(self)):
@@ -224,8 +224,8 @@ class Air:
             °C, and from 0 to 1.
         """
         where = self.heights or self.extent or UNPLACED
-        told = {"temperature_celsius": self.temperature_celsius, "relative_humidity": self.relative_humidity}
-        return np.stack([at_heights(name, value, where, height) for name, value in told.items()])
+        given = {"temperature_celsius": self.temperature_celsius, "relative_humidity": self.relative_humidity}
+        return np.stack([at_heights(name, value, where, height) for name, value in given.items()])
 
     def between(self, lowest: float, highest: float) -> Air:
         """Return the same air in a room between two heights, m: with layers if it depends on the height.
@@ -298,10 +298,10 @@ class Air:
         if self.wind is not None:
             lines.append("air: wind of ({:g}, {:g}, {:g}) m/s".format(*self.wind))
         if self.fluctuation is not None:
-            told = self.fluctuation
+            given = self.fluctuation
             lines.append(
-                f"air: delays fluctuate by {1e6 * told.rms:g} µs, over {told.correlation_time:g} s and "
-                f"{told.correlation_length:g} m, seed {told.seed}"
+                f"air: delays fluctuate by {1e6 * given.rms:g} µs, over {given.correlation_time:g} s and "
+                f"{given.correlation_length:g} m, seed {given.seed}"
             )
         return lines
 
@@ -395,12 +395,12 @@ class Air:
 
 
 def _checked_humidity(value: ByHeight) -> ByHeight:
-    told = told_by_height("relative_humidity", value, at_least=0.0)
-    for humidity in () if callable(told) else (told,) if isinstance(told, float) else told:
+    given = height_profile("relative_humidity", value, at_least=0.0)
+    for humidity in () if callable(given) else (given,) if isinstance(given, float) else given:
         if humidity > 1.0:
             hint = f"; {humidity:g} per cent is {humidity / 100:g}" if humidity <= 100.0 else ""
             raise InputError("relative_humidity", f"must be from 0 to 1, but is {humidity:g}{hint}")
-    return told
+    return given
 
 
 def _checked_heights(value: ArrayLike) -> tuple[float, float]:
@@ -434,16 +434,16 @@ def _layers(air: Air) -> tuple[Air, ...]:
 def _at_places(air: Air, count: int) -> tuple[Air, ...]:
     """Return uniform air at each Chebyshev point of the height range."""
     assert air.extent is not None
-    told = air.at_height(chebyshev_points(*air.extent, count))
+    given = air.at_height(chebyshev_points(*air.extent, count))
     return tuple(
-        Air(celsius, humidity, air.pressure, air._asked_speed, air.absorption, air.dispersion)
-        for celsius, humidity in told.T.tolist()
+        Air(celsius, humidity, air.pressure, air._requested_speed, air.absorption, air.dispersion)
+        for celsius, humidity in given.T.tolist()
     )
 
 
 def _of_layers(layers: tuple[Air, ...]) -> Floats:
     """Return slownesses and absorptions (n, 1 + frequencies) of layers."""
-    return np.array([[1.0 / layer.speed_of_sound, *layer.absorption_at(_LOOKED_AT)] for layer in layers])
+    return np.array([[1.0 / layer.speed_of_sound, *layer.absorption_at(_EVALUATED_AT)] for layer in layers])
 
 
 def _checked_speed(value: float | str | None) -> float | str | None:
@@ -467,20 +467,20 @@ def _checked_wind(value: ArrayLike | None, speed_of_sound: float) -> tuple[float
     return (x, y, z) if x or y or z else None
 
 
-def _speed(asked: float | str | None, celsius: float, humidity: float, pressure: float) -> float:
+def _speed(requested: float | str | None, celsius: float, humidity: float, pressure: float) -> float:
     """Return speed of sound by the given number or formula, m/s."""
-    if asked is None:
+    if requested is None:
         return speed_of_sound_cramer(celsius, humidity, pressure)
-    if isinstance(asked, str):
+    if isinstance(requested, str):
         return speed_of_sound_iso9613(celsius)
-    return asked
+    return requested
 
 
 def _doubt_in_speed(air: Air, vapour: float) -> str:
     """Return a sentence if the speed comes from Cramer's formula outside its range."""
     celsius = air.state[0]
     inside = 0.0 <= celsius <= 30.0 and 75e3 <= air.pressure <= 102e3 and vapour <= 0.06
-    if air._asked_speed is not None or inside:
+    if air._requested_speed is not None or inside:
         return ""
     return (
         f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of "

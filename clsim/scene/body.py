@@ -14,7 +14,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import in_face
 from clsim.scene.motion.checks import as_places
-from clsim.scene.motion.motion import Instants, even_ways, seen_by
+from clsim.scene.motion.motion import Instants, even_lengths, seen_by
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.placement import first_refused
 from clsim.scene.room.mesh import MeshRoom
@@ -133,8 +133,8 @@ class Body:
         lengths = as_floats("size", size, (3,), within=LARGEST_ROOM, unit="m")
         thin = np.flatnonzero(lengths == 0.0)
         if np.any(lengths < 0.0) or len(thin) > 1:
-            told = ", ".join(f"{x:g}" for x in lengths)
-            raise InputError("size", f"must be above 0 m, or 0 along one axis for a sheet, but is {told} m")
+            given = ", ".join(f"{x:g}" for x in lengths)
+            raise InputError("size", f"must be above 0 m, or 0 along one axis for a sheet, but is {given} m")
         corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * lengths
         number = np.arange(8).reshape(2, 2, 2)
         triangles, labels = [], []
@@ -284,17 +284,17 @@ def _check_motion(field_name: str, body: Body, last: float, slowest: float) -> N
         )
 
 
-def _looks(bodies: Sequence[Body]) -> Floats:
+def _evaluations(bodies: Sequence[Body]) -> Floats:
     """Return sampling times between which bodies move at most `_STEP`, s."""
     last = min((b.trajectory.end for b in bodies if not b.is_static and math.isfinite(b.trajectory.end)), default=0.0)
     instants = np.arange(math.ceil(max(last, 0.0) * _RATE) + 1) / _RATE
     speed = sum(body.speed(instants) for body in bodies)
-    return np.minimum(even_ways(np.asarray(speed), _RATE, _STEP), max(last, 0.0))
+    return np.minimum(even_lengths(np.asarray(speed), _RATE, _STEP), max(last, 0.0))
 
 
 def _check_walls(field_name: str, body: Body, room: Room, mesh: MeshRoom) -> None:
     """Refuse a body that goes through a wall of the room."""
-    times = _looks([body])
+    times = _evaluations([body])
     for some in np.array_split(times, -(-len(times) // _AT_A_TIME)):
         corners = body.placed(body.mesh.vertices[None], some[:, None])
         if room.is_convex:
@@ -316,7 +316,7 @@ def _check_walls(field_name: str, body: Body, room: Room, mesh: MeshRoom) -> Non
 def _check_other(field_name: str, body: Body, other: Body) -> None:
     """Refuse a body that goes through another one."""
     reach = body.radius + other.radius
-    for time in _looks([body, other]):
+    for time in _evaluations([body, other]):
         frame = other.seen(body.placed(_FRAME, np.array(time)), np.array(time))
         if np.linalg.norm(frame[0]) <= reach and _crossing(other.mesh, body, frame) is not None:
             raise _met(field_name, body, repr(other.name), float(time))

@@ -410,7 +410,7 @@ def _trunk(at: dict[str, Floats], tall: float) -> list[_Part]:
 
 def _scatterer(name: str, part: _Part, times: Floats, shape: str) -> Scatterer:
     """Return a part as a scatterer."""
-    way: Trajectory = through_poses(times, part.centre, quaternions_along(part.along, part.aside))
+    moved: Trajectory = through_poses(times, part.centre, quaternions_along(part.along, part.aside))
     if part.aside is None and shape == "capsule":
-        return Scatterer.capsule(name, float(part.size[1]), 2.0 * float(part.size[2]), way)
-    return Scatterer.ellipsoid(name, part.size, way)
+        return Scatterer.capsule(name, float(part.size[1]), 2.0 * float(part.size[2]), moved)
+    return Scatterer.ellipsoid(name, part.size, moved)

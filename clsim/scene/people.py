@@ -243,9 +243,9 @@ def walking_person(name: str, height: float, trajectory: Trajectory, shadow: boo
         places = trajectory.position(times) + _turned(tall * (place - [0.0, 0.0, ground]), heading)
         x, y, z = (_about(axis, turned[:, axis]) for axis in range(3))
         quaternions = quaternion_product(z, quaternion_product(y, x))
-        way = through_poses(times, places, quaternions)
+        moved = through_poses(times, places, quaternions)
         axes = tall * np.array(PARTS[part.removeprefix("left ").removeprefix("right ")])
-        made.append(Scatterer.ellipsoid(f"{name} {part}", axes, way, shadow=shadow))
+        made.append(Scatterer.ellipsoid(f"{name} {part}", axes, moved, shadow=shadow))
     return made
 
 
@@ -390,13 +390,13 @@ def hand(
         instants = pose_times(trajectory.start, trajectory.end)
     share = np.full(len(instants), shares[0]) if len(times) == 1 else _between(times, shares, instants)
     still = np.zeros((len(instants), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(instants), 1))
-    way = _moved(trajectory, instants, *still)
-    made = [Scatterer.ellipsoid(f"{name} palm", size * np.array(PALM), way, shadow=shadow)]
+    moved = _moved(trajectory, instants, *still)
+    made = [Scatterer.ellipsoid(f"{name} palm", size * np.array(PALM), moved, shadow=shadow)]
     for finger, numbers in FINGERS.items():
         for i, (place, turn) in enumerate(_bent(finger, numbers, share)):
-            way = _moved(trajectory, instants, size * place, turn)
+            moved = _moved(trajectory, instants, size * place, turn)
             part = f"{name} {finger}" + (" tip" if i else "")
-            made.append(Scatterer.capsule(part, size * RADIUS, size * numbers[3 + i], way, shadow=shadow))
+            made.append(Scatterer.capsule(part, size * RADIUS, size * numbers[3 + i], moved, shadow=shadow))
     return made
 
 

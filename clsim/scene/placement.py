@@ -244,8 +244,8 @@ def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount |
             return np.where(free > 0.0, -1, middle), unsure
         hit = np.full(len(first), -1)
         for i in np.flatnonzero(unsure & (last - first < _RANGE)):
-            way = instants.times(np.arange(first[i], after[i] + 1))
-            met = room.first_contact(motion.position(way), mount)
+            instants_of = instants.times(np.arange(first[i], after[i] + 1))
+            met = room.first_contact(motion.position(instants_of), mount)
             hit[i], unsure[i] = -1 if met is None else min(first[i] + met.index, last[i]), False
         return hit, unsure
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 import numpy as np
 
 from clsim.acoustics import silhouette, sphere
-from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_glint
-from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_mirror, ellipsoid_strength
+from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_specular_point
+from clsim.acoustics.scattering import ellipsoid_mirror, ellipsoid_specular_point, ellipsoid_strength
 from clsim.arrays import FARTHEST, as_choice, as_flag, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.fluctuation import TargetFluctuation
@@ -19,7 +19,7 @@ from clsim.scene.motion.trajectory import Trajectory
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from clsim.acoustics.scattering import Glint
+    from clsim.acoustics.scattering import SpecularPoint
     from clsim.arrays import Complexes, Floats
 
 MODELS = ("series", "geometrical", "outline")
@@ -66,11 +66,13 @@ class Shape(Protocol):
         """Number of arguments of `field` per path."""
         ...
 
-    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
-        """Return specular point for endpoints (3, n), see `ellipsoid_glint`; None for its centre."""
+    def specular(
+        self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    ) -> SpecularPoint | None:
+        """Return specular point for endpoints (3, n), see `ellipsoid_specular_point`; None for its centre."""
         ...
 
-    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+    def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
         """Return scattering strength (n,) between endpoints (3, n), m, and arguments (n, aspects) of `field`."""
         ...
 
@@ -111,10 +113,12 @@ class PointShape:
     def semi_axes(self) -> Floats:
         return np.zeros(3)
 
-    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint | None:
+    def specular(
+        self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    ) -> SpecularPoint | None:
         return None
 
-    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
+    def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
         one = np.ones(source.shape[1])
         return self.strongest * one, one[:, None]
 
@@ -156,11 +160,13 @@ class EllipsoidShape:
     def aspects(self) -> int:
         return silhouette.ASPECTS if self.outlined else 1
 
-    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
-        return ellipsoid_glint(self.semi_axes, source, receiver, near, weight)
+    def specular(
+        self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    ) -> SpecularPoint:
+        return ellipsoid_specular_point(self.semi_axes, source, receiver, near, weight)
 
-    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        found = glint or self.glint(source, receiver, None, 1.0)
+    def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
+        found = specular or self.specular(source, receiver, None, 1.0)
         if self.outlined:
             mirrored = ellipsoid_mirror(self.semi_axes, source, receiver, found)
             return silhouette.silhouette_aspects((source, receiver), found, mirrored)
@@ -196,11 +202,15 @@ class SphereShape:
     def semi_axes(self) -> Floats:
         return np.full(3, self.radius)
 
-    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
-        return ellipsoid_glint(np.full(3, self.radius), source, receiver, near, weight)
+    def specular(
+        self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    ) -> SpecularPoint:
+        return ellipsoid_specular_point(np.full(3, self.radius), source, receiver, near, weight)
 
-    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        return sphere.sphere_aspects(self.radius, source, receiver, glint or self.glint(source, receiver, None, 1.0))
+    def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
+        return sphere.sphere_aspects(
+            self.radius, source, receiver, specular or self.specular(source, receiver, None, 1.0)
+        )
 
     def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         self._check(wave)
@@ -253,11 +263,13 @@ class CapsuleShape:
     def radius(self) -> float:
         return 0.5 * self.length + self.cylinder_radius
 
-    def glint(self, source: Floats, receiver: Floats, near: Glint | None, weight: Floats | float) -> Glint:
-        return capsule_glint(self.cylinder_radius, self.length, source, receiver, near, weight)
+    def specular(
+        self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    ) -> SpecularPoint:
+        return capsule_specular_point(self.cylinder_radius, self.length, source, receiver, near, weight)
 
-    def strength(self, source: Floats, receiver: Floats, glint: Glint | None) -> tuple[Floats, Floats]:
-        found = glint or self.glint(source, receiver, None, 1.0)
+    def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
+        found = specular or self.specular(source, receiver, None, 1.0)
         return capsule_aspects(self.cylinder_radius, self.length, source, receiver, found, self.outlined)
 
     def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _INSTANTS = 1001  # of a run at which lines of sight are looked at
 _PLACES = np.linspace(-1.0, 1.0, 33)[:, None]  # about the place nearest to a centre, in largest radii
 _PAIRS = 8  # that are told of one by one
-_LOOKS = 301  # of a signal at which several scatterers may stand in the line of sight at once
+_EVALUATIONS = 301  # of a signal at which several scatterers may stand in the line of sight at once
 
 
 def shaded_pairs(scene: Scene, duration: float) -> list[str]:
@@ -57,7 +57,7 @@ def hidden_by_several(
         return None
     for source, receiver in [(s, r) for s in sources for r in receivers][:_PAIRS]:
         last = min(source.end, receiver.trajectory.end, *(one.trajectory.end for one in casting))
-        times = np.linspace(max(source.start, 0.0), max(last, source.start, 0.0), _LOOKS)
+        times = np.linspace(max(source.start, 0.0), max(last, source.start, 0.0), _EVALUATIONS)
         cut = np.array([_cut(source, receiver, one, times) for one in casting])
         several = np.flatnonzero((cut.sum(axis=0) > 1) & cut[series].any(axis=0))
         if len(several):

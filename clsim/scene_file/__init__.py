@@ -97,6 +97,6 @@ def as_toml(text: str) -> str:
 
 def of_file(error: InputError, name: str) -> InputError:
     """Return an error of what a file holds, with the file's name and in its words."""
-    told = InputError(error.field, as_toml(error.problem))
-    told.file = error.file or name
-    return told
+    given = InputError(error.field, as_toml(error.problem))
+    given.file = error.file or name
+    return given

@@ -109,14 +109,16 @@ class MaterialModel(Table):
 
     def build(self, base: Path = Path(), room: tuple[float, float] | None = None) -> Material:
         """Return the material; `room` has volume, m³, and area, m², of the room if all of its walls are of it."""
-        ways = [name for name in type(self).model_fields if name not in ("roughness", "scattering", "transmission")]
-        given = [name for name in ways if getattr(self, name) is not None]
+        makers = [name for name in type(self).model_fields if name not in ("roughness", "scattering", "transmission")]
+        given = [name for name in makers if getattr(self, name) is not None]
         if len(given) != 1:
-            raise InputError("", f"must have one of {', '.join(ways)}, but has {' and '.join(given) or 'none of them'}")
+            raise InputError(
+                "", f"must have one of {', '.join(makers)}, but has {' and '.join(given) or 'none of them'}"
+            )
         material = self._built(given[0], base, room)
         if self.scattering is not None:
-            told = self.scattering
-            coefficients = told if isinstance(told, float) else (told.frequencies, told.values)
+            scattered = self.scattering
+            coefficients = scattered if isinstance(scattered, float) else (scattered.frequencies, scattered.values)
             material = replace(material, scattering=as_scattering(coefficients))
         if self.transmission is not None:
             material = within("transmission", partial(_transmitting, material, self.transmission))
@@ -125,17 +127,17 @@ class MaterialModel(Table):
         except InputError as error:
             raise InputError("roughness", error.problem) from error
 
-    def _built(self, way: str, base: Path, room: tuple[float, float] | None) -> Material:
-        value = getattr(self, way)
-        if way == "reverberation_time":
-            return within(way, partial(_decaying, value, room))
+    def _built(self, maker: str, base: Path, room: tuple[float, float] | None) -> Material:
+        value = getattr(self, maker)
+        if maker == "reverberation_time":
+            return within(maker, partial(_decaying, value, room))
         if isinstance(value, Table):
-            made: Material = built(way, value, base)
+            made: Material = built(maker, value, base)
             return made
         try:
             return Material.named(value) if isinstance(value, str) else Material.from_reflection(_number("", value))
         except InputError as error:  # the constructor's word for it is another
-            raise InputError(way, error.problem) from error
+            raise InputError(maker, error.problem) from error
 
 
 def _decaying(given: float | _Decay, room: tuple[float, float] | None) -> Material:

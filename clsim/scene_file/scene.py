@@ -73,7 +73,7 @@ if TYPE_CHECKING:
 else:
     RenderModel = render_model(RenderOptions)
     AirModel = table(
-        "", Air, name="_Air", without="extent _asked_speed", temperature_celsius=float | Pair,
+        "", Air, name="_Air", without="extent _requested_speed", temperature_celsius=float | Pair,
         relative_humidity=float | Pair, speed_of_sound=float | Literal["iso9613"] | None, heights=Pair | None,
         fluctuation=table("", Fluctuation, name="_Fluctuation") | None,
     )  # fmt: skip

@@ -165,7 +165,7 @@ class _Train:
         receiver: int | str,
         source: int | str,
         part: tuple[int, int | None, int],
-        ways: float,
+        passes: float,
         max_range: float | None,
     ) -> _Train:
         """Filter the part (first, count, least) of a train."""
@@ -178,13 +178,13 @@ class _Train:
         most = len(emitted) - first
         count = most if part[1] is None else as_count("count", part[1], at_least=part[2], at_most=most)
         emitted = emitted[first : first + count]
-        reach = None if max_range is None else ways * as_number("max_range", max_range, above=0.0, unit="m")
+        reach = None if max_range is None else passes * as_number("max_range", max_range, above=0.0, unit="m")
         span = span_of(emitted, recording, reach, c)
         rows = np.zeros((len(emitted), span), dtype=np.complex128)
         for k, (begin, output) in enumerate(outputs_of(recording.samples[row], matched, emitted, span)):
             late = emitted[k] * rate - begin  # of the emission after the sample, below one
             rows[k, : len(output)] = output * np.exp(2j * np.pi * matched.centre * late / rate)
-        return cls(rows, read_only(np.arange(span) / rate * c / ways), emitted, matched.centre, c)
+        return cls(rows, read_only(np.arange(span) / rate * c / passes), emitted, matched.centre, c)
 
 
 def range_doppler(
@@ -235,14 +235,14 @@ def range_doppler(
     grows at v turns the phase of the pulse's mean frequency f by ``-2 pi f v P / c`` (two ways: twice that) in a
     period P (M. A. Richards, "Fundamentals of Radar Signal Processing", 2nd edition, 2014, section 5.3).
     """
-    ways = 2.0 if as_flag("two_way", two_way) else 1.0
-    train = _Train.of(recording, pulse, receiver, source, (first, count, 2), ways, max_range)
+    passes = 2.0 if as_flag("two_way", two_way) else 1.0
+    train = _Train.of(recording, pulse, receiver, source, (first, count, 2), passes, max_range)
     gaps = np.diff(train.emitted)
     if len(gaps) == 0 or np.ptp(gaps) > 1e-9:
         raise InputError("source", f"must emit two evenly spaced pulses at least, but emits {len(train.emitted)}")
     window = np.hanning(len(train.rows) + 2)[1:-1]
     made = np.fft.fft(train.rows * (window / window.sum())[:, None], axis=0)
-    fastest = 0.5 * train.speed_of_sound / (ways * train.centre * float(gaps[0]))
+    fastest = 0.5 * train.speed_of_sound / (passes * train.centre * float(gaps[0]))
     speeds = -2.0 * fastest * np.fft.fftfreq(len(train.rows))
     order = np.argsort(speeds)
     return RangeDopplerMap(read_only(made[order]), train.ranges, read_only(speeds[order]), fastest)
@@ -296,6 +296,6 @@ def echoes(
     >>> found.ranges[loudest].round(2)
     array([1., 1., 1.])
     """
-    ways = 2.0 if as_flag("two_way", two_way) else 1.0
-    train = _Train.of(recording, pulse, receiver, source, (0, None, 1), ways, max_range)
+    passes = 2.0 if as_flag("two_way", two_way) else 1.0
+    train = _Train.of(recording, pulse, receiver, source, (0, None, 1), passes, max_range)
     return EchoMap(read_only(train.rows), train.ranges, read_only(train.emitted))

@@ -16,7 +16,7 @@ from clsim.sensitivity.linear_map import scene_tracks, through_ends
 from clsim.sensitivity.moments import MomentEngine
 from clsim.sensitivity.pulled import Pulled
 from clsim.tracks.basis import flat_basis
-from clsim.tracks.splines import heard
+from clsim.tracks.splines import audible
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,7 +110,7 @@ def _arriving(
     delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples
     whole = np.rint(delay_samples)
     emitted = filters.oversampling * np.arange(start, stop) - whole.astype(np.int64)
-    return times, emitted, delay_samples - whole, heard(times, member.start, member.end, plan.tracks.transition)
+    return times, emitted, delay_samples - whole, audible(times, member.start, member.end, plan.tracks.transition)
 
 
 def _at_nodes(

@@ -165,14 +165,14 @@ def _of_air(name: str, field: str) -> Iterator[Parameter]:
 
 
 def _with_air(field: str, scene: Scene, by: float) -> Scene:
-    air, asked = scene.air, "_asked_speed" if field == "speed_of_sound" else field
+    air, requested = scene.air, "_requested_speed" if field == "speed_of_sound" else field
     value: Any = getattr(air, field)
     larger: Any
     if callable(value):
         larger = _Raised(value, by)
     else:
         larger = tuple(v + by for v in value) if isinstance(value, tuple) else value + by
-    return varied(scene, air=replace(air, **{asked: larger}))
+    return varied(scene, air=replace(air, **{requested: larger}))
 
 
 @dataclass(frozen=True, slots=True)

@@ -168,17 +168,17 @@ class TangentPaths(PathFamily):
         own, other = self.scene.receivers[receiver], family.scene.receivers[receiver]
         if own is other:
             return np.zeros_like(times)
-        told = (times - own.clock_error(np.zeros(1))) / own.clock_rate
-        return np.asarray(other.clock_error(told) - own.clock_error(told))
+        given = (times - own.clock_error(np.zeros(1))) / own.clock_rate
+        return np.asarray(other.clock_error(given) - own.clock_error(given))
 
 
 def clock_change(parameter: Parameter, scene: Scene, times: Floats) -> Floats:
     """Change of the true times of samples that a receiver takes at true times, by a parameter of its clock."""
     assert parameter.receiver is not None
     own = scene.receivers[parameter.receiver]
-    told = (times - own.clock_error(np.zeros(1))) / own.clock_rate
+    given = (times - own.clock_error(np.zeros(1))) / own.clock_rate
     ahead, behind = (
-        parameter.moved(scene, sign * parameter.step).receivers[parameter.receiver].clock_error(told)
+        parameter.moved(scene, sign * parameter.step).receivers[parameter.receiver].clock_error(given)
         for sign in (1.0, -1.0)
     )
     return np.asarray((ahead - behind) / (2.0 * parameter.step))

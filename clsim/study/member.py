@@ -140,7 +140,7 @@ class Groups:
             content["sound" if name == "recording" else name] = (("receiver", "time"), samples, made.attributes)
         _finish(content, made.group, self._group(number))
 
-    def settled(self, number: int, rows: Mapping[int, Any]) -> None:
+    def decided(self, number: int, rows: Mapping[int, Any]) -> None:
         """Note that a member is done with: nothing is to be done."""
 
 

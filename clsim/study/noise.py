@@ -82,5 +82,5 @@ class NoiseModel(Model):
         """
         from scipy.special import j0
 
-        way = 2.0 * math.pi * frequency * distance / speed_of_sound
-        return np.asarray(np.sinc(way / math.pi) if self.field == "spherical" else j0(way))
+        phase = 2.0 * math.pi * frequency * distance / speed_of_sound
+        return np.asarray(np.sinc(phase / math.pi) if self.field == "spherical" else j0(phase))

@@ -68,11 +68,11 @@ class Index:
         self.results = Groups(folder) if results is None else results
         self.rows = {m.number: MemberRow(m.number, m.parameters) for m in members}
         lines = self._path.read_bytes().splitlines() if self._path.exists() else []
-        told = [row for line in lines if (row := as_row(line)) and row["member"] in self.rows]
-        for row in told:
+        given = [row for line in lines if (row := as_row(line)) and row["member"] in self.rows]
+        for row in given:
             if row["status"] == "failed":
                 self._take(row)
-        known = {row["member"]: row for row in told if row["status"] == "finished"}
+        known = {row["member"]: row for row in given if row["status"] == "finished"}
         for member in members:
             if self.results.holds(member.number):
                 self._take_results(member, known.get(member.number, {}))
@@ -116,7 +116,7 @@ class Index:
             file.write(_line(taken))
             file.flush()
             os.fsync(file.fileno())
-        self.results.settled(taken.member, self.rows)
+        self.results.decided(taken.member, self.rows)
         return taken
 
     def rewrite(self) -> None:
@@ -312,7 +312,7 @@ def run_study(
             write_summary(folder, index)
         else:
             for number in range(0, len(study.members), study.shards.members):  # a process may have died before
-                results.settled(number, index.rows)
+                results.decided(number, index.rows)
         index.rewrite()
         shutil.rmtree(folder / PARTIAL, ignore_errors=True)
     return tuple(index.rows[n] for n in sorted(index.rows))

@@ -251,7 +251,7 @@ class Shards:
         """Delete a member that waits for its shard."""
         self.path_of(number).unlink(missing_ok=True)
 
-    def settled(self, number: int, rows: Mapping[int, Any]) -> None:
+    def decided(self, number: int, rows: Mapping[int, Any]) -> None:
         """Join the shard of a member if all of it are done with."""
         shard = number // self._size
         mine = range(shard * self._size, min((shard + 1) * self._size, self._count))

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.scene.room.protocol import Room
     from clsim.scene.scene import Scene
-    from clsim.tail.rays import Emitted, Heard
+    from clsim.tail.rays import Audible, Emitted
     from clsim.tail.zones import Zones
 
     Damping = Callable[[Floats, int], Floats]
@@ -170,9 +170,9 @@ def find_tail(
         emitted = _emitted(scene, source, of_source.turns[i], centres)
         escapes = escapes or _checked_escapes(scene, tracer, place, emitted)
         first = 0
-        for heard in tracer.heard(place, emitted, spheres, i, options.error_db):
-            rays, error_db = max(rays, heard.rays), max(error_db, heard.error_db)
-            for pair in _settled(heard, decay):
+        for audible in tracer.audible(place, emitted, spheres, i, options.error_db):
+            rays, error_db = max(rays, audible.rays), max(error_db, audible.error_db)
+            for pair in _converged(audible, decay):
                 pairs[i, first] = pair
                 first += 1
         if progress is not None:
@@ -187,13 +187,13 @@ def _checked_escapes(scene: Scene, tracer: Tracer, place: Floats, emitted: Emitt
     if scene.room.is_closed:
         return ""
     escaped = tracer.escaped(place, emitted)
-    told = escaped.describe(scene.room.faces.names)
+    given = escaped.describe(scene.room.faces.names)
     if escaped.share > MOST_ESCAPED:
         raise NoTailError(
             "tail", f"must be 'off' in a room from which more than {100.0 * MOST_ESCAPED:.0f} % of the energy escapes, "
-            f"but {told}; the mesh is not watertight (`clsim check` tells where)"
+            f"but {given}; the mesh is not watertight (`clsim check` tells where)"
         )  # fmt: skip
-    return told if escaped.share > LITTLE_ESCAPED else ""
+    return given if escaped.share > LITTLE_ESCAPED else ""
 
 
 def searched_order(paths: PathSet) -> int:
@@ -234,15 +234,15 @@ class _Decay:
         return self._air[:count], self._modal[:count]
 
 
-def _settled(heard: Heard, decay: _Decay) -> list[TailEnergy]:
+def _converged(audible: Audible, decay: _Decay) -> list[TailEnergy]:
     """Return energies of all zones in air, as modes decay, smoothed and cut at their audible end."""
-    early = heard.early.shape[1]
-    air, modal = decay.over(heard.images.shape[1])
+    early = audible.early.shape[1]
+    air, modal = decay.over(audible.images.shape[1])
     factor = modal.astype(np.float32)[:, None]
-    own, images = heard.early * factor[:early], heard.images * air
+    own, images = audible.early * factor[:early], audible.images * air
     lates, lasts = [], []
-    for row, late in enumerate(heard.late):
-        mine = heard.row == row
+    for row, late in enumerate(audible.late):
+        mine = audible.row == row
         whole = np.concatenate([own[mine].mean(axis=0), late * factor[early:]])
         by_band = whole.sum(axis=1, dtype=np.float64)
         left = np.cumsum(by_band[::-1], axis=0)[::-1]
@@ -251,11 +251,11 @@ def _settled(heard: Heard, decay: _Decay) -> list[TailEnergy]:
         lasts.append(int(loud[-1]) + 1 if len(loud) else 1)
         lates.append(smoothed(whole[: lasts[-1]])[early:])
     found = []
-    for zone, row in enumerate(heard.row):
+    for zone, row in enumerate(audible.row):
         # Windows of smoothing about the last early bin reach into the late part.
         beyond = math.ceil(_OF_DIRECTIONS * early) + _LEAST + 1
-        raw = np.concatenate([own[zone], heard.late[row][:beyond] * factor[early : early + beyond]])[: lasts[row]]
-        departed = heard.departed[zone]
+        raw = np.concatenate([own[zone], audible.late[row][:beyond] * factor[early : early + beyond]])[: lasts[row]]
+        departed = audible.departed[zone]
         shares = departed / departed.sum() if departed.any() else np.full(len(departed), 1.0 / len(departed))
         found.append(TailEnergy(smoothed(raw)[:early], lates[row], shares, images[zone]))
     return found

@@ -115,12 +115,12 @@ def _next_triangle(room: RayRoom, o: Float32s, d: Float32s, below: Float32s) -> 
 def _in_leaves(room: RayRoom, leaf: Ints, o: Float32s, d: Float32s, near: Float32s) -> Float32s:
     """Return distances (n, 8) at which rays meet the triangles of leaves, one leaf for each ray."""
     at = np.moveaxis(room.leaves[leaf], 1, 0)  # (13, n, 8)
-    start, way = o.T[:, :, None], d.T[:, :, None]
+    start, heading = o.T[:, :, None], d.T[:, :, None]
     a, b, c = (at[3 * i : 3 * i + 3] - start for i in range(3))
-    one, two, three = (_passes(way, *edge) for edge in ((a, b), (b, c), (c, a)))
+    one, two, three = (_passes(heading, *edge) for edge in ((a, b), (b, c), (c, a)))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         height = at[12] - (at[9] * start[0] + at[10] * start[1] + at[11] * start[2])
-        far = height / (at[9] * way[0] + at[10] * way[1] + at[11] * way[2])
+        far = height / (at[9] * heading[0] + at[10] * heading[1] + at[11] * heading[2])
     left, right = (one >= 0.0) & (two >= 0.0) & (three >= 0.0), (one <= 0.0) & (two <= 0.0) & (three <= 0.0)
     met = (left | right) & (far > 0.0)
     return np.where(met, np.maximum(far, near[:, None]), NOWHERE)
@@ -202,8 +202,8 @@ class _Traced:
         rained = self._fresh & self._is_rained_on(np.sqrt(dot(to, to)), dot(to, self._face))
         rows = np.flatnonzero((inside > 0.0) & ~rained)
         half, middle = np.sqrt(inside[rows]), middle[rows]
-        way = np.minimum(middle + half, self._far[rows]) - np.maximum(middle - half, _ZERO)
-        weight = way * (self._to.zones[zone, 3] * np.float32(self._to.scale))
+        heading = np.minimum(middle + half, self._far[rows]) - np.maximum(middle - half, _ZERO)
+        weight = heading * (self._to.zones[zone, 3] * np.float32(self._to.scale))
         of_images = ~self._scattered[rows] & (order <= self._run.max_order)
         length, direction = self._travelled[rows] + middle, self._d[rows]
         for mask, images in ((of_images, True), (~of_images, False)):

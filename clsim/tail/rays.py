@@ -43,7 +43,7 @@ _BYTES = 2**28  # of energies on a device at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Heard:
+class Audible:
     """Energies in zones, of sources of 1 Pa at 1 m for 1 s, without the absorption of the air."""
 
     early: Floats  # (Z, T0, M, B) by bin of time, direction of arrival and band
@@ -106,7 +106,7 @@ class Tracer:
         octave = np.rint(np.log2(self.speed_of_sound / self.sized / 1000.0))
         return [group[octave[group] == one] for group in alike for one in np.unique(octave[group])]
 
-    def heard(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float) -> list[Heard]:
+    def audible(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float) -> list[Audible]:
         """Return the energies of a source's zone, in parts of as many spheres as fit the memory."""
         pilot = self._pilot(origin, emitted, spheres, zone)
         until = pilot.until(self.energies.air, self.groups, self.speed_of_sound)
@@ -137,11 +137,13 @@ class Tracer:
     def _exits(self, places: Floats) -> Floats:
         """Return places (n, 3) at which rays (n, 6) leave the box about the room, m."""
         size = np.abs(self.room.leaves[:, :9]).reshape(-1, 3, 3, 8).max(axis=(0, 1, 3)) if len(places) else np.ones(3)
-        start, way = places[:, :3], places[:, 3:]
+        start, direction = places[:, :3], places[:, 3:]
         with np.errstate(divide="ignore", invalid="ignore"):
-            far = np.where(way == 0.0, np.inf, (np.copysign(size, way) - start) / way).min(axis=1, initial=np.inf)
+            far = np.where(direction == 0.0, np.inf, (np.copysign(size, direction) - start) / direction).min(
+                axis=1, initial=np.inf
+            )
         return np.asarray(
-            start + np.where(np.isfinite(far), np.maximum(far, 0.0), 0.0)[:, None] * way + self.room.middle
+            start + np.where(np.isfinite(far), np.maximum(far, 0.0), 0.0)[:, None] * direction + self.room.middle
         )
 
     def _pilot(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int) -> _Pilot:
@@ -244,7 +246,7 @@ class _Search:
         self._energies = self._layout.empty()
         self._rays = 0
 
-    def found(self, wanted_db: float) -> Heard:
+    def found(self, wanted_db: float) -> Audible:
         """Trace until the error is as small as is asked for, or rays are very many."""
         self._trace(max(_FIRST // len(self._until), _LEAST))
         error = self._error_db()
@@ -253,7 +255,7 @@ class _Search:
             missing = min(most, MOST_RAYS) - self._rays
             self._trace(min(max(math.ceil(missing / SLOTS), _LEAST // 4), _LARGEST))
             error = self._error_db()
-        return self._heard(error)
+        return self._audible(error)
 
     def _trace(self, each: int) -> None:
         run = self._tracer._run(
@@ -282,7 +284,7 @@ class _Search:
             count += int(np.count_nonzero(loud))
         return 10.0 / math.log(10.0) * math.sqrt(error / count) if count else 0.0
 
-    def _heard(self, error_db: float) -> Heard:
+    def _audible(self, error_db: float) -> Audible:
         energies, order = self._energies, self._tracer._order
         zones = np.bincount(self._row, minlength=self._layout.rows)
         early, late, images = (
@@ -294,7 +296,7 @@ class _Search:
         late[..., order] = energies.late * (unit / zones)[:, None, None, None]
         images[..., order] = energies.images * unit
         departed = np.asarray(energies.departures * unit, np.float64)
-        return Heard(early, late, np.asarray(images, np.float64), departed, self._row, self._rays, error_db)
+        return Audible(early, late, np.asarray(images, np.float64), departed, self._row, self._rays, error_db)
 
 
 def smoothed_windows(energy: Floats, first: int) -> Floats:

@@ -289,9 +289,9 @@ def is_static(end: End, *, turning: bool) -> bool:
     return end.trajectory.is_static and not (turning and end.trajectory.turns)
 
 
-def fastest(way: Motion) -> float:
+def fastest(moved: Motion) -> float:
     """Bound of the speed of a way, m/s."""
-    return 0.0 if way.is_static else float(way.speed_over(np.array([-1e9]), np.array([1e9]))[0])
+    return 0.0 if moved.is_static else float(moved.speed_over(np.array([-1e9]), np.array([1e9]))[0])
 
 
 def _instants(end: End, until: float) -> Floats:

@@ -30,7 +30,7 @@ class Basis:
     loudness: Floats
     # Requested and reached bound of the error of the sum of all paths at a receiver: root mean square over the spectrum
     # within 40 ms, relative to that sum, dB. Where the request was not given, both are the reached one.
-    asked_db: float
+    requested_db: float
     error_db: float
 
     def __len__(self) -> int:

@@ -127,9 +127,9 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) ->
     weight = importance[nodes] / math.sqrt(float(np.mean(importance[nodes] ** 2)))
     functions = in_parts(shapes[:, nodes] * weight, found.parts)
     strengths = np.sqrt(np.sum(functions**2, axis=1) / len(nodes))
-    asked_db = max(error_db, reached)  # what is told already needs no other warning
+    requested_db = max(error_db, reached)  # what is told already needs no other warning
     return Basis(
-        band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, strengths, loudness, asked_db,
+        band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, strengths, loudness, requested_db,
         reached,
     )  # fmt: skip
 
@@ -257,16 +257,16 @@ class Held:
     low: float  # the band, Hz
     high: float  # likewise
     sampling_rate: float  # hz
-    looked_at: int = 0  # frequencies of the band at which responses were looked at
+    evaluated_at: int = 0  # frequencies of the band at which responses were looked at
     resolved_db: float = -math.inf  # error between these frequencies
     functions: int = 0  # functions of frequency
     functions_db: float = -math.inf  # error of responses as sums of them
     at_centre: bool = False  # responses are those at one frequency: no error was asked for, so that none is refused
 
-    def within(self, asked_db: float, filters: BandFilters | None = None) -> float:
+    def within(self, requested_db: float, filters: BandFilters | None = None) -> float:
         """Return the error that is reached, dB, with filters if they are there already."""
         reached = max(self.resolved_db, self.functions_db, -math.inf if filters is None else filters.error_db)
-        if reached <= asked_db:
+        if reached <= requested_db:
             return reached
         cause, remedy = self._cause(reached, filters)
         if filters is not None and reached == filters.error_db and self._near_zero(filters):
@@ -275,13 +275,13 @@ class Held:
         if reached > WORST_DB and not self.at_centre:
             raise InputError(
                 "response_error_db",
-                f"must be reached {where}, but for source {self.source} {asked_db:g} dB is not: {cause}; "
+                f"must be reached {where}, but for source {self.source} {requested_db:g} dB is not: {cause}; "
                 f"{reached:.0f} dB is the best; {remedy}, or ask for less",
             )
-        asked = f", not the {asked_db:g} dB asked for" if not self.at_centre else ""
+        requested = f", not the {requested_db:g} dB asked for" if not self.at_centre else ""
         less = f", or ask for response_error_db={math.ceil(reached)}" if not self.at_centre else ""
         warn(
-            f"source {self.source}: air, walls and directivities are held within {reached:.0f} dB {where}{asked}: "
+            f"source {self.source}: air, walls and directivities are held within {reached:.0f} dB {where}{requested}: "
             f"{cause}; {remedy}{less}"
         )
         return reached
@@ -293,9 +293,9 @@ class Held:
             "responses), or narrow the signal's band (fade it)"
         )
         if reached == self.resolved_db:
-            longest = 1e3 * 2.0 * self.looked_at / (math.pi * (self.high - self.low))
+            longest = 1e3 * 2.0 * self.evaluated_at / (math.pi * (self.high - self.low))
             return (
-                f"{self.looked_at} frequencies do not resolve what walls and directivities do (impulse "
+                f"{self.evaluated_at} frequencies do not resolve what walls and directivities do (impulse "
                 f"responses longer than {longest:.3g} ms)"
             ), smooth
         if filters is None or reached == self.functions_db:

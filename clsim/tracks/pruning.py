@@ -80,15 +80,15 @@ def _bounds(tracks: SceneTracks, pair: int, band: tuple[float, float], until: fl
     least, most = at.least_nepers * (1.0 - spread), at.most_nepers * (1.0 + spread)
     speed = source_speed + float(tracks.speeds.receiver[paths.receiver])
     member, step = tracks.pairs[pair], _STEP
-    if member.always_heard:
+    if member.always_audible:
         step = max(_STEP, _LEAST_MOVE / speed) if speed > 0.0 else math.inf
     edges = np.linspace(0.0, until, max(1, math.ceil(until / step)) + 1)
     for begin, end in pairwise(edges):
-        heard = (member.start < end) & (member.end > begin)
+        audible = (member.start < end) & (member.end > begin)
         nearest = np.maximum(tracks.delay_range(pair, begin, end)[0] * slowest, scene.min_distance)[:, None]
         nepers = np.where(nearest > 1.0, least, most)
         gain = reflected * np.exp(-nepers * np.maximum(nearest - 1.0, -1.0)) / nearest * mach_factor
-        bound = np.maximum(bound, np.where(heard, gain.max(axis=1), 0.0))
+        bound = np.maximum(bound, np.where(audible, gain.max(axis=1), 0.0))
         middle = np.array([0.5 * (begin + end)])
         now = np.abs(paths.gain(paths.arrivals(middle, tracks.kinematics), middle)[:, 0])
         strongest = max(strongest, float(np.where((member.start <= middle) & (member.end > middle), now, 0.0).max()))

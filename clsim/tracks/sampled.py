@@ -103,23 +103,23 @@ class Sample:
         return np.asarray(np.add.reduceat(squares, self.first, axis=0))
 
     @cached_property
-    def heard(self) -> Floats:
+    def audible(self) -> Floats:
         """Return the received energy (frames, W) of each window and of its neighbourhood."""
         return np.asarray(self.by_frame(self.responses) @ self.band.energy.T + self.band.rest)
 
     def loudness(self) -> Floats:
         """Return the inverse (W,) of the received energy of each window, as a mean over the frames."""
-        return np.asarray(np.mean(1.0 / np.maximum(self.heard, _FAINTEST), axis=0))
+        return np.asarray(np.mean(1.0 / np.maximum(self.audible, _FAINTEST), axis=0))
 
     def relative(self, left: Floats | Complexes) -> Floats:
         """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
-        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.heard).max(axis=1)))
+        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.audible).max(axis=1)))
 
     def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
         """Return the largest share of each function (K, F) in the received energy, of squared gains (frames, K)."""
         shares = np.abs(shapes) ** 2 @ self.band.energy.T  # (K, W)
-        heard = self.heard
-        return np.sqrt([(np.outer(g, share) / heard).max() for g, share in zip(together.T, shares, strict=True)])
+        audible = self.audible
+        return np.sqrt([(np.outer(g, share) / audible).max() for g, share in zip(together.T, shares, strict=True)])
 
     def left(self, shapes: Floats | Complexes) -> float:
         """Return the error of functions that are wrong by so much (K, F), each with a gain of 1 at every instant."""
@@ -131,8 +131,8 @@ class Sample:
         The error over nodes, by their indices, counts as well: the OpenCL engine measures it as it renders.
         """
         weight = self.importance[nodes]
-        at_nodes, heard = (self.by_frame(r[:, nodes] * weight).sum(axis=1) for r in (left, self.responses))
-        return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(heard, 1e-300))))
+        at_nodes, audible = (self.by_frame(r[:, nodes] * weight).sum(axis=1) for r in (left, self.responses))
+        return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(audible, 1e-300))))
 
     @property
     def importance(self) -> Floats:
@@ -247,8 +247,8 @@ def picked_paths(
         times = np.sort(rng.uniform(0.0, last, instants))
         times[[0, -1]] = 0.0, last
         found = paths.arrivals(times, tracks.kinematics)
-        heard = (times >= start[:, None]) & (times < end[:, None])
-        level = np.where(heard, np.abs(paths.response(found, times, at_centre)[..., 0]), 0.0)
+        audible = (times >= start[:, None]) & (times < end[:, None])
+        level = np.where(audible, np.abs(paths.response(found, times, at_centre)[..., 0]), 0.0)
         level[level < _SILENT] = 0.0
         share = -(-count // (len(pairs) * instants))
         drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]
@@ -274,20 +274,22 @@ def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
     paths, scene = tracks.pair_paths[pair], tracks.paths.scene
     source, receiver = scene.sources[paths.source], scene.receivers[paths.receiver]
     alike = isinstance(source.directivity, Omni) and isinstance(receiver.directivity, Omni)
-    if not (alike and paths.family.is_specular and tracks.pairs[pair].always_heard) or paths.family.moves:
+    if not (alike and paths.family.is_specular and tracks.pairs[pair].always_audible) or paths.family.moves:
         return most
-    way = until * float(tracks.speeds.source[paths.source] + tracks.speeds.receiver[paths.receiver])
+    travelled = until * float(tracks.speeds.source[paths.source] + tracks.speeds.receiver[paths.receiver])
     begin = np.zeros(1)
     apart = float(np.linalg.norm(source.trajectory.position(begin) - receiver.trajectory.position(begin)))
-    return int(np.clip(math.ceil(_PER_DISTANCE * way / max(apart - way, 1e-3 * way, NEAREST)), 3, most))
+    return int(
+        np.clip(math.ceil(_PER_DISTANCE * travelled / max(apart - travelled, 1e-3 * travelled, NEAREST)), 3, most)
+    )
 
 
 def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Floats]:
     """Return about `count` paths, likelier the louder (P,) they are, and how many paths each stands for."""
-    sounding = np.flatnonzero(level)
-    if len(sounding) <= count:
-        return sounding, np.ones(len(sounding))
-    loud = level[sounding]
+    emitting = np.flatnonzero(level)
+    if len(emitting) <= count:
+        return emitting, np.ones(len(emitting))
+    loud = level[emitting]
     chance = np.minimum(count * loud / loud.sum(), 1.0)
     before = None
     for _ in range(8):
@@ -298,8 +300,8 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
         left = max(count - int(sure.sum()), 1)
         chance = np.where(sure, 1.0, np.minimum(left * loud / max(float(loud[~sure].sum()), 1e-300), 1.0))
     at = np.searchsorted(np.cumsum(chance), rng.random() + np.arange(math.floor(chance.sum())))
-    at = np.unique(at[at < len(sounding)])
-    return sounding[at], 1.0 / chance[at]
+    at = np.unique(at[at < len(emitting)])
+    return emitting[at], 1.0 / chance[at]
 
 
 def continued(tracks: SceneTracks, seconds: float) -> SceneTracks:

@@ -26,11 +26,11 @@ def checked_samples(times: Any, delays: Any, gains: Any) -> tuple[Floats, Floats
     for name, values in (("delays", delays), ("gains", gains)):
         if values.ndim != 2 or values.shape[1] != len(times) or not len(values):
             raise InputError(name, f"must have the shape paths x {len(times)}, but has {values.shape}")
-    heard = np.isfinite(delays)
-    if delays.shape != gains.shape or np.any(heard != np.isfinite(gains)):
+    audible = np.isfinite(delays)
+    if delays.shape != gains.shape or np.any(audible != np.isfinite(gains)):
         raise InputError("gains", "must be finite where delays are, and NaN where they are")
-    if np.any(delays[heard] < 0.0):
-        raise InputError("delays", f"must be at least 0 s, but one is {np.min(delays[heard]):g} s")
+    if np.any(delays[audible] < 0.0):
+        raise InputError("delays", f"must be at least 0 s, but one is {np.min(delays[audible]):g} s")
     return times, delays, gains
 
 
@@ -44,10 +44,10 @@ def checked_indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
     return out.astype(np.int64)
 
 
-def heard_intervals(heard: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
+def audible_intervals(audible: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
     """Return path, first and one past last sample of every interval in which a path is active."""
     found = []
-    for p, row in enumerate(heard):
+    for p, row in enumerate(audible):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
         for a, b in edges.reshape(-1, 2):
             if b - a < 2:
@@ -82,7 +82,7 @@ def as_transition(value: object) -> float:
     return as_number("transition", value, at_least=0.0, at_most=_LONGEST, unit="s")
 
 
-def heard(times: Floats, start: Floats, end: Floats, transition: float) -> Floats:
+def audible(times: Floats, start: Floats, end: Floats, transition: float) -> Floats:
     """Return the weight (paths, times) of paths that are active from `start` to `end` (paths,).
 
     Shapes: times (T,) s; start, end (P,) s.
@@ -99,7 +99,7 @@ def heard(times: Floats, start: Floats, end: Floats, transition: float) -> Float
     return np.asarray(0.5 * (np.cos(np.pi * fall) - np.cos(np.pi * rise)))
 
 
-def heard_samples(
+def audible_samples(
     start: Floats, end: Floats, transition: float, sampling_rate: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first sample of each path and the one after its last, counted from time 0, bounded to 62 bits."""
@@ -148,7 +148,7 @@ def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: 
     """Fit tracks to samples; see `Tracks.from_samples`."""
     times, delays, gains = checked_samples(times, delays, gains)
     s, r = (checked_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
-    intervals = heard_intervals(np.isfinite(delays))
+    intervals = audible_intervals(np.isfinite(delays))
     pairs, splines, largest = [], [], 0.0
     for pair in sorted({(int(s[p]), int(r[p])) for p, _, _ in intervals}):
         mine = [interval for interval in intervals if (s[interval[0]], r[interval[0]]) == pair]

@@ -46,7 +46,7 @@ class PairTracks:
         return len(self.start)
 
     @property
-    def always_heard(self) -> bool:
+    def always_audible(self) -> bool:
         """Whether no path begins or ends."""
         return bool(np.all(np.isneginf(self.start)) and np.all(np.isposinf(self.end)))
 
@@ -437,9 +437,11 @@ class SceneTracks(Tracks):
         ends = [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
         ends += [(body.trajectory.end, body.name) for body in scene.bodies]
         known = [min([(r.trajectory.end, r.name), *ends]) for r in scene.receivers]
-        heard = [float(_clock_time(r, np.array([end]))[0]) for r, (end, _) in zip(scene.receivers, known, strict=True)]
-        first = int(np.argmin(heard))
-        return heard[first], f"the trajectory of {known[first][1]!r}"
+        audible = [
+            float(_clock_time(r, np.array([end]))[0]) for r, (end, _) in zip(scene.receivers, known, strict=True)
+        ]
+        first = int(np.argmin(audible))
+        return audible[first], f"the trajectory of {known[first][1]!r}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from clsim.workflow.result_folder import ResultFolder
 
 _PERIOD = 1.0  # s between checkpoints, at least: the loss of a killed run beside its current chunk
-_WORTH = 2e9  # path-samples of a piece, about: seconds, so that handing it out costs nothing
+_PIECE_WORK = 2e9  # path-samples of a piece, about: seconds, so that handing it out costs nothing
 _PIECES = 64  # into which a run is cut at least along time, as far as it has chunks
 _BLOCKS = 2  # of receivers for each worker
 _UNKNOWN = 16  # workers that a scheduler is taken to have
@@ -199,8 +199,8 @@ class Pieces:
         plan = handed.plan
         self.file, self._plan, self._later = file, plan, handed.later()
         chunks = -(-(plan.samples - done) // plan.chunk)
-        worth = round(_WORTH / (max(plan.path_count, 1) * plan.chunk))
-        step = plan.chunk * max(1, min(worth, chunks // _PIECES))
+        piece_work = round(_PIECE_WORK / (max(plan.path_count, 1) * plan.chunk))
+        step = plan.chunk * max(1, min(piece_work, chunks // _PIECES))
         self._edges = [*range(done, plan.samples, step), plan.samples]
         self._rendered: set[int] = set()  # stretches whose pressure is there
         self._next = [0] * (1 + len(self._later))  # stretch before which all are there, of pressure and each block

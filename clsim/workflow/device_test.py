@@ -69,7 +69,7 @@ class DeviceReport:
         return " | ".join(parts)
 
 
-def put_to_test(wanted: str | None = None, tell: Callable[[str], None] = lambda text: None) -> DeviceReport:
+def put_to_test(wanted: str | None = None, notify: Callable[[str], None] = lambda text: None) -> DeviceReport:
     """Test a device."""
     info, _ = find_device(wanted)
     apart, begun, first = {}, time.perf_counter(), 0.0
@@ -78,7 +78,7 @@ def put_to_test(wanted: str | None = None, tell: Callable[[str], None] = lambda 
         got = engine.render(0, plan.samples)
         first = first or time.perf_counter() - begun
         apart[name] = _apart_db(got, ReferenceEngine(plan).render(0, plan.samples))
-        tell(f"{name}: {apart[name]:.0f} dB from the reference engine")
+        notify(f"{name}: {apart[name]:.0f} dB from the reference engine")
     return DeviceReport(info, apart, *_rates(info.id), first)
 
 
@@ -116,8 +116,8 @@ class _TimedMaker:
 
 def _rates(device: str) -> tuple[float, float]:
     """Return path-samples a second of the render stage and of the tracks, kernels being built."""
-    way = Trajectory.circle((3.0, 2.5, 1.5), 1.0, 1.047, _LONG)
-    source = Source("s", Signal.tone(40e3, _LONG, RATE, fade=0.01), way)
+    walk = Trajectory.circle((3.0, 2.5, 1.5), 1.0, 1.047, _LONG)
+    source = Source("s", Signal.tone(40e3, _LONG, RATE, fade=0.01), walk)
     scene = Scene(Shoebox(_SIZE, _wall(0.9)), Air(), [source], [Receiver("r", Trajectory.fixed((1.0, 1.0, 2.0)))])
     plan = plan_render(find_paths(scene, _ORDER), RATE, device=device, duration=_LONG, responses="centre")
     OpenclEngine(plan).render(0, plan.samples)
@@ -155,13 +155,13 @@ def _plans(device: str) -> dict[str, Plan]:
 
 
 def _plan(device: str, room: Shoebox | MeshRoom, signal: Signal, beams: tuple[Any, ...] = (), **options: Any) -> Plan:
-    way = Trajectory.line((2.0, 2.0, 1.0), (2.0, 2.3, 1.1), 0.1)
+    walk = Trajectory.line((2.0, 2.0, 1.0), (2.0, 2.3, 1.1), 0.1)
     ear = Trajectory.line((3.0, 2.5, 1.2), (2.9, 2.6, 1.2), 0.1)
     directed: list[dict[str, Any]] = [
         {"directivity": beam, "aim": aim} for beam, aim in zip(beams, [(1.0, 0.3, 0.0), (-1.0, 0.0, 0.2)], strict=False)
     ]
     source, receiver = directed or ({}, {})
-    scene = Scene(room, Air(), [Source("s", signal, way, **source)], [Receiver("r", ear, **receiver)])
+    scene = Scene(room, Air(), [Source("s", signal, walk, **source)], [Receiver("r", ear, **receiver)])
     return plan_render(find_paths(scene, 1), RATE, device=device, duration=_DURATION, **options)
 
 

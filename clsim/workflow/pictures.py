@@ -106,8 +106,8 @@ def _theory(planned: PlannedScene, times: Floats, r: int) -> list[tuple[Floats, 
     mine = np.flatnonzero((table.receiver == r) & (table.order <= 1) & sounds)
     if len(mine) > _MOST_CURVES:
         return []
-    shifted = centre * np.where(table.heard, table.doppler_factor, np.nan)
-    return [(table.times, shifted[p], table.name_way(p)) for p in mine]
+    shifted = centre * np.where(table.audible, table.doppler_factor, np.nan)
+    return [(table.times, shifted[p], table.name_objects(p)) for p in mine]
 
 
 def _shown_band(plan: Plan) -> tuple[float, float]:
@@ -132,11 +132,11 @@ def _colours(last: int) -> tuple[ListedColormap, BoundaryNorm]:
 
 def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os.PathLike[str]) -> None:
     """Draw the gain of every path to a receiver over its delay, at one of the table's times."""
-    heard = np.flatnonzero((table.receiver == receiver) & table.heard[:, index])
-    level = 20.0 * np.log10(np.abs(table.gain[heard, index]))
+    audible = np.flatnonzero((table.receiver == receiver) & table.audible[:, index])
+    level = 20.0 * np.log10(np.abs(table.gain[audible, index]))
     top = float(level.max(initial=-300.0))
     shown = level > top - RANGE_DB
-    rows, level = heard[shown], level[shown]
+    rows, level = audible[shown], level[shown]
     figure, axes = new_figure(4.5)
     if len(rows):
         floor = float(level.min()) - 4.0
@@ -149,11 +149,11 @@ def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os
         axes.set(xlim=(0.0, None), ylim=(floor, top + 4.0))
         if direct.any():
             figure.legend(loc="outside lower right")
-    left_out = len(heard) - len(rows)
+    left_out = len(audible) - len(rows)
     note = f" ({left_out} more than {RANGE_DB:.0f} dB below the loudest not shown)" if left_out else ""
     axes.set(
         xlabel="delay (ms)", ylabel="gain (dB re 1 m from the source)",
-        title=f"{table.receiver_names[receiver]}: {counted(len(heard), 'path')} at {table.times[index]:.4g} s{note}",
+        title=f"{table.receiver_names[receiver]}: {counted(len(audible), 'path')} at {table.times[index]:.4g} s{note}",
     )  # fmt: skip
     save_figure(figure, path)
 

@@ -51,7 +51,7 @@ class PlannedScene:
 
     def path_table(self, times: Floats, receiver: int | None = None) -> PathTable:
         """Return the table of all paths, or of those to one receiver, as they are rendered, by time of reception, s."""
-        paths = self.paths if receiver is None else self.paths.heard_by(receiver)
+        paths = self.paths if receiver is None else self.paths.at_receiver(receiver)
         return paths.table(times, self.plan.options.motion, self.plan.options.amplitude)
 
     def ground_truth(self, times: Floats) -> DirectPath:

@@ -116,13 +116,13 @@ class ResultFolder:
     def held(self) -> Iterator[None]:
         """Lock the folder for this process; refuse foreign files, and clean up when the block ends."""
         check_folder(self.folder)
-        self._look_before()
+        self._check_before()
         made = [path for path in [self.folder, *self.folder.parents] if not path.exists()]
         self.work.mkdir(parents=True, exist_ok=True)
         try:
             with locked(self.work / _LOCK, "--output"):
                 try:
-                    self._look()
+                    self._check()
                     yield
                 except BaseException as error:
                     self._keep_or_clear(error)
@@ -214,7 +214,7 @@ class ResultFolder:
         """Take one of our results out of the folder at once, however many files it has, to be deleted."""
         (self.folder / name).replace(temporary_path(self.work / name))
 
-    def _look_before(self) -> None:
+    def _check_before(self) -> None:
         """Refuse a working folder that is not ours; ours has a lock as long as it has anything."""
         inside = [path.name for path in self.work.iterdir()] if self.work.is_dir() else []
         lock = self.work / _LOCK
@@ -224,9 +224,9 @@ class ResultFolder:
         if inside and lock.exists() and (not lock.is_file() or lock.stat().st_size):
             self._refuse(lock)
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         """Raise if the folder holds foreign files."""
-        self._look_into_work()
+        self._check_work()
         self._seen = True
         self._record = load_record(self.folder)
         mine = self._record.names()
@@ -249,7 +249,7 @@ class ResultFolder:
             listed = self.folder / RECORD
             raise InputError("--output", f"must hold no results yet, but {listed} lists some (--force writes over)")
 
-    def _look_into_work(self) -> None:
+    def _check_work(self) -> None:
         known = {_LOCK, *self._contents()}
         for path in self.work.iterdir():
             shared = path.is_file() and path.stat().st_nlink > 1  # writing into it would change another file

@@ -32,13 +32,13 @@ table = paths.table(times)
 turned = np.any(table.interactions == 1, axis=1)
 figure, axes = pyplot.subplots(layout="constrained")
 for path in range(len(table.order)):
-    delay = np.where(table.heard[path], table.delay[path], np.nan)
+    delay = np.where(table.audible[path], table.delay[path], np.nan)
     axes.plot(times, 1e3 * delay, "--" if turned[path] else "-", color=f"C{table.order[path]}", linewidth=1)
 axes.set(xlabel="time (s)", ylabel="delay (ms)")
 
 # %%
 # Check: the direct sound begins one travel time after source, corner and receiver are in line.
-first = times[table.heard[(table.order == 0) & ~turned].any(axis=0)][0]
+first = times[table.audible[(table.order == 0) & ~turned].any(axis=0)][0]
 positions = walk.position(times)
 side = (positions[:, 0] - 7.0) * (4.0 - 1.0) - (positions[:, 1] - 1.0) * (4.0 - 7.0)
 in_line = times[np.flatnonzero(np.diff(np.sign(side)))[0] + 1]

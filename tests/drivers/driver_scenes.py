@@ -252,7 +252,7 @@ class Streams:
         gains = np.stack([drawn.uniform(0.5, 1.0, (2, 4)), np.zeros((2, 4)), drawn.uniform(-1.0, 1.0, (2, 4))], -1)
         motion = Motion(drawn.uniform(-3.0, 3.0, (2, 1, 3)) + 0.3 * np.arange(4)[:, None], gains)
         waves = DeviceWaves(Between.up_to(40e3, RATE, 0.3 / NODE), self.device, lanes)
-        return waves.heard(streams, -40, motion, 5, 95)
+        return waves.audible(streams, -40, motion, 5, 95)
 
 
 @scene
@@ -421,7 +421,7 @@ def rendered(device: str, name: str) -> np.ndarray:
         warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual
         made = SCENES[scene_name](device)
         if not isinstance(made, Plan):
-            return made.heard(LAYOUTS[layout].lanes)
+            return made.audible(LAYOUTS[layout].lanes)
         engine = OpenclEngine if made.baseband is None else BasebandEngine
         return engine(made, LAYOUTS[layout]).render(0, made.samples)
 

@@ -91,7 +91,7 @@ def test_a_body_carries_ends(file: Any) -> None:
 def test_tables_truth_vertices_and_pages_know_them(paths: PathSet, tmp_path: Path) -> None:
     assert paths.object_names[-2:] == ("door", "robot")
     table = paths.table(np.array([0.05]))
-    ways = [table.name_way(i) for i in range(len(paths))]
+    ways = [table.name_objects(i) for i in range(len(paths))]
     row = next(i for i, way in enumerate(ways) if way == "door" and table.receiver[i] == 1)
     assert paths.interactions[row].tolist() == [3]
     assert table.doppler_shift[row, 0] > 100.0  # driven towards the door at 1 m/s

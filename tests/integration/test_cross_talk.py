@@ -76,7 +76,7 @@ def test_the_truth_about_every_scatterer_as_seen_from_every_pair(file: SceneFile
     truth = clsim.scatterer_truth(seen, [0.03])
     table, names = clsim.find_paths(seen, 0).table([0.03]), [s.name for s in seen.scatterers]
     for i in np.flatnonzero(table.order):
-        here = names.index(table.name_way(i)), 0, table.receiver[i], 0
+        here = names.index(table.name_objects(i)), 0, table.receiver[i], 0
         assert truth.delay[here] == pytest.approx(table.delay[i, 0], rel=1e-14)
         np.testing.assert_allclose(truth.bearing[here], table.arrival[i, 0], atol=1e-12)
     assert truth.delay.shape == (3, 1, 3, 1)

@@ -102,9 +102,9 @@ def test_the_truth_is_out_of_sight(paths: PathSet) -> None:
     truth, table = direct_path(paths, np.array([0.05])), paths.table(np.array([0.05]))
     assert not truth.line_of_sight.any()
     for receiver in (0, 1):
-        heard = np.flatnonzero((table.receiver == receiver) & table.heard[:, 0])
+        heard = np.flatnonzero((table.receiver == receiver) & table.audible[:, 0])
         first = heard[np.argmin(table.delay[heard, 0])]
-        assert table.name_way(first).startswith("edge wall")
+        assert table.name_objects(first).startswith("edge wall")
         assert table.delay[first, 0] > truth.delay[0, receiver, 0]
 
 
@@ -142,7 +142,7 @@ def test_pruned_baseband_and_impulse_responses_know_them(paths: PathSet, device:
     held = np.abs(envelope[round(0.05 * len(envelope) / 0.08) : round(0.06 * len(envelope) / 0.08)])
     np.testing.assert_allclose(held, level, rtol=1e-3)
     table = paths.table(np.array([0.05]), motion="quasi-static")
-    heard = np.flatnonzero((table.receiver == 1) & table.heard[:, 0])
+    heard = np.flatnonzero((table.receiver == 1) & table.audible[:, 0])
     response = clsim.impulse_responses(paths, 192e3, at=0.05, band=(30e3, 50e3))
     first = table.delay[heard, 0].min()
     assert response.first_arrivals[0, 1] == pytest.approx(first, abs=1e-9)

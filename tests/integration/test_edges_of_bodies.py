@@ -83,7 +83,7 @@ def test_a_door_in_tables_pages_and_studies(tmp_path: Path, capsys: pytest.Captu
     paths = clsim.find_paths(file.scene, **file.paths)
     assert len(clsim.find_paths(file.scene, 0)) == 0
     table = paths.table(np.array([0.04]))
-    ways = [table.name_way(i) for i in np.flatnonzero(table.heard[:, 0])]
+    ways = [table.name_objects(i) for i in np.flatnonzero(table.audible[:, 0])]
     assert ways
     assert all("edge door" in way for way in ways)
     assert main(["paths", str(path), "--at", "0.04"]) == 0

@@ -47,7 +47,7 @@ def test_tables_vertices_and_pages_know_them(paths: PathSet, tmp_path: Path) -> 
     table = paths.table(np.array([0.05, 0.1]))
     assert len(paths) == 7 + 3 * 7 * 7
     assert paths.object_names[-3:] == ("hand", "ball", "bat")
-    row = [table.name_way(i) for i in range(len(paths))].index("z_min, hand, y_max")
+    row = [table.name_objects(i) for i in range(len(paths))].index("z_min, hand, y_max")
     assert paths.interactions[row].tolist() == [0, 2, 0]
     assert paths.order[row] == 3
     assert not table.direct[7:].any()
@@ -59,7 +59,7 @@ def test_tables_vertices_and_pages_know_them(paths: PathSet, tmp_path: Path) -> 
     assert corners[3, 1] == pytest.approx(5.0, abs=1e-12)
     assert np.linalg.norm(corners[2] - [2.95, 2.1, 1.05]) < 0.1
     write_table(table, tmp_path / "paths.npz")
-    assert read_table(tmp_path / "paths.npz").name_way(row) == "z_min, hand, y_max"
+    assert read_table(tmp_path / "paths.npz").name_objects(row) == "z_min, hand, y_max"
     view = viewed(paths, duration=0.06, frames=3)
     hand = next(end for end in view.ends if end.name == "hand")
     np.testing.assert_allclose(hand.positions[-1], [2.97, 2.06, 1.03], atol=1e-9)
@@ -71,7 +71,7 @@ def test_the_truth_about_scatterers(paths: PathSet) -> None:
     truth, table = clsim.scatterer_truth(paths.scene, times), paths.table(times)
     assert truth.scatterer_names == ("hand", "ball", "bat")
     for which, name in enumerate(truth.scatterer_names):
-        row = [table.name_way(i) for i in range(len(paths))].index(name)
+        row = [table.name_objects(i) for i in range(len(paths))].index(name)
         np.testing.assert_allclose(truth.delay[which, 0, 0], table.delay[row], rtol=1e-14)
         np.testing.assert_allclose(truth.bearing[which, 0, 0], table.arrival[row], atol=1e-12)
         place = [1.0, 2.2, 1.0] + truth.range[which, 0, 0, :, None] * truth.bearing[which, 0, 0]

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 import clsim
 from clsim.cli import main
 from clsim.render import planning
-from clsim.render.contributions import State, Unshared
+from clsim.render.contributions import State, WithoutTables
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.render import Rendering
 from clsim.workflow import checkpoint
@@ -65,7 +65,7 @@ class Tail:
         return Ringing(self)
 
 
-class Ringing(Unshared):
+class Ringing(WithoutTables):
     """A tail, and how it rings on."""
 
     def __init__(self, tail: Tail) -> None:

@@ -95,7 +95,7 @@ def test_columns_join_those_of_the_images(paths: PathSet) -> None:
     assert paths.walls[-2:].tolist() == [[-1], [-1]]
     assert paths.objects[-2:].tolist() == [[6], [6]]
     assert paths.object_names == (*paths.scene.room.faces.names, "ridge")
-    mine = paths.heard_by(1)
+    mine = paths.at_receiver(1)
     assert (len(mine), mine.receiver.tolist()) == (8, [1] * 8)
 
 
@@ -122,12 +122,12 @@ def test_tables_pictures_and_files_know_it(paths: PathSet, tmp_path: Path) -> No
     from clsim.paths.view import view_scene, viewed
 
     table = paths.table(np.array([0.2, 0.3]))
-    assert table.name_way(15) == "ridge"
+    assert table.name_objects(15) == "ridge"
     np.testing.assert_allclose(table.gain[14:], GAIN / (343.0 * table.delay[14:]), rtol=0.02)
     np.testing.assert_allclose(table.doppler_shift, (table.doppler_factor - 1.0) * 10e3, rtol=1e-3)
     write_table(table, tmp_path / "paths.npz")
     again = read_table(tmp_path / "paths.npz")
-    assert again.name_way(15) == "ridge"
+    assert again.name_objects(15) == "ridge"
     np.testing.assert_array_equal(again.interactions, table.interactions)
     vertices = paths.vertices(0.2)
     on_edge = (vertices[14:, 1] - paths.families[1].point) @ paths.families[1].along

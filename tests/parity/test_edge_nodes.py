@@ -172,7 +172,7 @@ def test_the_last_echoes_of_a_pulse_are_held_as_well_as_the_pulse() -> None:
         warnings.simplefilter("error")
         heard = engine.render(0, made.samples)[0]
         engine.warn()
-    assert -140.0 < engine.unheld[0].level_db < made.source_filters[0].unheld_db
+    assert -140.0 < engine.residuals[0].level_db < made.source_filters[0].residual_db
     exact = clsim.render(found, RATE, duration=0.15, engine="reference").pressure[0].astype(np.float64)
     wrong, right = (np.sqrt(np.mean(x.reshape(-1, round(0.01 * RATE)) ** 2, axis=1)) for x in (heard - exact, exact))
     about = np.max([np.roll(right, shift) for shift in (-2, -1, 0, 1, 2)], axis=0)  # some 40 ms

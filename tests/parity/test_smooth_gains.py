@@ -105,7 +105,7 @@ def test_a_beam_over_the_sphere_is_held_within_what_is_told() -> None:
     paths = clsim.find_paths(scene, 1)
     heard, wanted = (clsim.render(paths, RATE, engine=engine) for engine in ("opencl", "reference"))
     told_db = min(
-        float(found[1]) for note in heard.notes if (found := re.search(r"all of it .* within (-\d+) dB", note))
+        float(found[1]) for note in heard.notes if (found := re.search(r"total error at most (-\d+) dB", note))
     )
     apart = np.linalg.norm(heard.samples - wanted.samples) / np.linalg.norm(wanted.samples)
     assert 20.0 * np.log10(apart) < told_db

@@ -20,7 +20,7 @@ def terms(paths: PathSet, times: np.ndarray, frequency: float, receiver: int = 0
     """Return the phasor of every path of a receiver (P, T), 0 where it is not heard."""
     at = SceneResponse(paths.scene, 0, np.array([frequency]))
     parts = []
-    for _, pair in paths.heard_by(receiver).pairs():
+    for _, pair in paths.at_receiver(receiver).pairs():
         found = pair.arrivals(times)
         sent = pair.response(found, times, at)[..., 0] * np.exp(-2j * np.pi * frequency * found.delay)
         family = pair.family

@@ -213,7 +213,7 @@ def test_pillars_in_tables_and_both_engines(device: None) -> None:
     tone = clsim.Signal.tone(TONE, 0.02, 192e3, fade=0.002)
     paths = clsim.find_paths(far_scene(ENDS, [body], tone), 0, diffraction=2)
     [family], table = pairs_of(paths).families, pairs_of(paths).table([0.02])
-    names = [table.name_way(i) for i in np.flatnonzero(table.heard[:, 0])]
+    names = [table.name_objects(i) for i in np.flatnonzero(table.audible[:, 0])]
     assert names
     assert all(name.count("edge ") == 2 for name in names)
     [pair] = family.pairs()

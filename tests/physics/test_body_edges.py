@@ -141,7 +141,7 @@ def test_a_body_at_rest_diffracts_as_walls_do() -> None:
             assert np.array_equal(np.sort(apart.argmin(axis=1)), np.arange(len(theirs[0])))
             met += len(delay)
     assert met > 60
-    names = set(map(other.name_way, range(len(found[1]))))
+    names = set(map(other.name_objects, range(len(found[1]))))
     assert any(name.startswith("edge wall 1") and name.endswith(", screen") for name in names)
     assert any(", edge screen" in name for name in names)
 
@@ -275,7 +275,7 @@ def test_edges_in_tables_pictures_and_both_engines(device: None) -> None:
     floor = sheet([(0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0)], HARD)
     paths = clsim.find_paths(clsim.Scene(floor, clsim.Air(), *ends, bodies=[plate]), 0, diffraction=1)
     table = paths.table([0.015])
-    ways = {table.name_way(i): i for i in np.flatnonzero(table.heard[:, 0])}
+    ways = {table.name_objects(i): i for i in np.flatnonzero(table.audible[:, 0])}
     over = [name for name in ways if name.startswith("edge plate") and "," not in name]
     assert len(over) >= 3
     turned = paths.vertices(0.015)[[ways[name] for name in over], 1]

@@ -216,7 +216,7 @@ def test_tables_vertices_and_pages_know_them(moving: clsim.PathSet) -> None:
     family, time = family_of(moving), 0.1
     table = moving.table(np.array([time]))
     first = len(moving) - len(family)
-    ways = [table.name_way(first + i) for i in range(len(family))]
+    ways = [table.name_objects(first + i) for i in range(len(family))]
     row = ways.index("plate, ball, y_min")
     assert family.interactions[row].tolist() == [3, 2, 0]
     corners = moving.vertices(time)[first + row]

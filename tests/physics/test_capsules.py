@@ -9,8 +9,8 @@ from scipy.optimize import minimize
 from scipy.special import h2vp, jvp
 
 import clsim
-from clsim.acoustics.capsule import capsule_aspects, capsule_field, capsule_glint
-from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength
+from clsim.acoustics.capsule import capsule_aspects, capsule_field, capsule_specular_point
+from clsim.acoustics.scattering import ellipsoid_specular_point, ellipsoid_strength
 from clsim.paths.response import SceneResponse
 
 C = 343.0
@@ -20,9 +20,9 @@ K = 2.0 * np.pi * 40e3 / C
 def strengths(radius: float, length: float, source: np.ndarray, receiver: np.ndarray, wave: float = K) -> np.ndarray:
     """Return the scattered field (n,) between ends (n, 3), m, relative to the phase of the shortest path."""
     ends = source.T, receiver.T
-    glint = capsule_glint(radius, length, *ends, None, 1.0)
+    glint = capsule_specular_point(radius, length, *ends, None, 1.0)
     for _ in range(3):
-        glint = capsule_glint(radius, length, *ends, glint, 1.0)
+        glint = capsule_specular_point(radius, length, *ends, glint, 1.0)
     assert glint.change < 1e-6
     strength, aspects = capsule_aspects(radius, length, *ends, glint)
     return strength * capsule_field(np.array([wave]), aspects)[:, 0]
@@ -73,9 +73,9 @@ def test_specular_points_are_those_of_the_shortest_way(rng: np.random.Generator)
         radius, length = rng.uniform(0.01, 0.1), rng.uniform(0.01, 0.6)
         ends = rng.normal(size=(2, 3))
         ends *= (rng.uniform(0.5 * length + radius + 0.05, 4.0, 2) / np.linalg.norm(ends, axis=1))[:, None]
-        glint = capsule_glint(radius, length, *ends[:, :, None], None, 1.0)
+        glint = capsule_specular_point(radius, length, *ends[:, :, None], None, 1.0)
         for _ in range(3):
-            glint = capsule_glint(radius, length, *ends[:, :, None], glint, 1.0)
+            glint = capsule_specular_point(radius, length, *ends[:, :, None], glint, 1.0)
 
         def way(y: np.ndarray, radius: float = radius, length: float = length, ends: np.ndarray = ends) -> float:
             n = y[1:] / np.linalg.norm(y[1:])
@@ -111,7 +111,7 @@ def test_fields_are_those_of_the_integral_over_the_surface(
     angle = np.radians(np.linspace(-90.0, 90.0, 13))
     source, receiver = ends_at(angle, apart, distance)
     exact = np.array([over_the_surface(radius, length, s, r, K) for s, r in zip(source, receiver, strict=True)])
-    glint = capsule_glint(radius, length, source.T, receiver.T, None, 1.0)
+    glint = capsule_specular_point(radius, length, source.T, receiver.T, None, 1.0)
     d = [np.linalg.norm(glint.place - end.T, axis=0) for end in (source, receiver)]
     got = strengths(radius, length, source, receiver) * np.exp(-1j * K * (d[0] + d[1])) / (d[0] * d[1])
     seen = ~glint.hidden
@@ -145,7 +145,7 @@ def test_limits_are_geometrical_optics() -> None:
     # What is missing beyond the ends of 5 m: some 0.04 of it, in quadrature or not.
     assert abs(strengths(0.04, 40.0, near, near)[0]) == pytest.approx(cylinder, rel=1e-3)
     ends = ends_at(np.linspace(-1.5, 1.5, 31), 0.5, 1.0)
-    glint = ellipsoid_glint(np.full(3, 0.04), *(end.T for end in ends))
+    glint = ellipsoid_specular_point(np.full(3, 0.04), *(end.T for end in ends))
     sphere = ellipsoid_strength(np.full(3, 0.04), *(end.T for end in ends), glint)
     np.testing.assert_allclose(strengths(0.04, 1e-7, *ends), sphere, rtol=1e-3)
 

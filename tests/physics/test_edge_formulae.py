@@ -9,11 +9,11 @@ from scipy.special import fresnel, wofz
 from wedge_oracle import C, Place, edge_field, half_plane, wedge_series
 
 from clsim.acoustics.diffraction import (
-    edge_way,
     end_detour,
     end_transition,
     exact_wedge_terms,
     lit_angles,
+    path_over_edge,
     transition,
     wedge_terms,
 )
@@ -31,7 +31,7 @@ def wave_number(frequency: float) -> float:
 
 def utd(source: Place, receiver: Place, wedge: float, k: float, lit=None) -> complex:
     n = wedge / np.pi
-    way = edge_way(*(np.float64(x) for x in (source[0], source[2], receiver[0], receiver[2])))
+    way = path_over_edge(*(np.float64(x) for x in (source[0], source[2], receiver[0], receiver[2])))
     weight, root = wedge_terms(n, lit_angles(n, source[1], receiver[1]), lit)
     terms = 0.5 * weight * transition(root * np.sqrt(k * way.breadth))
     return complex(np.exp(-1j * k * way.length) / way.length * terms.sum())
@@ -39,7 +39,7 @@ def utd(source: Place, receiver: Place, wedge: float, k: float, lit=None) -> com
 
 def exact(source: Place, receiver: Place, wedge: float, k: float, lit=None) -> complex:
     n = wedge / np.pi
-    way = edge_way(*(np.float64(x) for x in (source[0], source[2], receiver[0], receiver[2])))
+    way = path_over_edge(*(np.float64(x) for x in (source[0], source[2], receiver[0], receiver[2])))
     angles, r = lit_angles(n, source[1], receiver[1]), (np.float64(source[0]), np.float64(receiver[0]))
     seen = np.where(angles >= 0.0, 1.0, -1.0) if lit is None else lit
     terms = exact_wedge_terms(n, angles, seen, *r, way, np.array([k]))
@@ -89,7 +89,7 @@ MUTANTS = {
         "turns = np.round(np.where(np.arange(4) % 2, -(2.0 * np.pi - angles), angles) / (2.0 * n * np.pi))",
     ),
     "no square of the sine of the angle to the edge": (
-        edge_way, "2.0 * source_r * receiver_r / length", "2.0 * source_r * receiver_r * length / across**2",
+        path_over_edge, "2.0 * source_r * receiver_r / length", "2.0 * source_r * receiver_r * length / across**2",
     ),
     "no half for angles at a wedge": (wedge_terms, "np.tan(0.5 * np.where", "np.tan(np.where"),
 }  # fmt: skip
@@ -154,7 +154,7 @@ def test_plane_waves_at_a_wedge(kr: float, bound: float) -> None:
             np.where(seen, 1, -1),
             far,
             r,
-            edge_way(far, 0.0 * r, r, 0.0 * r),
+            path_over_edge(far, 0.0 * r, r, 0.0 * r),
             np.array([kr]),
         )
         assert decibels(abs(np.exp(-1j * kr) * np.sum(terms) + beside - wanted)) < -120.0
@@ -329,7 +329,7 @@ def test_an_end_of_an_edge() -> None:
     ):
         source, receiver = place(2.0, 60.0, 0.0), place(1.5, degrees, 0.4)
         r, z = (np.float64(source[0]), np.float64(receiver[0])), (np.float64(source[2]), np.float64(receiver[2]))
-        way, angles = edge_way(r[0], z[0], r[1], z[1]), lit_angles(2.0, source[1], receiver[1])
+        way, angles = path_over_edge(r[0], z[0], r[1], z[1]), lit_angles(2.0, source[1], receiver[1])
         weight, root = wedge_terms(2.0, angles)
         free = 1.0 / distance(source, receiver, receiver[1] - source[1])
         whole, product, wrong = utd(source, receiver, wedge, k), 0.0, 0.0

@@ -52,7 +52,7 @@ def over_free_field(paths: PathSet, times: np.ndarray, near: float, receiver: in
     """Return the sum of paths (T,) shorter than `near` over the free field, in two dimensions."""
     k, total = 2.0 * np.pi * TONE / C, np.zeros(len(times), dtype=complex)
     at = SceneResponse(paths.scene, 0, np.array([TONE]))
-    for _, pair in paths.heard_by(receiver).pairs():
+    for _, pair in paths.at_receiver(receiver).pairs():
         found, family = pair.arrivals(times), pair.family
         start, end = (x[pair.rows][:, None] for x in (family.start, family.end))
         heard = (times >= start) & (times < end) & (found.length < near)

@@ -12,7 +12,7 @@ from scipy.signal.windows import tukey
 from wedge_oracle import edge_field, half_plane
 
 import clsim
-from clsim.acoustics.diffraction import edge_way, lit_angles, transition, wedge_terms
+from clsim.acoustics.diffraction import lit_angles, path_over_edge, transition, wedge_terms
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
@@ -138,7 +138,7 @@ def test_a_chirp_behind_a_half_plane(speed: float, start: float, device: None, m
 def _screen_field(source, receiver, k):
     """Return the geometrical and the diffracted field at a half-plane, at wave numbers (F,)."""
     (rs, ts, zs), (rr, tr, zr) = source, receiver
-    way = edge_way(*(np.float64(x) for x in (rs, zs, rr, zr)))
+    way = path_over_edge(*(np.float64(x) for x in (rs, zs, rr, zr)))
     weight, root = wedge_terms(2.0, lit_angles(2.0, ts, tr))
     terms = 0.5 * weight * transition(root * np.sqrt(k * way.breadth)[:, None])
     total = np.exp(-1j * k * way.length) / way.length * terms.sum(axis=1)
@@ -218,7 +218,7 @@ def test_no_jump_where_reflections_begin_and_end(order: int, events: int) -> Non
     swaps = np.array([np.sum(np.abs(times - t) < 1e-6) > 1 for t in times])
     assert np.sum(~swaps) >= events, np.sum(~swaps)
     found = jumps(paths, times[~swaps], TONE)
-    names = paths.table(np.zeros(1)).name_way
+    names = paths.table(np.zeros(1)).name_objects
     loud = [f"{names(row)} at {t:.4f} s: {decibels(jump):.1f} dB" for row, t, jump in zip(rows[~swaps], times[~swaps], found, strict=True) if jump > 10 ** (-75 / 20)]  # fmt: skip
     assert not loud, "\n".join(loud)
     # The same is loud without edges, and without the partner rule it would be at boundaries of the highest order.
@@ -239,7 +239,7 @@ def test_edge_paths_begin_and_end_quietly(order: int, together: float, swaps: in
     events = events[np.isfinite(events)]
     found = jumps(paths, events, TONE)
     assert decibels(jumps(paths, events, TONE, step=1e-6).max()) < together  # found within 0.5 µs of each other
-    names = paths.table(np.zeros(1)).name_way
+    names = paths.table(np.zeros(1)).name_objects
     loud, seen = [], 0
     for t, jump in zip(events, found, strict=True):
         begins, ends = np.flatnonzero(edge.start == t), np.flatnonzero(edge.end == t)

@@ -14,7 +14,7 @@ from scipy.special import eval_legendre, jv, spherical_jn, spherical_yn
 
 import clsim
 from clsim.numerics.quaternions import rotate
-from clsim.paths.search.scatterers import direct_ways
+from clsim.paths.search.scatterers import direct_legs
 
 C, RATE = 343.0, 192e3
 AIR = clsim.Air(speed_of_sound=C, absorption=False)
@@ -118,7 +118,7 @@ def test_delays_are_those_of_the_shortest_way_at_the_time_of_each_event(moving: 
     table, scene = moving.table(np.array([time])), moving.scene
     body = next(s for s in scene.scatterers if s.name == name)
     for way in (name, f"x_min, {name}", f"{name}, z_max", f"y_max, {name}, x_max"):
-        row = next(i for i in range(len(moving)) if table.name_way(i) == way)
+        row = next(i for i in range(len(moving)) if table.name_objects(i) == way)
         parts = [[scene.room.faces.names.index(w) for w in side.split(", ") if w] for side in way.split(name)]
         wanted = exact_delay(scene, body, (parts[0], parts[1][::-1]), time)
         assert table.delay[row, 0] == pytest.approx(wanted, abs=1e-12), way
@@ -151,7 +151,7 @@ def test_a_point_that_comes_nearer_is_a_moving_mirror(speed: float, shift: float
     way = clsim.Trajectory.line((1.5 + 0.2 * speed, 2.0, 2.0), (1.5, 2.0, 2.0), 0.2)
     signal = clsim.Signal.tone(40e3, 0.1, RATE)
     scene = scene_of([clsim.Scatterer.point("p", 0.0, way)], *ends, signal=signal)
-    rate = direct_ways(scene).arrivals(slice(None), np.array([0.1])).delay_rate[0, 0]
+    rate = direct_legs(scene).arrivals(slice(None), np.array([0.1])).delay_rate[0, 0]
     mach = speed / C
     assert -rate == pytest.approx((1.0 + mach) / (1.0 - mach) - 1.0, rel=1e-10)
     assert -rate * 40e3 == pytest.approx(shift, abs=1e-3)
@@ -206,9 +206,9 @@ def test_source_and_receiver_change_places() -> None:
         clsim.find_paths(scene_of(things, *ends, room=ROOM), 0, scattering_order=1).table(np.array([0.1]))
         for ends in (at, at[::-1])
     ]
-    backwards = {", ".join(reversed(tables[1].name_way(i).split(", "))): i for i in range(len(tables[1].source))}
+    backwards = {", ".join(reversed(tables[1].name_objects(i).split(", "))): i for i in range(len(tables[1].source))}
     assert len(backwards) == len(tables[0].source) == 1 + 4 * 49
-    other = np.array([backwards[tables[0].name_way(i)] for i in range(len(backwards))])
+    other = np.array([backwards[tables[0].name_objects(i)] for i in range(len(backwards))])
     np.testing.assert_allclose(tables[0].delay, tables[1].delay[other], rtol=1e-14)
     np.testing.assert_allclose(tables[0].gain, tables[1].gain[other], rtol=1e-10)
     np.testing.assert_allclose(tables[0].departure, tables[1].arrival[other], atol=1e-10)
@@ -247,8 +247,8 @@ def test_beside_a_wall_all_is_as_if_the_whole_scene_were_there_twice() -> None:
     table = clsim.find_paths(walled, 0, scattering_order=1, direct=False).table(times)
     images = clsim.find_paths(twice, 0, direct=False).table(times)
     for body in ("ellipsoid", "sphere", "capsule"):
-        mine = [i for i in range(len(table.source)) if set(table.name_way(i).split(", ")) <= {body, "z_min"}]
-        theirs = [i for i in range(len(images.source)) if images.name_way(i).startswith(body)]
+        mine = [i for i in range(len(table.source)) if set(table.name_objects(i).split(", ")) <= {body, "z_min"}]
+        theirs = [i for i in range(len(images.source)) if images.name_objects(i).startswith(body)]
         assert len(mine) == len(theirs) == 4
         rows = [np.array(some)[np.argsort(of.delay[some, 0])] for some, of in ((mine, table), (theirs, images))]
         np.testing.assert_allclose(table.delay[rows[0]], images.delay[rows[1]], rtol=1e-12)
@@ -258,7 +258,7 @@ def test_beside_a_wall_all_is_as_if_the_whole_scene_were_there_twice() -> None:
 def test_a_huge_sphere_at_rest_is_a_mirror() -> None:
     """Near to it the whole divergence counts: what it sends back is as loud as an image."""
     ends = [clsim.Trajectory.fixed(p) for p in ((2.0, 1.0, 1.0), (4.0, 1.0, 1.0))]
-    paths = direct_ways(scene_of([ball(1.0)], *ends))
+    paths = direct_legs(scene_of([ball(1.0)], *ends))
     place = np.array([3.0, 3.0, 1.0])
     found = paths.arrivals(slice(None), np.array([0.0]))
     ways = [np.linalg.norm(x - (place - [0.0, 1.0, 0.0])) for x in ((2.0, 1.0, 1.0), (4.0, 1.0, 1.0))]

@@ -197,7 +197,7 @@ def test_what_a_wall_sends_past_a_ball_has_its_shadow() -> None:
     paths, total = clsim.find_paths(scene, 1, scattering_order=1), 0.0
     table = paths.table(np.zeros(1))
     at = SceneResponse(scene, 0, np.array([40e3]))
-    names, row = [table.name_way(i) for i in range(len(paths))], 0
+    names, row = [table.name_objects(i) for i in range(len(paths))], 0
     for family in paths.families:
         found = family.arrivals(slice(None), np.zeros(1))
         response = family.response(slice(None), found, np.zeros(1), at)[:, 0, 0]

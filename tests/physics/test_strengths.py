@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from clsim.acoustics.scattering import ellipsoid_glint, ellipsoid_strength
+from clsim.acoustics.scattering import ellipsoid_specular_point, ellipsoid_strength
 from clsim.acoustics.sphere import sphere_field
 
 C = 343.0
@@ -50,9 +50,9 @@ def test_ellipsoids_reflect_where_the_way_is_shortest(rng: np.random.Generator) 
         ends = rng.normal(size=(2, 3))
         ends *= (rng.uniform(1.2, 8.0, 2) / np.linalg.norm(ends / axes, axis=1))[:, None]
         source, receiver = ends[:, :, None]
-        glint = ellipsoid_glint(axes, source, receiver)
+        glint = ellipsoid_specular_point(axes, source, receiver)
         for _ in range(3):
-            glint = ellipsoid_glint(axes, source, receiver, glint)
+            glint = ellipsoid_specular_point(axes, source, receiver, glint)
 
         def way(v: np.ndarray, axes: np.ndarray = axes, ends: np.ndarray = ends) -> float:
             place = axes * v / np.linalg.norm(v)
@@ -121,9 +121,9 @@ def test_long_ellipsoids_reflect_where_the_way_is_shortest(
         )
         free = np.linalg.norm(np.stack([source, receiver]) / axes, axis=2).min(axis=0) > 1.02
         source, receiver = source[free], receiver[free]
-        glint = ellipsoid_glint(axes, source.T, receiver.T)
+        glint = ellipsoid_specular_point(axes, source.T, receiver.T)
         for _ in range(2):
-            glint = ellipsoid_glint(axes, source.T, receiver.T, glint)
+            glint = ellipsoid_specular_point(axes, source.T, receiver.T, glint)
         assert glint.change < 1e-3
         lit = ~glint.hidden
         way = sum(np.linalg.norm(glint.place.T - end, axis=1)[lit] for end in (source, receiver))
@@ -136,7 +136,9 @@ def test_far_ellipsoids_and_planes() -> None:
     axes, out = np.array([0.3, 0.2, 0.1]), np.array([0.6, 0.48, 0.64])
     far = 1e7 * out[:, None]
     wanted = np.prod(axes) / (2.0 * np.sum((axes * out) ** 2))  # abc / (2 h²)
-    assert ellipsoid_strength(axes, far, far, ellipsoid_glint(axes, far, far))[0] == pytest.approx(wanted, rel=1e-6)
+    assert ellipsoid_strength(axes, far, far, ellipsoid_specular_point(axes, far, far))[0] == pytest.approx(
+        wanted, rel=1e-6
+    )
     huge, near = np.full(3, 1e5), np.array([[0.0], [0.0], [1e5 + 2.0]])
-    glint = ellipsoid_glint(huge, near, near)
+    glint = ellipsoid_specular_point(huge, near, near)
     assert ellipsoid_strength(huge, near, near, glint)[0] == pytest.approx(1.0, rel=1e-4)  # 1 / (1 / 2 m + 1 / 2 m)

@@ -276,10 +276,10 @@ def test_streams_that_are_not_kept_are_the_same(monkeypatch: pytest.MonkeyPatch)
     whole, adding = of_contribution(plan), tail_alone(plan).begin()
     adding.add(np.zeros((plan.receiver_count, SEGMENT), np.float32), 0)
     assert isinstance(adding, diffuse_tail._Tail)
-    assert sum(s.held_bytes for zone in adding._heard or [] for s in zone.streams.values()) > 0
+    assert sum(s.held_bytes for zone in adding._audible or [] for s in zone.streams.values()) > 0
     monkeypatch.setattr("clsim.tail.streams._MOST_HELD", 0)
     adding.add(np.zeros((plan.receiver_count, SEGMENT), np.float32), SEGMENT)
-    assert sum(s.held_bytes for zone in adding._heard or [] for s in zone.streams.values()) == 0
+    assert sum(s.held_bytes for zone in adding._audible or [] for s in zone.streams.values()) == 0
     np.testing.assert_array_equal(of_contribution(plan), whole)
 
 

@@ -56,7 +56,7 @@ OWN = {
     "neighbours_on_sphere": "a hull of scipy",
     "normalised": "what the name says",
     "off_line": "cylindrical coordinates, and their limit on the line",
-    "partner_reflections": "derived: images of the source by both faces in turn",
+    "adjacent_reflections": "derived: images of the source by both faces in turn",
     "quaternion_from_direction": "derived: a product of two turns",
     "resonance_response": "derived: the quality from the width at -6 dB",
     "resonance_taps": "derived: poles of the resonance, zeros by what is asked at two frequencies",

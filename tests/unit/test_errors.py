@@ -45,6 +45,25 @@ def test_a_name_of_an_earlier_version_is_the_new_one_and_warns(old: str, new: st
     assert {w.filename for w in caught} == {"mine.py"}
 
 
+def test_former_names_of_attributes_warn_and_give_the_new_ones() -> None:
+    source = clsim.Source("s", clsim.Signal.tone(1e3, 0.5, 8e3), clsim.Trajectory.fixed((1.0, 1.0, 1.0)))
+    receiver = clsim.Receiver("r", clsim.Trajectory.fixed((2.0, 2.0, 2.0)))
+    room = clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.9))
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], [receiver]), 1)
+    table = paths.table(np.array([0.1]))
+    with pytest.warns(
+        DeprecationWarning, match=r"clsim.PathTable.heard is called clsim.PathTable.audible since"
+    ) as caught:
+        np.testing.assert_array_equal(table.heard, table.audible)
+    assert caught[0].filename == __file__
+    with pytest.warns(DeprecationWarning, match="name_objects"):
+        assert table.name_way(1) == table.name_objects(1)
+    with pytest.warns(DeprecationWarning, match="at_receiver"):
+        assert len(paths.heard_by(0)) == len(paths.at_receiver(0)) == 7
+    with pytest.raises(AttributeError, match="'PathTable' object has no attribute 'nothing'"):
+        table.nothing  # noqa: B018
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -1,7 +1,8 @@
-"""Rules of the language in docstrings: they name the thing, in short sentences."""
+"""Rules of the language in docstrings and names: they name the thing, in the field's word."""
 
 import ast
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,16 @@ ROOT = Path(clsim.__file__).parents[1]
 FOLDERS = ("clsim", "examples", "benchmarks", "tests", "docs/site")
 EVASIVE = re.compile(r"Return (by )?(what|how|where|which|whether)\b|(Of|By how|For how|At most how)\b")
 WORDS = 30  # of a sentence in the first paragraph
+# Words that are none of the field, and those that are: the glossary and docs/architecture.md have these.
+FOREIGN = {
+    "way": "path, leg, length", "ways": "paths, legs, lengths", "told": "given", "tells": "states", "heard": "audible",
+    "sounding": "emitting", "glint": "specular point", "look": "evaluation", "looks": "evaluations",
+    "looked": "evaluated", "settled": "converged, decided", "asked": "requested", "worth": "cost-effective",
+    "pays": "cost-effective", "lag": "delay offset", "partner": "adjacent", "partners": "adjacent",
+    "unheld": "residual", "shortfall": "residual", "unshared": "without tables", "surroundings": "environment",
+}  # fmt: skip
+# Terms of the field or of Python's that hold such a word.
+TERMS = {"two_way", "look_up"}
 KINDS = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
 
 
@@ -30,10 +41,36 @@ def sentences(text: str) -> list[str]:
     return re.split(r"(?<=[.!?])\s", text)
 
 
+def names(tree: ast.Module) -> Iterator[str]:
+    """Yield the identifiers that a module makes."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node.name
+        elif isinstance(node, ast.arg):
+            yield node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.attr
+
+
+def foreign(text: str) -> set[str]:
+    """Return the identifiers of a module that hold a foreign word."""
+    made = set(names(ast.parse(text))) - TERMS
+    parts = {name: re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()) for name in made}
+    return {name for name, words in parts.items() if FOREIGN.keys() & set(words)}
+
+
 def test_docstrings_name_the_thing_in_short_sentences() -> None:
     every = files(*FOLDERS)
     assert len(every) > 600
     assert [f"{path.name}: {head}" for path in every for head in faults(path.read_text("utf-8"))] == []
+
+
+def test_identifiers_of_the_package_are_the_fields_words() -> None:
+    assert [
+        f"{path.name}: {name}" for path in files("clsim") for name in sorted(foreign(path.read_text("utf-8")))
+    ] == []
 
 
 @pytest.mark.parametrize(
@@ -49,3 +86,11 @@ def test_docstrings_name_the_thing_in_short_sentences() -> None:
 def test_what_does_not_name_it_is_seen(line: str) -> None:
     assert faults(f'class A:\n    def b(self):\n        """{line}\n\n        More.\n        """\n')
     assert faults('class A:\n    """A thing.\n\n    Of which there are many.\n    """\n') == []
+
+
+@pytest.mark.parametrize(
+    "text", ["asked_db = 3", "def name_way(): pass", "class MirrorLook: pass", "def f(told): pass", "a.heard = 1"]
+)
+def test_foreign_words_are_seen(text: str) -> None:
+    assert len(foreign(text)) == 1
+    assert foreign("two_way, always, task, lookup = 1, a.asked, 2, told") == set()

@@ -133,7 +133,7 @@ def test_paths_and_ground_truth_have_named_dimensions(recording: clsim.Recording
     found, table = paths.to_xarray(TIMES), paths.table(TIMES)
     assert dict(found.sizes) == {"path": len(paths), "times": 3, "axis": 3}
     floor = found.isel(path=(found.objects == "z_min") & (found.receiver == "right"))
-    row = [table.name_way(p) == "z_min" and r == 1 for p, r in enumerate(table.receiver)]
+    row = [table.name_objects(p) == "z_min" and r == 1 for p, r in enumerate(table.receiver)]
     np.testing.assert_array_equal(floor.delay, table.delay[row])
     np.testing.assert_array_equal(found.departure.sel(axis="y"), table.departure[..., 1])
     truth = clsim.direct_path(paths, TIMES).to_xarray()

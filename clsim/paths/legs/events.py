@@ -172,8 +172,8 @@ class _Search:
         now, receiver = np.broadcast_to(times, shape), self.motion[1]
         wind, c, count = np.array(self.medium.wind or (0.0, 0.0, 0.0)), self.medium.speed_of_sound, walls.shape[1]
         ends = _Ends(self.motion, now, wind, retarded)
-        heard_at = np.broadcast_to(receiver.position(times), (*shape, 3))
-        event, place = [np.zeros(shape)] * count, [heard_at] * count
+        receiver_at = np.broadcast_to(receiver.position(times), (*shape, 3))
+        event, place = [np.zeros(shape)] * count, [receiver_at] * count
         emission, first = np.zeros(shape), known is None
         if known is not None:
             emission = known.emission
@@ -186,19 +186,19 @@ class _Search:
                 for k in range(count)
             ]
             seen = _images(planes, ends, emission, c)
-            apart = heard_at - seen.place[-1]
+            apart = receiver_at - seen.place[-1]
             distance = np.linalg.norm(apart, axis=-1)
             onwards = apart / np.maximum(distance, 1e-300)[..., None]
             beyond = seen.late - dot(onwards, seen.moved) / c
             step = -(seen.time[-1] + distance / c) / (1.0 + beyond)
             emission = emission + step
-            event, place, share = _traced(planes, seen, heard_at, wind)
+            event, place, share = _traced(planes, seen, receiver_at, wind)
             largest = np.abs(step).max(axis=1, initial=0.0)
             if not first and largest.max(initial=0.0) <= (_CONVERGED if known is None else _FOUND):
                 break
             first = False
         found = (emission, event, place, share), (distance, onwards, beyond)
-        return _told(self.mirrors, walls, planes, ends, *found, c), largest
+        return _given(self.mirrors, walls, planes, ends, *found, c), largest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,10 +236,10 @@ def _images(planes: list[Planes], ends: _Ends, emission: Floats, c: float) -> _I
 
 
 def _traced(
-    planes: list[Planes], seen: _Images, heard_at: Floats, wind: Floats
+    planes: list[Planes], seen: _Images, receiver_at: Floats, wind: Floats
 ) -> tuple[list[Floats], list[Floats], list[Floats]]:
     """Return times, places in the room and shares of the reflections, from the receiver back to the source."""
-    time, place = np.zeros(heard_at.shape[:2]), heard_at
+    time, place = np.zeros(receiver_at.shape[:2]), receiver_at
     found: list[tuple[Floats, Floats, Floats]] = []
     for k in range(len(planes) - 1, -1, -1):
         near = planes[k].height(time, place)
@@ -256,7 +256,7 @@ def _traced(
     return times, places, shares
 
 
-def _told(
+def _given(
     mirrors: Mirrors, walls: NDArray[np.signedinteger[Any]], planes: list[Planes], ends: _Ends,
     found: tuple[Floats, list[Floats], list[Floats], list[Floats]], last: tuple[Floats, Floats, Floats], c: float,
 ) -> Events:  # fmt: skip
@@ -284,10 +284,10 @@ def _told(
         rate = (beyond + away) / (1.0 + beyond)
     else:
         rate = growth - mach + dot(onwards, heading) / (c + onwards @ wind)
-    heard_at = np.broadcast_to(receiver.position(now), (*shape, 3))
+    receiver_at = np.broadcast_to(receiver.position(now), (*shape, 3))
     return Events(
         -emission, rate, distance, 1.0 + beyond, carried, mach, turned, -onwards,
-        np.stack([np.broadcast_to(at, heard_at.shape), *place, heard_at], axis=-2),
+        np.stack([np.broadcast_to(at, receiver_at.shape), *place, receiver_at], axis=-2),
         np.stack([emission, *event, np.zeros(shape)], axis=-1),
         np.stack([*share], axis=-1) if share else np.empty((*shape, 0)), cosine,
     )  # fmt: skip

@@ -108,8 +108,8 @@ def _columns(kinematics: Kinematics, links: Any, times: Floats) -> Columns:
     else:
         delay, rate, through = delay + last.delay, rate + last.rate, through + last.distance
         rate = rate - first.rate * last.rate if retarded else rate
-        way = [passed.between.cosine] if links.between.shape[1] else []
-        cosine = np.concatenate([cosine, last.cosine, *way], axis=2)
+        cosines = [passed.between.cosine] if links.between.shape[1] else []
+        cosine = np.concatenate([cosine, last.cosine, *cosines], axis=2)
         own = links.vertex.passed(passed, kinematics)
     return {
         "delay": delay, "delay_rate": rate, "departure": first.departure, "arrival": last.arrival,

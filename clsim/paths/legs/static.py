@@ -51,14 +51,14 @@ class StaticLinks(Links):
         else:
             found = self.chain.arrivals(self.rows, now, kinematics)
             emitted_at = source.position(found.emission_time[:, 0])
-        heard_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
+        receiver_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
         if self.vertex is None:
             through = self.chain.interactions[self.rows] == TRANSMISSION if self.chain.passes else None
-            return path_vertices(planes, self.chain.objects[self.rows], emitted_at, heard_at, through)
+            return path_vertices(planes, self.chain.objects[self.rows], emitted_at, receiver_at, through)
         before, after = self.surfaces
-        first, *between, last = self.vertex.places(self, (emitted_at, heard_at), now, kinematics)
+        first, *between, last = self.vertex.places(self, (emitted_at, receiver_at), now, kinematics)
         there = path_vertices(planes, before, emitted_at, first)
-        back, more = path_vertices(planes, after, heard_at, last), int(first is not last)
+        back, more = path_vertices(planes, after, receiver_at, last), int(first is not last)
         vertices = np.full((len(self), self.chain.objects.shape[1] + 2, 3), np.nan)
         for p, (walls, others) in enumerate(zip(before, after, strict=True)):
             n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
@@ -154,9 +154,9 @@ class StaticLeg:
 class _Images:
     """Straight paths from a source to mirrored receivers: seen from an image's room one is at A^T (x_r - b)."""
 
-    def __init__(self, leg: StaticLeg, folds: Folds | None, heard_at: Floats) -> None:
-        self._matrix, self._heard_at, self._folds = leg.matrix, heard_at, folds
-        self._mirrored = np.einsum("pji,ptj->pti", leg.matrix, heard_at[None] - leg.offset[:, None, :])
+    def __init__(self, leg: StaticLeg, folds: Folds | None, receiver_at: Floats) -> None:
+        self._matrix, self._receiver_at, self._folds = leg.matrix, receiver_at, folds
+        self._mirrored = np.einsum("pji,ptj->pti", leg.matrix, receiver_at[None] - leg.offset[:, None, :])
 
     def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
         """Return lengths (m) and directions of the straight paths from `start` to the mirrored receivers."""
@@ -173,7 +173,7 @@ class _Images:
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
         """Effect of layered air on folded paths from `start`."""
         assert self._folds is not None
-        return self._folds.bends(p, start, self._heard_at[t])
+        return self._folds.bends(p, start, self._receiver_at[t])
 
 
 def image_columns(walls: NDArray[Any], matrix: Floats, offset: Floats) -> dict[str, Any]:

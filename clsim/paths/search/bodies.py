@@ -19,13 +19,13 @@ from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
 from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
-from clsim.paths.visibility.mirrors import MirrorLook
+from clsim.paths.visibility.mirrors import MirrorEvaluation
 from clsim.paths.visibility.obstacles import Obstacles
 from clsim.paths.visibility.occlusion import WallLookup, air_sides
 from clsim.paths.visibility.rates import BodyRates, EndRates
-from clsim.paths.visibility.subdivision import certified, looks
+from clsim.paths.visibility.subdivision import certified, evaluations
 from clsim.scene.flush import find_mount
-from clsim.scene.motion.motion import even_ways
+from clsim.scene.motion.motion import even_lengths
 from clsim.scene.room.walls import build_walls
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class BodySearch:
         if all(math.isinf(end.trajectory.end) for end in ends):
             last = max((t for t in moving if math.isfinite(t)), default=0.0) + longest
         motions = ends[0].trajectory, ends[1].trajectory
-        times = looks(scene.bodies, motions, last, longest, self.search.body_step)
+        times = evaluations(scene.bodies, motions, last, longest, self.search.body_step)
         lifted: Any = tuple(
             _Lifted(ends[i].trajectory, find_mount(scene.room, ends[i]), PERTURBATIONS[i]) for i in range(2)
         )
@@ -147,20 +147,20 @@ class BodySearch:
         for source in range(sources):
             pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
             part = partial(report, progress, source / sources, (source + 1) / sources)
-            for receiver, heard in enumerate(self._heard(source, pairs, part)):
-                found.append((*heard, (source, receiver)))
-                count += len(heard[0])
+            for receiver, audible in enumerate(self._audible(source, pairs, part)):
+                found.append((*audible, (source, receiver)))
+                count += len(audible[0])
             if count > self.search.path_limit:
                 raise InputError(
                     "body_order", f"must give at most {self.search.path_limit} paths (path_limit), but gives more"
                 )
         return self._family(found)
 
-    def _heard(
+    def _audible(
         self, source: int, pairs: list[PairQuery], progress: Progress
     ) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
         """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""
-        look_at = self.mirror_look(pairs)
+        evaluate_at = self.mirror_evaluation(pairs)
         found, runs, first = self._sequences(source, pairs), [], 0
         for pair, (sequence, cell, bounds) in zip(pairs, found, strict=True):
             which, begin, end = _runs(sequence, cell, np.minimum(bounds, pair.last))
@@ -168,14 +168,18 @@ class BodySearch:
             first += len(sequence)
         surfaces = np.concatenate([sequence for sequence, _, _ in found])
         receiver = np.repeat(np.arange(len(pairs)), [len(sequence) for sequence, _, _ in found])
-        looks = look_at(surfaces, receiver)
+        evaluations = evaluate_at(surfaces, receiver)
         which, begin, end = (np.concatenate([run[i] for run in runs]) for i in range(3))
-        path, begin, end = certified(looks.look, looks.status, (which, begin, end), pairs[0].resolution, progress)
+        path, begin, end = certified(
+            evaluations.evaluate, evaluations.status, (which, begin, end), pairs[0].resolution, progress
+        )
         for ear, pair in enumerate(pairs):
             mine = np.flatnonzero(receiver[path] == ear)
             yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
 
-    def mirror_look(self, pairs: Sequence[PairQuery]) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorLook]:
+    def mirror_evaluation(
+        self, pairs: Sequence[PairQuery]
+    ) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorEvaluation]:
         """Return a function that makes the evaluation of paths by mirrors (P, N) of pairs (P,) of one source."""
         widest = max((pair.rates for pair in pairs), key=lambda rates: rates.bodies.last)
         rates = EndRates(
@@ -183,7 +187,7 @@ class BodySearch:
             np.concatenate([pair.rates.held for pair in pairs]),
         )  # fmt: skip
         source, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
-        return partial(MirrorLook, self.obstacles, source, ears, medium, rates, step=self.search.body_step)
+        return partial(MirrorEvaluation, self.obstacles, source, ears, medium, rates, step=self.search.body_step)
 
     def _sequences(
         self, source: int, pairs: list[PairQuery]
@@ -227,7 +231,7 @@ class BodySearch:
         size = self.room.walls.size
         turning = [np.linalg.norm(body.trajectory.angular_velocity(instants), axis=-1) for body in self.scene.bodies]
         speed = np.sum([body.speed(instants) for body in self.scene.bodies], axis=0) + size * np.sum(turning, axis=0)
-        waiting = list(np.minimum(even_ways(np.minimum(speed, _POSES / _SHORTEST), _RATE, _POSES), last))
+        waiting = list(np.minimum(even_lengths(np.minimum(speed, _POSES / _SHORTEST), _RATE, _POSES), last))
         return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
 
     def _cell(
@@ -268,7 +272,7 @@ class BodySearch:
         reflections, each no longer than the room for every leg.
         """
         most, between = 0.0, 0.5 * float(np.diff(others).max(initial=0.0))
-        way = 0.5 * (self.order + 1) * self.room.walls.size
+        length = 0.5 * (self.order + 1) * self.room.walls.size
         for body in self.scene.bodies:
             if not body.is_static:
                 corners, motion = body.mesh.vertices, body.trajectory
@@ -277,7 +281,7 @@ class BodySearch:
                 speed = float(body.speed(others).max())
                 turned = float(2.0 * np.arccos(np.minimum(cosine, 1.0)).max()) + motion.peak_turn * between
                 gone = float(np.linalg.norm(away, axis=-1).max()) + speed * between
-                most = max(most, gone + way * (turned + speed / self.scene.air.slowest))
+                most = max(most, gone + length * (turned + speed / self.scene.air.slowest))
         return most
 
     def _posed(self, time: float) -> Walls:

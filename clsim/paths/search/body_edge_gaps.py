@@ -10,7 +10,7 @@ import numpy as np
 from clsim.acoustics.diffraction import ON_LINE
 from clsim.paths.legs.mirrors import ROOM, dot
 from clsim.paths.legs.moving import moving_paths
-from clsim.paths.search.body_edge_pairs import EdgePairFinder, PairLook, on_edges
+from clsim.paths.search.body_edge_pairs import EdgePairFinder, PairEvaluation, on_edges
 from clsim.paths.search.body_edges import ABSENT, leg_is_free
 from clsim.paths.search.edge_chains import tied
 from clsim.paths.search.gap_parts import cotangents, in_air, open_gaps, segment_off
@@ -65,8 +65,8 @@ class _GapFinder(EdgePairFinder):
         super().__init__(search)
         self._hidden = self._find_hidden()
 
-    def _look(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Any]:
-        return _GapLook(self._search, self._faces, pair, chains)
+    def _evaluate(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Any]:
+        return _GapEvaluation(self._search, self._faces, pair, chains)
 
     def _chains(self, source: int, receiver: int, span: Span) -> GapPairs:
         sides = self._reached(source, None, span), self._reached(source, receiver, span)
@@ -113,8 +113,8 @@ class _GapFinder(EdgePairFinder):
                 found += [(one, other, walls) for walls in self._padded(other, kept, backwards=False)]
         return found
 
-    def _columns(self, ends: tuple[int, int], chains: Any, heard: tuple[Floats, Floats], code: Any) -> dict[str, Any]:
-        columns = EdgePairFinder._columns(self, ends, chains, heard, code)
+    def _columns(self, ends: tuple[int, int], chains: Any, audible: tuple[Floats, Floats], code: Any) -> dict[str, Any]:
+        columns = EdgePairFinder._columns(self, ends, chains, audible, code)
         met = columns["order"] - 2
         return columns | {"between": chains.between, "budget": self._order - met.astype(np.int64)}
 
@@ -124,8 +124,8 @@ class _GapFinder(EdgePairFinder):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _GapLook(PairLook):
-    """How paths over two edges with air between are at some times, see `PairLook`."""
+class _GapEvaluation(PairEvaluation):
+    """How paths over two edges with air between are at some times, see `PairEvaluation`."""
 
     solver: ClassVar[type[GapPairSolver]] = GapPairSolver
 
@@ -134,14 +134,14 @@ class _GapLook(PairLook):
         code = np.full(times.shape, ABSENT, dtype=np.int16)
         p, t = np.nonzero(self._possible(self.pairs.part(rows), times))
         if len(p):
-            code[p, t] = PairLook.__call__(self, rows[p], times[p, t][:, None])[:, 0]
+            code[p, t] = PairEvaluation.__call__(self, rows[p], times[p, t][:, None])[:, 0]
         return code
 
     def _possible(self, pairs: Any, times: Floats) -> NDArray[np.bool_]:
         """Mask (P, T) of paths that may be there, as all is when sound is received, and by how far it moves."""
         (edge, first, source, ahead), (last, second, receiver, back) = self._seen(pairs, times)
-        way = sum(_apart(*places) for places in ((source, first), (ahead, first), (receiver, second)))
-        slack = (self._fastest(pairs) * _LONGER / self.search.scene.air.slowest)[:, None] * way
+        length = sum(_apart(*places) for places in ((source, first), (ahead, first), (receiver, second)))
+        slack = (self._fastest(pairs) * _LONGER / self.search.scene.air.slowest)[:, None] * length
         return self._alike(edge, times, first, (source, ahead), slack) & self._alike(
             last, times, second, (receiver, back), slack
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import TERMS, lit_angles, partner_reflections
+from clsim.acoustics.diffraction import TERMS, adjacent_reflections, lit_angles
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.body_edges import ABSENT, EdgeFinder, free_legs, halves
 from clsim.paths.search.edge_chains import tied
@@ -59,8 +59,8 @@ class EdgePairFinder(EdgeFinder):
         super().__init__(search)
         self._faces = _FacesBetween(search, self.lines)
 
-    def _look(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Codes]:
-        return PairLook(self._search, self._faces, pair, chains)
+    def _evaluate(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Codes]:
+        return PairEvaluation(self._search, self._faces, pair, chains)
 
     def _chains(self, source: int, receiver: int, span: tuple[float, float]) -> EdgePairs:
         sides = self._reached(source, None, span), self._reached(source, receiver, span)
@@ -74,13 +74,13 @@ class EdgePairFinder(EdgeFinder):
         return EdgePairs(before, after, edges, none, others, np.concatenate(shared))
 
     def _columns(
-        self, ends: tuple[int, int], chains: EdgePairs, heard: tuple[Floats, Floats], code: Codes
+        self, ends: tuple[int, int], chains: EdgePairs, audible: tuple[Floats, Floats], code: Codes
     ) -> dict[str, Any]:
-        columns = self._own_columns(ends, chains, heard, code)
+        columns = self._own_columns(ends, chains, audible, code)
         met, bits = columns["order"] - 1, _SECOND << np.arange(TERMS)
         met = met + self.met_between(chains)
         last_lit = np.where(code[:, None] & bits, 1, -1).astype(np.int8)
-        first, last = (partner_reflections(self.lines.n[edge]) for edge in (chains.edge, chains.last))
+        first, last = (adjacent_reflections(self.lines.n[edge]) for edge in (chains.edge, chains.last))
         least = (x.min(axis=1, keepdims=True) * self.on_faces for x in (first, last))
         for lit, mine, other in zip((last_lit, columns["lit"]), (last, first), least, strict=True):
             lit[met[:, None] + mine + other > self._order] = 0
@@ -123,7 +123,7 @@ class _FacesBetween:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PairLook:
+class PairEvaluation:
     """How paths over two edges are at some times, as codes: `ABSENT`, or bits for what of theirs is seen."""
 
     search: BodySearch
@@ -150,7 +150,7 @@ class PairLook:
         code[p, t] = 0
         for first, wedge, angles in ((1, wedges[0], (t_s, ahead)), (_SECOND, wedges[1], (back, t_r))):
             seen = (lit_angles(wedge, *angles) >= 0.0) & (
-                met[:, None] + partner_reflections(wedge) <= self.search.order
+                met[:, None] + adjacent_reflections(wedge) <= self.search.order
             )
             code[p, t] += (seen @ (first << np.arange(TERMS))).astype(np.int16)
         code[p, t] += halves(wedges, (t_s, t_r)).astype(np.int16)

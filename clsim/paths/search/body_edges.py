@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import EVEN, TERMS, edge_way, lit_angles, partner_reflections
+from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections, lit_angles, path_over_edge
 from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
@@ -76,37 +76,39 @@ class EdgeFinder:
     def _paths(self, source: int, receiver: int) -> dict[str, Any]:
         """Columns of the paths between a source and a receiver."""
         pair = self._search.pair(source, receiver)
-        chains, looks, count = [], [], 0
+        chains, evaluations, count = [], [], 0
         for span, met in self._search.cells(pair.times[-1], partial(self._chains, source, receiver)):
             chains.append(met)
             rows = count + np.arange(len(chains[-1].edge))
             inner = pair.times[(pair.times > span[0]) & (pair.times < span[1])]
-            looks.append((rows, np.unique([span[0], *inner, span[1]])))
+            evaluations.append((rows, np.unique([span[0], *inner, span[1]])))
             count += len(rows)
         kind = type(chains[0])
         every = kind(*(np.concatenate([getattr(c, f.name) for c in chains]) for f in fields(kind)))
-        row, begin, end, code = coded(self._look(pair, every), looks, pair.resolution)
+        row, begin, end, code = coded(self._evaluate(pair, every), evaluations, pair.resolution)
         met, begin, end, code = _joined(every.part(row), begin, end, code)
         begin, end = pair.bounded(begin, end)
         return self._columns((source, receiver), met, (begin, end), code)
 
-    def _look(self, pair: PairQuery, chains: Chains) -> Callable[[Rows, Floats], Codes]:
-        return _Look(self._search, self.lines, pair, chains)
+    def _evaluate(self, pair: PairQuery, chains: Chains) -> Callable[[Rows, Floats], Codes]:
+        return _Evaluation(self._search, self.lines, pair, chains)
 
-    def _columns(self, ends: tuple[int, int], chains: Any, heard: tuple[Floats, Floats], code: Codes) -> dict[str, Any]:
-        return _with_joined_ends(self._own_columns(ends, chains, heard, code))
+    def _columns(
+        self, ends: tuple[int, int], chains: Any, audible: tuple[Floats, Floats], code: Codes
+    ) -> dict[str, Any]:
+        return _with_joined_ends(self._own_columns(ends, chains, audible, code))
 
     def _own_columns(
-        self, ends: tuple[int, int], chains: Any, heard: tuple[Floats, Floats], code: Codes
+        self, ends: tuple[int, int], chains: Any, audible: tuple[Floats, Floats], code: Codes
     ) -> dict[str, Any]:
         """Columns of paths over one edge, as they are looked for."""
         count, met = len(code), np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
         lit = np.where(code[:, None] & (1 << np.arange(TERMS)), 1, -1)
-        lit[met[:, None] + partner_reflections(self.lines.n[chains.edge]) > self._order] = 0
+        lit[met[:, None] + adjacent_reflections(self.lines.n[chains.edge]) > self._order] = 0
         side = np.where(chains.end < 0, 0, np.where(code & _END, 1, -1))
         return {
             "source": np.full(count, ends[0], dtype=np.int32), "receiver": np.full(count, ends[1], dtype=np.int32),
-            "order": (met + 1).astype(np.int32), "start": heard[0], "end": heard[1], "before": chains.before,
+            "order": (met + 1).astype(np.int32), "start": audible[0], "end": audible[1], "before": chains.before,
             "after": chains.after, "edge": chains.edge, "over_end": chains.end.astype(np.int8),
             "lit": lit.astype(np.int8), "end_side": side.astype(np.int8),
             "beside": np.column_stack([np.where(code & bit, 1, -1) for bit in HALVES]).astype(np.int8),
@@ -117,7 +119,7 @@ class EdgeFinder:
         """Objects that paths may meet within an interval of time."""
         sides = self._reached(source, None, span), self._reached(source, receiver, span)
         parts = [(np.empty((0, self.width), np.int32),) * 2 + (np.empty(0, np.int64),) * 2]
-        fewest = partner_reflections(self.lines.n).min(axis=1)
+        fewest = adjacent_reflections(self.lines.n).min(axis=1)
         for edge in range(len(self.lines)):
             before, after = self._met(sides, (edge, edge), self._order - fewest[edge])
             for end in (-1, *np.flatnonzero(self.lines.free[edge]).tolist()):
@@ -192,7 +194,7 @@ class EdgeFinder:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
+class _Evaluation:
     """How paths of a pair are at some times, as codes: `ABSENT`, or bits for what of theirs is seen."""
 
     search: BodySearch
@@ -213,9 +215,9 @@ class _Look:
         p, t = free_legs(self.search, chains, events, times, on)
         code = np.full(times.shape, ABSENT, dtype=np.int8)
         seen = lit_angles(n[p], t_s[p, t], t_r[p, t]) >= 0.0
-        apex = edge_way(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
+        apex = path_over_edge(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
         met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
-        seen &= met[p, None] + partner_reflections(n[p]) <= self.search.order
+        seen &= met[p, None] + adjacent_reflections(n[p]) <= self.search.order
         inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
         code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside + halves((n[p], n[p]), (t_s[p, t], t_r[p, t]))
         return code

@@ -56,10 +56,10 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
         return found
     bounds = [[np.array(family.start), np.array(family.end)] for family in chains]
     events = _Events.of(chains, scene)
-    groups, settled = list(_groups(events, resolution)), np.zeros(len(events.time), dtype=bool)
-    timed = [(group, float(np.min(events.time[group]))) for group in groups] + list(_passed_corners(events, settled))
-    settled[[event for group in groups for event in group.tolist()]] = True
-    for group, time in (*timed, *_along_edges(events, settled)):
+    groups, converged = list(_groups(events, resolution)), np.zeros(len(events.time), dtype=bool)
+    timed = [(group, float(np.min(events.time[group]))) for group in groups] + list(_passed_corners(events, converged))
+    converged[[event for group in groups for event in group.tolist()]] = True
+    for group, time in (*timed, *_along_edges(events, converged)):
         events.set(bounds, group, time)
     for place, (start, end) in enumerate(bounds):
         family = chains[place]
@@ -83,7 +83,7 @@ def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
     some = np.flatnonzero(((with_ends > 0.0) & (count - with_ends > 1.0))[instant])
     some = some[np.argsort(instant[some], kind="stable")]
     for group in np.split(some, np.flatnonzero(np.diff(instant[some])) + 1):
-        if events.ways_beside_ends(group) < 2:
+        if events.paths_beside_ends(group) < 2:
             continue
         ends = group[over_ends[group]]
         for number in np.unique(events.family[ends]).tolist():
@@ -166,14 +166,14 @@ class _Events:
             each[mine] = chain.lengths(rows, source, ends_at(self.scene.receivers, chain.receiver[rows], instant))
         return np.asarray(each[place] - each)
 
-    def ways_beside_ends(self, group: Rows) -> int:
+    def paths_beside_ends(self, group: Rows) -> int:
         """Count different paths of a group that are not over ends of edges: one of them ends where another begins."""
-        ways = set()
+        sequences = set()
         for number, row in zip(self.family[group].tolist(), self.row[group].tolist(), strict=True):
             chain = self.chains[number]
             if not isinstance(chain.vertex, EdgeVertex) or chain.vertex.over_end[row] < 0:
-                ways.add((number, *chain.objects[row].tolist()))
-        return len(ways)
+                sequences.add((number, *chain.objects[row].tolist()))
+        return len(sequences)
 
     def over_edges(self, ends: bool) -> NDArray[np.bool_]:
         """Mask (n,) of events of paths over ends of edges of the room, or over edges themselves."""
@@ -202,10 +202,10 @@ def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
                 yield group
 
 
-def _passed_corners(events: _Events, settled: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
+def _passed_corners(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
     """Yield groups of events at which a way passes the corner of an edge, and when it does so, s; mark them."""
     for turn, group in _beside_turns(events):
-        if settled[turn]:
+        if converged[turn]:
             continue
         place = int(np.flatnonzero(group == turn)[0])
         time, size = float(events.time[turn]), events.scene.room.as_mesh().walls.size
@@ -221,12 +221,12 @@ def _passed_corners(events: _Events, settled: NDArray[np.bool_]) -> Iterator[tup
             there, at = np.abs(events.detours(group, place, time)) <= _DETOUR * size, events.time[group]
             same, together = group[there], np.isin(at, at[there])
             near = np.array_equal(together, there) and np.all(np.abs(at[there] - time) <= _WINDOW)
-            if near and events.ways_beside_ends(same) > 1:
-                settled[same] = True
+            if near and events.paths_beside_ends(same) > 1:
+                converged[same] = True
                 yield same, time
 
 
-def _along_edges(events: _Events, settled: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
+def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
     """Yield beginnings and ends of paths without edges, and when such a path passes an edge by the edge's own test, s.
 
     Where it passes within 0.1 mrad of the edge's direction, outlines, with their tolerance, tell other times: up to a
@@ -236,19 +236,21 @@ def _along_edges(events: _Events, settled: NDArray[np.bool_]) -> Iterator[tuple[
     over, size = events.over_edges(ends=False) & (events.side == 0), events.scene.room.as_mesh().walls.size
     _, instant = np.unique(np.stack([events.pair, events.time]), axis=1, return_inverse=True)
     with_plain, with_edge = (np.bincount(instant, weights=mask) > 0.0 for mask in (plain, over))
-    lone = np.flatnonzero(plain & ~with_edge[instant] & ~settled)
-    turns = np.flatnonzero(over & ~with_plain[instant] & ~settled)
+    lone = np.flatnonzero(plain & ~with_edge[instant] & ~converged)
+    turns = np.flatnonzero(over & ~with_plain[instant] & ~converged)
     for pair in np.intersect1d(events.pair[lone], events.pair[turns]).tolist():
         mine, theirs = (which[events.pair[which] == pair] for which in (lone, turns))
-        first, after = (np.searchsorted(events.time[theirs], events.time[mine] + way) for way in (-_GRAZED, _GRAZED))
+        first, after = (
+            np.searchsorted(events.time[theirs], events.time[mine] + shift) for shift in (-_GRAZED, _GRAZED)
+        )
         one, other = (np.repeat(mine, after - first), theirs[_ranges(first, after)])
         apart = events.delays(one, events.time[one]) - events.delays(other, events.time[one])
         for pair_of in np.stack([one, other], axis=1)[np.abs(apart) < SAME_DELAY]:
             instants = np.linspace(events.time[pair_of[0]], events.time[pair_of[1]], 5).tolist()
-            if not settled[pair_of].any() and all(
+            if not converged[pair_of].any() and all(
                 abs(events.detours(pair_of, 0, instant)[1]) <= _ROUNDING * size for instant in instants
             ):
-                settled[pair_of[0]] = True
+                converged[pair_of[0]] = True
                 yield pair_of[:1], float(events.time[pair_of[1]])
 
 

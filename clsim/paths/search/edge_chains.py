@@ -188,16 +188,16 @@ def _with_ends(family: Chain, within: float) -> tuple[Floats, Floats]:
     start, end, count = np.array(family.start), np.array(family.end), len(family.vertex.lines)
     edges = (family.interactions == DIFFRACTION) & (family.objects >= count)
     over = np.where(edges, (family.objects - count) // 2, family.objects)
-    way = [tuple(row) for row in np.column_stack([family.source, family.receiver, over]).tolist()]
+    keys = [tuple(row) for row in np.column_stack([family.source, family.receiver, over]).tolist()]
     follows = np.append(False, np.all(family.objects[1:] == family.objects[:-1], axis=1) & (start[1:] == end[:-1]))
     turns = follows & np.append(False, family.vertex.end_side[1:] != family.vertex.end_side[:-1])
     passing: dict[tuple[int, ...], list[float]] = {}
     for row in np.flatnonzero(turns[: len(start)]).tolist():
-        passing.setdefault(way[row], []).append(float(start[row]))
+        passing.setdefault(keys[row], []).append(float(start[row]))
     first = np.flatnonzero(~follows[: len(start)])
     for one, after in zip(first.tolist(), [*first[1:].tolist(), len(start)], strict=True) if passing else ():
         rows = slice(one, after)
-        for time in passing.get(way[one], []) if family.vertex.end_side[one] == 0 else ():
+        for time in passing.get(keys[one], []) if family.vertex.end_side[one] == 0 else ():
             if abs(start[one] - time) <= within:
                 start[one] = time
                 start[rows] = np.maximum(start[rows], time)
@@ -269,14 +269,14 @@ def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
         links: Any = family.links(owner)
         first = links.events(at[:, None], RETARDED)
         delay = (first.first.delay + first.last.delay)[:, 0]
-        mine[which] = _settled(at, delay, _events_near(known.get((pair.source, pair.receiver), []), at))
+        mine[which] = _converged(at, delay, _events_near(known.get((pair.source, pair.receiver), []), at))
         start[rows], end[rows] = mine[: len(rows)], mine[len(rows) :]
     family = replace(family, start=read_only(start), end=read_only(end))
     kept = np.flatnonzero(start < end)
     return family if len(kept) == len(start) else family.part(kept)
 
 
-def _settled(times: Floats, delay: Floats, others: tuple[Floats, Floats, Floats]) -> Floats:
+def _converged(times: Floats, delay: Floats, others: tuple[Floats, Floats, Floats]) -> Floats:
     """Return the times (n,) at which other paths of the delays (n,) begin or end, or the first of the same event."""
     found, order = np.array(times), np.argsort(times, kind="stable")
     theirs, their_delay, their_rate = others

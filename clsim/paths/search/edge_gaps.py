@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.diffraction import partner_reflections
+from clsim.acoustics.diffraction import adjacent_reflections
 from clsim.paths.search.gap_parts import PARTS, Fans, Gaps, fans_of_ends, open_gaps, unhidden
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.clearance import segments_apart
@@ -51,7 +51,7 @@ def gap_candidates(
     balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
     from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)]
     match = _Match(finder, sides, longest)
-    fewest = partner_reflections(edges.n).min(axis=1)
+    fewest = adjacent_reflections(edges.n).min(axis=1)
     numbers = [(b, n, m) for b in range(order + 1) for n in range(order + 1 - b) for m in range(order + 1 - b - n)]
     for done, (b, n, m) in enumerate(numbers):
         if n == m == 0:
@@ -156,6 +156,6 @@ class _Match:
             )  # fmt: skip
 
 
-def _flat(ways: Floats) -> Floats:
+def _flat(lengths: Floats) -> Floats:
     """Ways (C, n, parts, parts) with the parts of both edges along one axis."""
-    return ways.reshape(*ways.shape[:2], PARTS**2)
+    return lengths.reshape(*lengths.shape[:2], PARTS**2)

@@ -11,7 +11,7 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
-from clsim.paths.search.scatterers import as_heard, heard_after
+from clsim.paths.search.scatterers import at_receivers, audible_after
 from clsim.paths.support import check_support
 from clsim.paths.vertices.edge_scatterer import EdgeBeside, EdgeScattererVertex
 from clsim.scene.scatterer import Scatterer
@@ -68,15 +68,15 @@ def _as_met(chain: Chain, known: dict[tuple[float, ...], float]) -> Chain:
     columns = chain.source, chain.receiver, vertex.scatterer
     for times in bounds.values():
         keys = list(zip(*(column.tolist() for column in (*columns, times)), strict=True))
-        asked = np.isfinite(times) & (vertex.radius > 0.0)
-        new = {keys[row]: row for row in np.flatnonzero(asked).tolist() if keys[row] not in known}
+        requested = np.isfinite(times) & (vertex.radius > 0.0)
+        new = {keys[row]: row for row in np.flatnonzero(requested).tolist() if keys[row] not in known}
         first = np.array(list(new.values()), dtype=np.int64)
         for pair in chain.pairs():
             mine = np.intersect1d(first, pair.index)
             for rows in np.array_split(mine, -(-len(mine) // _TOGETHER) or 1):
                 found = _met(chain, centres, rows, times[rows]).tolist()
                 known.update({keys[row]: time for row, time in zip(rows.tolist(), found, strict=True)})
-        for row in np.flatnonzero(asked).tolist():
+        for row in np.flatnonzero(requested).tolist():
             times[row] = known[keys[row]]
     kept = np.flatnonzero(bounds["start"] < bounds["end"])
     moved: Any = {name: read_only(times) for name, times in bounds.items()}
@@ -115,7 +115,7 @@ class _Half:
     def straight(side: Side, first: bool) -> _Half:
         """Take those by walls alone."""
         assert side.leg is not None
-        leg = side.leg if first else as_heard(side.leg)
+        leg = side.leg if first else at_receivers(side.leg)
         return _Half(side, np.where(side.surfaces >= 0, SPECULAR, NONE), side.surfaces, leg, None)
 
     @staticmethod
@@ -125,11 +125,11 @@ class _Half:
         walls = edges.links(slice(None)).surfaces[1 if first else 0]
         return _Half(edges, edges.interactions, edges.objects, end, EdgeBeside(edges.vertex, between, walls))
 
-    def heard(self, scene: Scene, frequency: float, motions: tuple[Any, Any], rows: Rows, events: Floats) -> Floats:
+    def audible(self, scene: Scene, frequency: float, motions: tuple[Any, Any], rows: Rows, events: Floats) -> Floats:
         """Find when (n,) the second motion hears what the first one sends at times (n,), s."""
         if self.edge is None:
-            return heard_after(scene, frequency, motions, self.chain, rows, events)
-        return _heard_over(self.chain, rows, motions, events)
+            return audible_after(scene, frequency, motions, self.chain, rows, events)
+        return _audible_over(self.chain, rows, motions, events)
 
 
 def _chain(scene: Scene, halves: tuple[_Half, _Half], limit: int) -> Chain:
@@ -171,21 +171,21 @@ def _times(scene: Scene, halves: tuple[_Half, _Half], rows: tuple[Rows, Rows], e
             mine = np.flatnonzero(np.all(ends == np.array(met)[:, None], axis=0))
             frequency = scene.sources[met[0]].emitted.centre_frequency
             motions = scene.scatterers[met[1]].trajectory, scene.receivers[met[2]].trajectory
-            times[mine] = second.heard(scene, frequency, motions, j[mine], times[mine])
+            times[mine] = second.audible(scene, frequency, motions, j[mine], times[mine])
         found.append(latest(times, getattr(second.chain, name)[j]))
     return found[0], found[1]
 
 
-def _heard_over(edges: Chain, rows: Rows, motions: tuple[Any, Any], events: Floats) -> Floats:
+def _audible_over(edges: Chain, rows: Rows, motions: tuple[Any, Any], events: Floats) -> Floats:
     """Find when (n,) the second motion hears over edges what the first one sends at times (n,), s."""
-    heard, known = np.array(events), np.flatnonzero(np.isfinite(events))
+    audible, known = np.array(events), np.flatnonzero(np.isfinite(events))
     if not len(known):
-        return heard
+        return audible
     sent, flight, c = motions[0].position(events[known]), np.zeros(len(known)), edges.scene.air.speed_of_sound
     for _ in range(_STEPS):  # each by the Mach number of the receiver
         step = edges.lengths(rows[known], sent, motions[1].position(events[known] + flight)) / c - flight
         flight = flight + step
         if np.abs(step).max() <= _FOUND:
             break
-    heard[known] += flight
-    return heard
+    audible[known] += flight
+    return audible

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import TERMS, partner_reflections
+from clsim.acoustics.diffraction import TERMS, adjacent_reflections
 from clsim.arrays import as_count
 from clsim.errors import InputError
 from clsim.paths.family import DIFFRACTION
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
     Reached = Callable[[tuple[Floats, float]], Sides]
-    Asked = Iterator[tuple[float, EdgeCandidates]]  # with the share of the work so far
-    Kind = Callable[[EdgeSearch, tuple[Sides, list[Sides]], Reached, int, float], Asked]
+    Requested = Iterator[tuple[float, EdgeCandidates]]  # with the share of the work so far
+    Kind = Callable[[EdgeSearch, tuple[Sides, list[Sides]], Reached, int, float], Requested]
 
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
@@ -98,7 +98,7 @@ def _rows_of(
     within = 0.0
     if len(edges):
         for source in range(len(scene.sources)):
-            found, resolution = _source_rows(scene, edges, source, order, search, _Partners(others, source), kind)
+            found, resolution = _source_rows(scene, edges, source, order, search, _AdjacentPaths(others, source), kind)
             rows, within = rows + found, _FARTHEST * resolution
     walls = "before", "between", "after"
     rows.sort(key=lambda r: (r["source"], r["receiver"], sum(len(r[name]) for name in walls), *r["edges"], r["end_of"],
@@ -112,7 +112,7 @@ def _source_rows(
     source: int,
     order: int,
     search: PathOptions,
-    partners: _Partners,
+    adjacent: _AdjacentPaths,
     kind: Kind,
 ) -> tuple[list[dict[str, Any]], float]:
     """Return the paths of a source, one by one, and to which time their ends are found, s."""
@@ -127,12 +127,12 @@ def _source_rows(
     done = source / len(scene.sources)
     sides = from_source, to_receivers
     for share, candidates in kind(finder, sides, reached, order, longest):
-        pieces = find_pieces(finder, candidates, order, partial(search.tell, done))
-        found += [{**row, "source": source} for row in _rows(query, edges, pieces, partners)]
+        pieces = find_pieces(finder, candidates, order, partial(search.notify, done))
+        found += [{**row, "source": source} for row in _rows(query, edges, pieces, adjacent)]
         if len(found) > search.path_limit:
             raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
         done = (source + share) / len(scene.sources)
-        search.tell(done)
+        search.notify(done)
     return found, query.resolution
 
 
@@ -194,26 +194,26 @@ def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDAr
 
 def edges_and_ends(
     finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
-) -> Asked:
+) -> Requested:
     """Yield candidates over edges and free ends of them."""
     edges = finder.edges
-    fewest = partner_reflections(edges.n).min(axis=1).tolist()
+    fewest = adjacent_reflections(edges.n).min(axis=1).tolist()
     ends = [(-1, *np.flatnonzero(free).tolist()) for free in edges.free]
-    return _asked(
+    return _requested(
         finder, sides, order, [((e, e), (-1, -1), end, fewest[e]) for e in range(len(edges)) for end in ends[e]]
     )
 
 
 def edge_pairs(
     finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
-) -> Asked:
+) -> Requested:
     """Yield candidates over pairs of edges that share a face."""
-    edges, fewest = finder.edges, partner_reflections(finder.edges.n).min(axis=1)
+    edges, fewest = finder.edges, adjacent_reflections(finder.edges.n).min(axis=1)
     pairs = zip(*edges.pairs(), strict=True)
-    return _asked(finder, sides, order, [(pair, face, -1, fewest[pair].sum()) for pair, face in pairs])
+    return _requested(finder, sides, order, [(pair, face, -1, fewest[pair].sum()) for pair, face in pairs])
 
 
-def _asked(finder: EdgeSearch, sides: tuple[Sides, list[Sides]], order: int, vertices: list[Any]) -> Asked:
+def _requested(finder: EdgeSearch, sides: tuple[Sides, list[Sides]], order: int, vertices: list[Any]) -> Requested:
     """Yield pairs of sequences to vertices, by numbers of walls.
 
     Vertices are given as edges, faces shared, end, and fewest reflections of an adjacent path.
@@ -243,7 +243,7 @@ def _asked(finder: EdgeSearch, sides: tuple[Sides, list[Sides]], order: int, ver
             yield (done + 1) / len(numbers), EdgeCandidates.joined(parts)
 
 
-class _Partners:
+class _AdjacentPaths:
     """When other paths begin and end, by receiver, walls and edges."""
 
     def __init__(self, others: tuple[PathFamily, ...], source: int) -> None:
@@ -256,54 +256,54 @@ class _Partners:
                     key = (int(family.receiver[row]), *met[row, : family.order[row]].tolist())
                     self._events.setdefault(key, []).extend(events)
 
-    def nearest(self, receiver: int, way: tuple[int, ...], time: float, within: float) -> float:
+    def nearest(self, receiver: int, through: tuple[int, ...], time: float, within: float) -> float:
         """Return when a path begins or ends near a time, s; the time itself where none does.
 
         The way is by walls, and by edges, which are told as -1 less their number.
         """
-        events = self._events.get((receiver, *way), [])
+        events = self._events.get((receiver, *through), [])
         event = min(events, key=lambda t: abs(t - time), default=np.inf)
         return event if abs(event - time) <= within else time
 
 
-def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, partners: _Partners) -> Iterator[dict[str, Any]]:
+def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, adjacent: _AdjacentPaths) -> Iterator[dict[str, Any]]:
     """Yield paths, with the times of their partners."""
-    asked, within = pieces.candidates, max(_SAME_EVENT, _FARTHEST * query.resolution)
+    wanted, within = pieces.candidates, max(_SAME_EVENT, _FARTHEST * query.resolution)
     begin, end = pieces.begin.copy(), pieces.end.copy()
     for i in range(1, len(pieces.row)):
         row = pieces.row[i]
-        if row != pieces.row[i - 1] or begin[i] != end[i - 1] or asked.end[row] >= 0:
+        if row != pieces.row[i - 1] or begin[i] != end[i - 1] or wanted.end[row] >= 0:
             continue  # paths over ends go on smoothly where a partner begins
-        before, after = asked.before[row].tolist(), asked.after[row][::-1].tolist()
+        before, after = wanted.before[row].tolist(), wanted.after[row][::-1].tolist()
         time = float(begin[i])
         for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():
             if term not in (TERMS, *ENDS_BESIDE):
-                way = (*before, *_instead(edges, asked, row, term), *after)
-                time = partners.nearest(int(asked.receiver[row]), way, float(begin[i]), within)
+                through = (*before, *_instead(edges, wanted, row, term), *after)
+                time = adjacent.nearest(int(wanted.receiver[row]), through, float(begin[i]), within)
             if time != begin[i]:
                 break
         begin[i] = end[i - 1] = time
-    last = query.last[asked.receiver[pieces.row]]
+    last = query.last[wanted.receiver[pieces.row]]
     begin, end = np.where(begin <= 0.0, -np.inf, begin), np.where(end >= last, np.inf, end)
     for i, row in enumerate(pieces.row.tolist()):
         if begin[i] < end[i]:
             yield {
-                "receiver": int(asked.receiver[row]), "before": asked.before[row], "after": asked.after[row],
-                "edges": asked.edge[row].tolist(), "between": asked.between[row], "faces": asked.face[row].tolist(),
-                "end_of": int(asked.end[row]), "start": begin[i], "end": end[i], "sides": pieces.sides[i],
+                "receiver": int(wanted.receiver[row]), "before": wanted.before[row], "after": wanted.after[row],
+                "edges": wanted.edge[row].tolist(), "between": wanted.between[row], "faces": wanted.face[row].tolist(),
+                "end_of": int(wanted.end[row]), "start": begin[i], "end": end[i], "sides": pieces.sides[i],
             }  # fmt: skip
 
 
-def _instead(edges: Edges, asked: EdgeCandidates, row: int, term: int) -> list[int]:
+def _instead(edges: Edges, wanted: EdgeCandidates, row: int, term: int) -> list[int]:
     """Interactions of a term's partner in place of the edges: faces in turn, or the other one of two edges."""
-    (one, other), shared = asked.edge[row].tolist(), int(asked.face[row, 0])
+    (one, other), shared = wanted.edge[row].tolist(), int(wanted.face[row, 0])
     if shared in (0, 1):
         return [-1 - (other if term < TERMS else one)]
     second = term > TERMS
     edge, term = (other, term - TERMS - 1) if second else (one, term)
-    faces, count = edges.faces[edge].tolist(), int(partner_reflections(edges.n[edge])[term])
+    faces, count = edges.faces[edge].tolist(), int(adjacent_reflections(edges.n[edge])[term])
     bounces = [int(faces[(term + bounce) % 2]) for bounce in range(count)]
     if shared < 0:
         return bounces
-    between = asked.between[row].tolist()
+    between = wanted.between[row].tolist()
     return [-1 - one, *between, *bounces] if second else [*bounces, *between, -1 - other]

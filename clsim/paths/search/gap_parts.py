@@ -106,7 +106,7 @@ def unhidden(
     ball, row, part = np.nonzero(fans.free)
     corners = centre[ball, None] + (radius[ball] + _OFF)[:, None, None] * _CUBE
     ends = _places(frame, finder.edges.length[[edge]])[0, np.stack([part, part + 1], axis=1)]
-    free[ball, row, part] = ways_open(finder.query.walls, sequence[row], corners, ends)
+    free[ball, row, part] = legs_open(finder.query.walls, sequence[row], corners, ends)
     return Fans(free, fans.low, fans.high)
 
 
@@ -146,7 +146,7 @@ def open_gaps(
         places[g[:, None], np.stack([part, part + 1], axis=1)]
         for places, part in ((seen[0], i), (_places(real, length[:, 1]), j))
     ]
-    free[g, i, j] = ways_open(walls, between[g], *parts)
+    free[g, i, j] = legs_open(walls, between[g], *parts)
     kept = np.flatnonzero(free.any(axis=(1, 2)))
     fans = (Fans(free[kept], fan.low[kept], fan.high[kept]) for fan in (here, there))
     return Gaps(pair[kept], between[kept], (next(fans), next(fans)))
@@ -193,14 +193,14 @@ def segment_off(ends: Floats) -> Floats:
     return np.asarray(np.linalg.norm(a + share[..., None] * along, axis=-1))
 
 
-def ways_open(walls: Walls, sequence: NDArray[np.int32], first: Floats, last: Floats) -> Bools:
+def legs_open(walls: Walls, sequence: NDArray[np.int32], first: Floats, last: Floats) -> Bools:
     """Mask of sequences of walls (n, N) by which something of hulls (n, a, 3) may see something of others (n, b, 3)."""
     parts = (slice(i, i + _TOGETHER) for i in range(0, len(sequence), _TOGETHER))
-    found = [_ways_open(walls, sequence[part], first[part], last[part]) for part in parts]
+    found = [_legs_open(walls, sequence[part], first[part], last[part]) for part in parts]
     return np.concatenate([np.empty(0, dtype=bool), *found])
 
 
-def _ways_open(walls: Walls, sequence: NDArray[np.int32], first: Floats, last: Floats) -> Bools:
+def _legs_open(walls: Walls, sequence: NDArray[np.int32], first: Floats, last: Floats) -> Bools:
     starts, stops = [first], [last]
     for wall in sequence.T:
         starts.append(_mirrored(walls, wall, starts[-1]))

@@ -89,9 +89,9 @@ class MeshSearch:
             try:
                 here = query.during(begin, end)
                 search = partial(find_intervals, here) if device is None else DeviceSearch(here, device).find
-                parts.append(self._heard(_InAir(here, air, search).find, finder, source.name, part))
+                parts.append(self._audible(_InAir(here, air, search).find, finder, source.name, part))
                 if isinstance(finder, ShotRays):
-                    _tell_missed(finder, parts[-1].walls, shoot)
+                    _report_missed(finder, parts[-1].walls, shoot)
             except TooManyBeamsError as error:
                 if radius < _SMALLEST_CELL * room.walls.size:
                     raise InputError("max_order", str(error)) from error
@@ -108,7 +108,7 @@ class MeshSearch:
             return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
         return "" if self.finder == "beam-tree" else "rays are shot, as asked"
 
-    def _heard(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
+    def _audible(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
         parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
         for batch, waiting in _batches(finder.candidates(self.max_order)):
@@ -179,7 +179,7 @@ def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
     mesh = MeshSearch(order, search.finder, search.resolution, search.path_limit, search.engine, search.device)
     count = len(scene.sources)
     found = [
-        mesh.paths(scene, room, source, partial(report, search.tell, i / count, (i + 1) / count))
+        mesh.paths(scene, room, source, partial(report, search.notify, i / count, (i + 1) / count))
         for i, source in enumerate(scene.sources)
     ]
     walls = np.concatenate([f.walls for f in found])
@@ -240,7 +240,7 @@ def float64_device(engine: str, name: str | None) -> tuple[DeviceInfo, Any] | No
     return None
 
 
-def _tell_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> None:
+def _report_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> None:
     """Warn that rays have been shot, and of how many paths they are likely to have missed besides those by `walls`."""
     met = np.unique(walls, axis=0)
     warn(

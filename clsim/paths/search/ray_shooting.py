@@ -202,8 +202,8 @@ def _crossings(
         sequence, spans = found.walls[rows, :count], (span[0][rows], span[1][rows])
         for panel in panels:
             for leg in range(count + 1):
-                looks = partial(_evaluate, panel, leg)
-                crossed = find_intervals(query, sequence, found.receiver[rows], looks, spans)
+                evaluations = partial(_evaluate, panel, leg)
+                crossed = find_intervals(query, sequence, found.receiver[rows], evaluations, spans)
                 each = (np.full(len(crossed.path), x) for x in (leg, panel))
                 parts.append((rows[crossed.path], *each, crossed.begin, crossed.end))
     return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))

@@ -113,7 +113,7 @@ def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: 
     return replace(family, vertex=replace(vertex, nearest=read_only(_nearest_static(family))))
 
 
-def direct_ways(scene: Scene) -> Chain:
+def direct_legs(scene: Scene) -> Chain:
     """Make the paths by no wall by every scatterer, whatever is in the way."""
     before, after = (Side.of(direct_paths(side)) for side in sides(scene))
     return scattered_paths(scene, before, after, 0, len(before) * len(after))
@@ -144,7 +144,7 @@ def _pairs(scene: Scene, before: Side, after: Side, ends: Ends) -> dict[str, Any
         one, two = one[some], two[some]
     frequency = scene.sources[source].emitted.centre_frequency
     motions = scene.scatterers[which].trajectory, scene.receivers[receiver].trajectory
-    bounds = [heard_after(scene, frequency, motions, after, two, times[one]) for times in (before.start, before.end)]
+    bounds = [audible_after(scene, frequency, motions, after, two, times[one]) for times in (before.start, before.end)]
     start, end = np.maximum(bounds[0], after.start[two]), np.minimum(bounds[1], after.end[two])
     met = np.sum(before.surfaces[one] >= 0, axis=1) + np.sum(after.surfaces[two] >= 0, axis=1)
     rank = np.lexsort((met,))
@@ -158,40 +158,40 @@ def _pairs(scene: Scene, before: Side, after: Side, ends: Ends) -> dict[str, Any
     }  # fmt: skip
     if before.leg is None or after.leg is None:
         return columns
-    to, back = before.leg.part(one), as_heard(after.leg.part(two))
+    to, back = before.leg.part(one), at_receivers(after.leg.part(two))
     return columns | {
         "before_matrix": to.matrix, "before_offset": to.offset, "after_matrix": back.matrix,
         "after_offset": back.offset,
     }  # fmt: skip
 
 
-def as_heard(leg: StaticLeg) -> StaticLeg:
+def at_receivers(leg: StaticLeg) -> StaticLeg:
     """Turn images of scatterers into those of the receiver, as scatterers see it."""
     back = leg.matrix.transpose(0, 2, 1)
     return StaticLeg(back, -np.einsum("pij,pj->pi", back, leg.offset))
 
 
-def heard_after(
+def audible_after(
     scene: Scene, frequency: float, motions: tuple[Motion, Motion], after: Side, rows: NDArray[np.int64], events: Floats
 ) -> Floats:
     """Find when (n,) the second motion hears what the first one sends at times (n,) by paths of a side, s."""
-    heard, known = np.array(events), np.flatnonzero(np.isfinite(events))
+    audible, known = np.array(events), np.flatnonzero(np.isfinite(events))
     if not len(known):
-        return heard
+        return audible
     if after.leg is not None:
         sent, leg = motions[0].position(events[known]), after.leg.part(rows[known])
         images = np.einsum("pij,pj->pi", leg.matrix, sent) + leg.offset
-        heard[known] += _flight(medium_of(scene.air, frequency), (sent, images), motions[1], events[known])
-        return heard
-    mirrors, medium, times = Mirrors.of(scene), mean_medium_of(scene.air, frequency), heard[known, None]
+        audible[known] += _flight(medium_of(scene.air, frequency), (sent, images), motions[1], events[known])
+        return audible
+    mirrors, medium, times = Mirrors.of(scene), mean_medium_of(scene.air, frequency), audible[known, None]
     for _ in range(_MOVING_STEPS):
         found = find_events(mirrors, after.surfaces[rows[known]], motions, medium, times)
         step = (times - found.delay - events[known, None]) / (1.0 - found.rate)
         times = times - step
         if np.abs(step).max() <= _MOVING_FOUND:
             break
-    heard[known] = times[:, 0]
-    return heard
+    audible[known] = times[:, 0]
+    return audible
 
 
 def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
@@ -234,14 +234,14 @@ def _apart(family: Chain, leg: StaticLeg, ends: tuple[Source | Receiver, int], u
     moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
     last = max((t.end for t in moving), default=0.0)
     speed = sum(1.02 * t.peak_speed(0.0, t.end)[0] for t in moving)
-    least, first, under_way = np.full(len(leg), np.inf), 0, True
-    while under_way and first <= last * _PROBES + 1.0:
+    least, first, unfinished = np.full(len(leg), np.inf), 0, True
+    while unfinished and first <= last * _PROBES + 1.0:
         times = np.arange(first, min(first + _TOGETHER, math.floor(last * _PROBES) + 2)) / _PROBES
         places = leg.image(end.trajectory.position(times)[None])
         apart = np.linalg.norm(places - scatterer.trajectory.position(times), axis=2)
         least, first = np.minimum(least, apart.min(axis=1)), first + len(times)
         flight = float(apart[:, -1].max(initial=0.0)) / max(c - speed, 1e-9)
-        under_way = float(times[-1]) < until + flight
+        unfinished = float(times[-1]) < until + flight
     # Sound takes d / c from one to the other, in which either moves on.
     return (least - 0.5 * speed / _PROBES) / (1.0 + speed / c), max(float(times[-1]), until + flight)
 

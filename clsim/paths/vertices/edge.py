@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from clsim.acoustics.diffraction import EVEN, edge_way, end_detour, lit_angles, wedge_terms
+from clsim.acoustics.diffraction import EVEN, end_detour, lit_angles, path_over_edge, wedge_terms
 from clsim.paths.arrivals import RETARDED, Arrivals
 from clsim.paths.family import DIFFRACTION
 from clsim.paths.propagation import UniformAir, arrivals_by
 from clsim.paths.vertices.edge_events import Chains, EdgeSolver
 from clsim.paths.vertices.edge_field import (
     EndsOfEdges,
+    adjacent_factors,
     cylindrical,
     exact_field,
     least_angle,
-    partner_factors,
     utd_field,
 )
 from clsim.paths.vertices.edge_lengths import EdgeView, LayeredLengths, edge_lengths, polar
@@ -168,8 +168,8 @@ class EdgeVertex:
 
     def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
         """Places on the first and last edges, and lengths, of shortest paths between ends at r and z, (P, T) m each."""
-        way = edge_way(*source, *receiver)
-        return (way.apex, way.apex), way.length
+        edge_path = path_over_edge(*source, *receiver)
+        return (edge_path.apex, edge_path.apex), edge_path.length
 
     def on_static_legs(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
         """Solve paths between static legs.
@@ -208,9 +208,11 @@ class EdgeVertex:
         seen = views[0].places(emitted_at), views[1].places(receiver.position(times))
         (r_s, t_s, z_s), (r_r, t_r, z_r) = map(cylindrical, self.wedges, seen, self.beside.T)
         angles = lit_angles(self.n[:, None], t_s, t_r)
-        (_, root), way = wedge_terms(self.n[:, None], angles), edge_way(r_s, z_s, r_r, z_r)
-        end = end_detour(way, (r_s, z_s), (r_r, z_r), np.broadcast_to(self.end_place[:, None], way.length.shape))
-        return angles, root**2 * way.breadth[..., None], end
+        (_, root), edge_path = wedge_terms(self.n[:, None], angles), path_over_edge(r_s, z_s, r_r, z_r)
+        end = end_detour(
+            edge_path, (r_s, z_s), (r_r, z_r), np.broadcast_to(self.end_place[:, None], edge_path.length.shape)
+        )
+        return angles, root**2 * edge_path.breadth[..., None], end
 
     def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> EdgeEvents:
         """Solve paths between moving legs."""
@@ -231,7 +233,7 @@ class EdgeVertex:
         stretch = events.carried / events.doppler if kinematics.retarded else np.ones_like(events.doppler)
         return {
             "length": self._seen_length(events) / events.carried, "mach_factor": stretch**-kinematics.exponent,
-            "emitted_at": np.stack(events.source, axis=-1), "heard_at": np.stack(events.receiver, axis=-1),
+            "emitted_at": np.stack(events.source, axis=-1), "receiver_at": np.stack(events.receiver, axis=-1),
             "doppler": events.doppler, "carried": events.carried,
         }  # fmt: skip
 
@@ -253,7 +255,7 @@ class EdgeVertex:
         """Lengths (P,) between endpoints (P, 3) on moving legs, with all where it is at times, m."""
         (r_s, z_s), (r_r, z_r) = self._rested(links, places, (self.edge, self.edge), times)
         over = np.where(self.over_end == 1, self.lines.length[self.edge], 0.0)
-        place = np.where(self.over_end < 0, edge_way(r_s, z_s, r_r, z_r).apex, over)
+        place = np.where(self.over_end < 0, path_over_edge(r_s, z_s, r_r, z_r).apex, over)
         return np.asarray(np.hypot(r_s, place - z_s) + np.hypot(r_r, place - z_r))
 
     def _rested(self, links: Links, places: Pair, edges: tuple[Any, Any], times: Instant) -> tuple[Pair, Pair]:
@@ -279,7 +281,7 @@ class EdgeVertex:
         """
         wave = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
         if links.legs[0].moving:
-            ends = (np.moveaxis(found.more[name], 2, 0) for name in ("emitted_at", "heard_at"))
+            ends = (np.moveaxis(found.more[name], 2, 0) for name in ("emitted_at", "receiver_at"))
             (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
             t_s, t_r = (_turned(n, side, t) for n, side, t in zip(self.wedges, self.beside.T, (t_s, t_r), strict=True))
             wave = wave * found.more["doppler"][..., None]
@@ -295,23 +297,23 @@ class EdgeVertex:
         response *= passing * found.mach_factor[..., None]
         return response
 
-    def static_field(self, emitted_at: Floats, heard_at: Floats, wave: Floats, at: SceneResponse) -> Any:
+    def static_field(self, emitted_at: Floats, receiver_at: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) of endpoints seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
-        seen = zip(self.wedges, (emitted_at, heard_at), self.beside.T, strict=True)
+        seen = zip(self.wedges, (emitted_at, receiver_at), self.beside.T, strict=True)
         source, receiver = (cylindrical(n, x, side) for n, x, side in seen)
         return self._field(source, receiver, self.end_place[:, None], wave, at)
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) of endpoints at r, θ, z about the edges, over that at 1 m; their ends are at `end`, m."""
         (r_s, t_s, z_s), (r_r, t_r, z_r) = source, receiver
-        way, n = edge_way(r_s, z_s, r_r, z_r), self.n
+        edge_path, n = path_over_edge(r_s, z_s, r_r, z_r), self.n
         # Towards the start or the stop of the edge its inside is on another side of the end.
-        inside = np.where(self.over_end[:, None] == 1, end - way.apex, way.apex)
-        ends = EndsOfEdges.of(self.end_side, way, ((r_s, z_s), (r_r, z_r)), end, inside, self.corner)
-        factors = partner_factors(n, self.faces, (t_s, t_r), (r_s + r_r) / way.length, at)
+        inside = np.where(self.over_end[:, None] == 1, end - edge_path.apex, edge_path.apex)
+        ends = EndsOfEdges.of(self.end_side, edge_path, ((r_s, z_s), (r_r, z_r)), end, inside, self.corner)
+        factors = adjacent_factors(n, self.faces, (t_s, t_r), (r_s + r_r) / edge_path.length, at)
         angles = lit_angles(n[:, None], t_s, t_r)
-        field = LAWS[self.model](n, self.lit, angles, (r_s, r_r), way, wave, factors, ends)
-        return field / way.length[..., None]
+        field = LAWS[self.model](n, self.lit, angles, (r_s, r_r), edge_path, wave, factors, ends)
+        return field / edge_path.length[..., None]
 
     def largest(self, links: Links, at: SceneResponse) -> float:
         """Bound of the field over a path without edges."""

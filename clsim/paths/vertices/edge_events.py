@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import edge_way
+from clsim.acoustics.diffraction import path_over_edge
 from clsim.paths.legs.events import Events, few_of, find_events
 from clsim.paths.legs.mirrors import EdgePoint, dot
 from clsim.paths.vertices.edge_field import cylindrical
@@ -102,11 +102,11 @@ class EdgeSolver:
     def find(self, chains: Chains, times: Floats) -> Any:
         """Events at edges of sound that is received at times (T,) or (P, T), s.
 
-        As the edge sees it, both images rest, and the shortest way over the line of the edge meets it where `edge_way`
-        says; where the images lie changes with that place only as mirrors, source and edge move meanwhile, so that each
-        step leaves some Mach number of what was left, and its square at the end. Where times are many and near to each
-        other places are found at every fourth of them first, and quintic splines through these are where the others
-        begin.
+        As the edge sees it, both images rest, and the shortest way over the line of the edge meets it where
+        `path_over_edge` says; where the images lie changes with that place only as mirrors, source and edge move
+        meanwhile, so that each step leaves some Mach number of what was left, and its square at the end. Where times
+        are many and near to each other places are found at every fourth of them first, and quintic splines through
+        these are where the others begin.
         """
         now = np.array(np.broadcast_to(times, (len(chains.edge), np.shape(times)[-1])))
         along = np.repeat(0.5 * self._lengths(chains), now.shape[1], axis=-1)
@@ -141,7 +141,7 @@ class EdgeSolver:
 
     def _next(self, chains: Any, found: Any) -> Floats:
         """Places on the edges (P, ..., T) to go on from, m."""
-        return np.asarray(found.along + edge_way(*found.source[::2], *found.receiver[::2]).apex)
+        return np.asarray(found.along + path_over_edge(*found.source[::2], *found.receiver[::2]).apex)
 
     def _at(self, chains: Any, now: Floats, along: Floats) -> EdgeEvents:
         """Return events with the places on the edges (P, T) given, m."""

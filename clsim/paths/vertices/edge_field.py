@@ -9,12 +9,12 @@ import numpy as np
 
 from clsim.acoustics.diffraction import (
     AT_CORNER,
-    EdgeWay,
+    EdgePath,
+    adjacent_reflections,
     end_detour,
     end_transition,
     exact_wedge_terms,
     off_line,
-    partner_reflections,
     transition,
     wedge_terms,
 )
@@ -46,17 +46,17 @@ class EndsOfEdges:
 
     @staticmethod
     def of(
-        side: NDArray[np.int8], way: EdgeWay, ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]], end: Floats,
-        inside: Floats, corner: Floats,
+        side: NDArray[np.int8], edge_path: EdgePath, ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
+        end: Floats, inside: Floats, corner: Floats,
     ) -> EndsOfEdges:  # fmt: skip
         """Make it from r and z of source and receiver (P, T), m.
 
         `end` (P, 1) are the places of the ends, `inside` (P, T) how far inside the edges the shortest ways meet them.
         """
-        signed, root = np.where(inside < 0.0, -1.0, 1.0) * side[:, None], np.zeros(way.length.shape)
+        signed, root = np.where(inside < 0.0, -1.0, 1.0) * side[:, None], np.zeros(edge_path.length.shape)
         over = np.flatnonzero(side)
         if len(over):
-            some = EdgeWay(way.length[over], way.apex[over], way.breadth[over])
+            some = EdgePath(edge_path.length[over], edge_path.apex[over], edge_path.breadth[over])
             (r_s, z_s), (r_r, z_r) = ((r[over], z[over]) for r, z in ends)
             detour = end_detour(some, (r_s, z_s), (r_r, z_r), np.broadcast_to(end, (len(side), 1))[over])
             root[over] = signed[over] * np.sqrt(detour)
@@ -83,8 +83,8 @@ class EndsOfEdges:
 
 
 def utd_field(
-    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
-    factors: list[Any], ends: EndsOfEdges,
+    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], edge_path: EdgePath,
+    wave: Floats, factors: list[Any], ends: EndsOfEdges,
 ) -> Any:  # fmt: skip
     """Compute the field (P, T, F) of edges (P,) and of their ends over that of the shortest ways, see `Edges`.
 
@@ -92,7 +92,7 @@ def utd_field(
     factors.
     """
     weight, root = wedge_terms(n[:, None], angles, np.sign(lit)[:, None])
-    scale, field = np.sqrt(wave * way.breadth[..., None]), np.zeros(wave.shape, dtype=np.complex128)
+    scale, field = np.sqrt(wave * edge_path.breadth[..., None]), np.zeros(wave.shape, dtype=np.complex128)
     for term in range(lit.shape[1]):
         kept = np.flatnonzero(lit[:, term])
         both = ends.transition(kept, lit[kept, term], wave[kept], root[kept, :, term, None] * scale[kept])
@@ -102,8 +102,8 @@ def utd_field(
 
 
 def exact_field(
-    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], way: EdgeWay, wave: Floats,
-    factors: list[Any], ends: EndsOfEdges,
+    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], edge_path: EdgePath,
+    wave: Floats, factors: list[Any], ends: EndsOfEdges,
 ) -> Any:  # fmt: skip
     """Compute the exact field (P, T, F) of edges over that of the shortest ways, from what `utd_field` takes.
 
@@ -113,12 +113,12 @@ def exact_field(
     within = ((ends.side != 0)[:, None] & (ends.root >= 0.0))[..., None]
     sides = np.where(within, np.where(angles >= 0.0, 1, -1), np.where(lit < 0, -1, 1)[:, None])
     _, root = wedge_terms(n[:, None], angles, sides)
-    terms = exact_wedge_terms(n[:, None], angles, sides, *distances, way, wave)
+    terms = exact_wedge_terms(n[:, None], angles, sides, *distances, edge_path, wave)
     for term, each in enumerate(terms):
         kept = np.flatnonzero(lit[:, term])
         over = np.flatnonzero(lit[:, term] * ends.side)
         if len(over):
-            phase = root[over, :, term, None] * np.sqrt(wave[over] * way.breadth[over, :, None])
+            phase = root[over, :, term, None] * np.sqrt(wave[over] * edge_path.breadth[over, :, None])
             each[over] *= ends.transition(over, lit[over, term], wave[over], phase) / transition(phase)
         field[kept] += each[kept] if factors[term] is None else (each * factors[term])[kept]
     return field
@@ -139,7 +139,7 @@ def least_angle(n: Floats, beside: NDArray[np.int8]) -> Floats:
     return np.asarray(0.5 * np.pi * (n - 2.0) + 0.25 * np.pi * n * beside)
 
 
-def partner_factors(
+def adjacent_factors(
     n: Floats, faces: NDArray[np.int64], angles: tuple[Floats, Floats], slope: Floats, at: SceneResponse
 ) -> list[Any]:
     """Multiply the reflection factors (P, T, F) of each term's partner; None for terms whose partners have none.
@@ -150,7 +150,7 @@ def partner_factors(
     incidence, in steps of nπ; elsewhere both ends share what is left to the boundary. Behind a sheet that
     lets the share T of the pressure pass there is a path of T: the term past its edge stands for the rest, 1 - T.
     """
-    (came, went), counts = angles, partner_reflections(n)
+    (came, went), counts = angles, adjacent_reflections(n)
     sheets = np.flatnonzero(at.panels[faces[:, 0]] & (faces[:, 0] == faces[:, 1]))
     found: list[Any] = []
     for term, half in enumerate((0.5 * (went + came),) * 2 + (0.5 * (came - went),) * 2):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, edge_way
+from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.paths.propagation import Folds, straight
 
 if TYPE_CHECKING:
@@ -132,21 +132,21 @@ def edge_lengths(
     As the way over the edge itself is the shortest, the change of its apex does not change it: Newton's steps for the
     time of emission take the source's speed along the first part.
     """
-    heard_at = views[1].places(receiver)
+    receiver_at = views[1].places(receiver)
     over_end = np.flatnonzero(~np.isnan(end_place))
-    shape = heard_at.shape[1:]
+    shape = receiver_at.shape[1:]
     emission_time = np.broadcast_to(times, shape)
     positions, velocities = source.position(times), source.velocity(times)
     delay = np.zeros(shape)
     for step_count in range(_NEWTON_LIMIT):
         emitted_at = views[0].places(positions)
-        places, length = met(polar(emitted_at), polar(heard_at))
+        places, length = met(polar(emitted_at), polar(receiver_at))
         towards, first = towards_edge(emitted_at, places[0])
         if len(over_end):
             place = np.array(np.broadcast_to(places[0], shape))
             place[over_end] = end_place[over_end, None]
             places, (towards, first) = (place, place), towards_edge(emitted_at, place)
-            length = first + towards_edge(heard_at, place)[1]
+            length = first + towards_edge(receiver_at, place)[1]
         length = np.broadcast_to(length, shape)
         sound = medium.passage(length, receiver - positions)
         speed = np.einsum("ipt,ipt->pt", towards, np.broadcast_to(views[0].directions(velocities), towards.shape))
@@ -154,7 +154,7 @@ def edge_lengths(
         if sound.carried is not None:
             mach = mach + np.sum(sound.carried * velocities, axis=-1)
         if not retarded:
-            return EdgeLengths(emitted_at, heard_at, places, emission_time, sound.time, length, sound, mach)
+            return EdgeLengths(emitted_at, receiver_at, places, emission_time, sound.time, length, sound, mach)
         step = (sound.time - delay) / (1.0 - mach)
         delay = delay + step
         if step_count and not np.any(np.abs(step) > _CONVERGED + 4e-16 * np.abs(times)):
@@ -164,7 +164,7 @@ def edge_lengths(
         emission_time = times - delay
         flat = emission_time.ravel()
         positions, velocities = (f(flat).reshape(*shape, 3) for f in (source.position, source.velocity))
-    return EdgeLengths(emitted_at, heard_at, places, times - delay, delay, length, sound, mach)
+    return EdgeLengths(emitted_at, receiver_at, places, times - delay, delay, length, sound, mach)
 
 
 def polar(seen: Floats) -> tuple[Floats, Floats]:
@@ -186,29 +186,29 @@ class LayeredLengths:
     def __init__(self, links: Links, received_at: Floats) -> None:
         (self._before, after), self._received_at = links.legs, received_at
         self._frame, self._end_place = links.vertex.frame, links.vertex.end_place
-        self._heard_at = after.image(received_at[None])
+        self._receiver_at = after.image(received_at[None])
         self._after = after
         scene = links.chain.scene
         planes = scene.room.faces.normals, scene.room.faces.offsets
         self._folds = [Folds(planes, walls) for walls in links.surfaces] if scene.air.layers else []
 
     def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        """Return lengths and directions at the source, see `Ways`."""
+        """Return lengths and directions at the source, see `LegTable`."""
         (first, direction), (second, _) = self._legs(p, t, start)
         return first + second, np.einsum("pji,p...j->p...i", self._before.matrix[p], direction)
 
     def arrive(self, start: Floats) -> Floats:
-        """Return directions at the receiver, see `Ways`."""
+        """Return directions at the receiver, see `LegTable`."""
         _, (_, direction) = self._legs(slice(None), slice(None), start)
         return np.asarray(np.einsum("pji,ptj->pti", self._after.matrix, direction))
 
     def seen(self) -> Floats:
-        """Return the receiver as the source sees it, see `Ways`."""
-        apart = self._heard_at - self._before.offset[:, None]
+        """Return the receiver as the source sees it, see `LegTable`."""
+        apart = self._receiver_at - self._before.offset[:, None]
         return np.asarray(np.einsum("pji,ptj->pti", self._before.matrix, apart))
 
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        """Bends of paths, see `Ways`."""
+        """Bends of paths, see `LegTable`."""
         apex, first, second = self._parts(p, t, start)
         one, other = straight(first, apex)[0][..., None], straight(apex, second)[0][..., None]
         before, low = self._folds[0].bends(p, start, apex)
@@ -222,14 +222,14 @@ class LayeredLengths:
 
     def _parts(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats, Floats]:
         """Points where paths meet the edges, and both endpoints as seen from these."""
-        heard_at, frame, end = self._heard_at[p, t], self._frame[p], self._end_place[p]
-        if heard_at.ndim == 3:  # all times of a path, or one each
+        receiver_at, frame, end = self._receiver_at[p, t], self._frame[p], self._end_place[p]
+        if receiver_at.ndim == 3:  # all times of a path, or one each
             frame, end = frame[:, None], end[:, None]
-        emitted_at = self._before.part(p).image(np.broadcast_to(start, heard_at.shape))
+        emitted_at = self._before.part(p).image(np.broadcast_to(start, receiver_at.shape))
         coordinates: list[Floats] = []
-        for place in (emitted_at, heard_at):
+        for place in (emitted_at, receiver_at):
             away = place - frame[..., 0, :]
             x, y, z = (np.sum(away * frame[..., axis, :], axis=-1) for axis in (1, 2, 3))
             coordinates += [np.maximum(np.hypot(x, y), ON_LINE), z]
-        along = np.where(np.isnan(end), edge_way(*coordinates).apex, end)
-        return frame[..., 0, :] + along[..., None] * frame[..., 3, :], emitted_at, heard_at
+        along = np.where(np.isnan(end), path_over_edge(*coordinates).apex, end)
+        return frame[..., 0, :] + along[..., None] * frame[..., 3, :], emitted_at, receiver_at

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, double_tie, double_transition, edge_way, lit_angles, wedge_terms
+from clsim.acoustics.diffraction import ON_LINE, double_tie, double_transition, lit_angles, path_over_edge, wedge_terms
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_field import face_factor
 from clsim.paths.vertices.edge_lengths import EdgeView, RolledOut
@@ -86,8 +86,8 @@ class EdgePairVertex(EdgeVertex):
     def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
         """Places on both edges, and lengths, of shortest paths between ends at r and z about them, (P, T) m each."""
         beyond = self.beyond()
-        way = edge_way(*source, *beyond[0](*receiver))
-        return (way.apex, edge_way(*receiver, *beyond[1](*source)).apex), way.length
+        edge_path = path_over_edge(*source, *beyond[0](*receiver))
+        return (edge_path.apex, path_over_edge(*receiver, *beyond[1](*source)).apex), edge_path.length
 
     def beyond(self) -> tuple[RolledOut, RolledOut]:
         """Take the views from both edges beyond each other, across the shared face."""
@@ -103,13 +103,13 @@ class EdgePairVertex(EdgeVertex):
 
     def _seen_length(self, events: EdgeEvents) -> Floats:
         (r_s, _, z_s), (r_r, _, z_r) = events.source, events.receiver
-        return edge_way(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length
+        return path_over_edge(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length
 
     def moving_lengths(self, links: Links, places: Pair, times: Instant) -> Floats:
         """Lengths (P,) between endpoints (P, 3) on moving legs, with all where it is at times, m."""
         first, last = self._rested(links, places, (self.edge, self.last.edge), times)
         (r_s, z_s), (r_r, z_r) = ((r[:, None], z[:, None]) for r, z in (first, last))
-        return edge_way(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length[:, 0]
+        return path_over_edge(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length[:, 0]
 
     def _apexes(self, links: Links, ends: Pair) -> Pair:
         places = zip((self.frame, self.last.frame), self._met_by(links, ends), strict=True)
@@ -125,24 +125,26 @@ class EdgePairVertex(EdgeVertex):
         """
         (r_s, t_s, z_s), (r_r, t_r, z_r) = source, receiver
         beyond = self.beyond()
-        heard, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
-        ways = edge_way(r_s, z_s, *heard), edge_way(r_r, z_r, *sent)
+        audible, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
+        edge_paths = path_over_edge(r_s, z_s, *audible), path_over_edge(r_r, z_r, *sent)
         face = self.shared[:, :, None] * np.pi * np.stack([self.n, self.last.n], axis=1)[:, :, None]
         edges = (
             (self.n, t_s, face[:, 0], self.lit, self.faces),
             (self.last.n, face[:, 1], t_r, self.last.lit, self.last.faces),
         )
-        tie = double_tie(ways[0], r_s * ways[0].length / (r_s + heard[0]), r_r * ways[1].length / (r_r + sent[0]))
+        tie = double_tie(
+            edge_paths[0], r_s * edge_paths[0].length / (r_s + audible[0]), r_r * edge_paths[1].length / (r_r + sent[0])
+        )
         found = [
-            self._terms(edge, way.breadth, by_face, at)
-            for edge, way, by_face in zip(edges, ways, ((2, 3), (3, 2)), strict=True)
+            self._terms(edge, edge_path.breadth, by_face, at)
+            for edge, edge_path, by_face in zip(edges, edge_paths, ((2, 3), (3, 2)), strict=True)
         ]
         (first, before, _), (last, after, last_factors) = found
         field: Any = np.zeros(wave.shape, dtype=np.complex128)
         for i, weight in enumerate(before):
             for j, other in enumerate(after):
                 field += 0.25 * weight * other * double_transition(first[..., i], last[..., j], tie, wave)
-        field /= ways[0].length[..., None]
+        field /= edge_paths[0].length[..., None]
         both = 1.0 + np.where(self.shared[:, 1, None, None] == 1, last_factors[1], last_factors[0])
         twice = np.where((self.n < 1.0)[:, None], self.lit[:, :2], self.lit[:, 2:])
         both = np.where(np.any(twice, axis=1)[:, None, None], both, 1.0)
@@ -166,7 +168,7 @@ class EdgePairVertex(EdgeVertex):
         if len(inner):  # these stand for reflections by both faces
             past = np.ones(factors[0].shape, dtype=np.complex128)
             past[inner] = (factors[0] * factors[1])[inner]
-        if len(sheets):  # what passes them needs no edge, see `partner_factors`
+        if len(sheets):  # what passes them needs no edge, see `adjacent_factors`
             past = past * np.ones(factors[0].shape, dtype=np.complex128)
             cosine = np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape)
             past[sheets] -= face_factor(faces[sheets, 0] + at.surfaces, cosine[sheets], at)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, edge_way
+from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.paths.legs.mirrors import EdgePoint, dot
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
 from clsim.paths.vertices.edge_lengths import RolledOut
@@ -95,8 +95,8 @@ class EdgePairSolver(EdgeSolver):
     def _solved(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
         """Places (P, 2, T) on both edges if all rested where it is seen: rolled out, m."""
         ends = (found.source[::2], found.receiver[::2]), self.ahead(pairs, found)
-        ways = [edge_way(*end, np.maximum(r, ON_LINE), z).apex for end, (r, z) in zip(*ends, strict=True)]
-        return np.stack(ways, axis=1)
+        apexes = [path_over_edge(*end, np.maximum(r, ON_LINE), z).apex for end, (r, z) in zip(*ends, strict=True)]
+        return np.stack(apexes, axis=1)
 
     def _at(self, pairs: EdgePairs, now: Floats, along: Floats) -> EdgePairEvents:
         points = [EdgePoint(self.lines, edge, along[:, i]) for i, edge in enumerate((pairs.edge, pairs.last))]
@@ -106,11 +106,11 @@ class EdgePairSolver(EdgeSolver):
         time = self.begun(between, leaving)
         first = self.leg(pairs.before, (self.ends[0], points[0]), time)
         source, doppler, carried = self.source_seen(points[0], time, first)
-        heard, onto = self.receiver_seen(points[1], leaving, last), self.receiver_seen(points[0], time, between)
+        audible, onto = self.receiver_seen(points[1], leaving, last), self.receiver_seen(points[0], time, between)
         came = self.seen(points[1], leaving, -between.arrival, between.distance, -1.0)
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = source, heard
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = source, audible
         seen = (r_s, t_s, z_s + along[:, 0]), (r_r, t_r, z_r + along[:, 1])
-        courses = [_course(source), _course(onto), _course(came), _course(heard)]
+        courses = [_course(source), _course(onto), _course(came), _course(audible)]
         slopes, cosine = [c.slope for c in courses], self._between_axes(pairs, time, leaving, between)
         mixed = -(cosine + slopes[1] * slopes[2]) / np.maximum(between.distance, ON_LINE)
         bend = [[courses[0].bend + courses[1].bend, mixed], [mixed, courses[2].bend + courses[3].bend]]

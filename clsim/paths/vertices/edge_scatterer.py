@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, edge_way
+from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.errors import InputError
 from clsim.paths.family import ends_at
 from clsim.paths.legs.places import path_vertices
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from clsim.scene.scatterer import Scatterer
     from clsim.scene.scene import Scene
 
-_ROUNDS, _CLOSE, _SETTLED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
+_ROUNDS, _CLOSE, _CONVERGED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,9 +120,9 @@ class EdgeScattererVertex(ScattererVertex):
         place, apexes = np.empty((len(self), 3)), np.empty((2, len(self), 3))
         for mine in self.groups():
             some = links.part(mine)
-            way = _solved(some, times, kinematics.retarded)
-            place[mine] = way.place[:, 0]
-            for apex, beside, over in zip(apexes, some.vertex.edges, way.overs, strict=True):
+            chain = _solved(some, times, kinematics.retarded)
+            place[mine] = chain.place[:, 0]
+            for apex, beside, over in zip(apexes, some.vertex.edges, chain.overs, strict=True):
                 if over is not None:
                     apex[mine] = beside.edge.frame[:, 0] + over.along * beside.edge.frame[:, 3]
         faces = links.chain.scene.room.faces
@@ -151,8 +151,8 @@ class EdgeScattererVertex(ScattererVertex):
         At an edge after the scatterer frequencies are those that it sends.
         """
         retarded = kinematics.retarded
-        way = _solved(links, times, retarded)
-        mach, coming, leaving, receding = way.mach, way.coming, way.leaving, way.receding
+        chain = _solved(links, times, retarded)
+        mach, coming, leaving, receding = chain.mach, chain.coming, chain.leaving, chain.receding
         rate, factor, ratio = receding + coming - leaving - mach, np.ones_like(mach), np.ones_like(mach)
         sent_on = ratio
         if retarded:
@@ -161,21 +161,22 @@ class EdgeScattererVertex(ScattererVertex):
             factor = ((1.0 - mach) * (1.0 - leaving) / raised) ** -kinematics.exponent
             ratio = 1.0 / (1.0 - mach)
             sent_on = ratio * (1.0 - coming) / (1.0 - leaving)
-        strength, delay = way.strength, np.sum(way.delays, axis=0)
+        strength, delay = chain.strength, np.sum(chain.delays, axis=0)
         over_edges: Columns = {}
-        for n, (over, length, at_edge) in enumerate(zip(way.overs, way.lengths, (ratio, sent_on), strict=True)):
+        for n, (over, length, at_edge) in enumerate(zip(chain.overs, chain.lengths, (ratio, sent_on), strict=True)):
             strength = strength / length
             if over is not None:
                 strength = strength * over.length
                 ends = np.moveaxis(over.end, 0, -1), np.moveaxis(over.seen, 0, -1)
                 over_edges |= {f"end_{n}": ends[0], f"seen_{n}": ends[1], f"at_edge_{n}": at_edge}
-                over_edges |= {f"towards_{n}": way.towards[n]}
+                over_edges |= {f"towards_{n}": chain.towards[n]}
         return over_edges | {
-            "delay": delay, "delay_rate": rate, "departure": way.departure, "arrival": way.arrival,
-            "length": sum(way.lengths), "through": sum(way.lengths),
+            "delay": delay, "delay_rate": rate, "departure": chain.departure, "arrival": chain.arrival,
+            "length": sum(chain.lengths), "through": sum(chain.lengths),
             "emission_time": times - delay if retarded else np.broadcast_to(times, delay.shape),
-            "mach_factor": factor, "frequency_ratio": ratio, "strength": strength, "aspects": self._padded(way.aspects),
-            "event_time": np.broadcast_to(times - (way.delays[1] if retarded else 0.0), delay.shape),
+            "mach_factor": factor, "frequency_ratio": ratio, "strength": strength,
+            "aspects": self._padded(chain.aspects),
+            "event_time": np.broadcast_to(times - (chain.delays[1] if retarded else 0.0), delay.shape),
         }  # fmt: skip
 
     def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
@@ -185,8 +186,8 @@ class EdgeScattererVertex(ScattererVertex):
         for n, beside in enumerate(self.edges):
             if beside is not None:
                 names = (f"end_{n}", f"seen_{n}") if n == 0 else (f"seen_{n}", f"end_{n}")
-                sent, heard = (np.moveaxis(more[name], -1, 0) for name in names)
-                response *= beside.edge.static_field(sent, heard, wave * more[f"at_edge_{n}"][..., None], at)
+                sent, audible = (np.moveaxis(more[name], -1, 0) for name in names)
+                response *= beside.edge.static_field(sent, audible, wave * more[f"at_edge_{n}"][..., None], at)
                 response *= at.reflection(beside.walls)[:, None, :]
                 at.apply_angular_walls(response, beside.walls, more[f"towards_{n}"])
         return self._sent_on(response, more, wave)
@@ -228,7 +229,7 @@ class _Over:
         end, seen = np.broadcast_arrays(end, seen)
         (r_s, z_s), (r_r, z_r) = ((np.maximum(np.hypot(x, y), ON_LINE), z) for x, y, z in (end, seen))
         fixed = edge.end_place[:, None]
-        along = np.where(np.isnan(fixed), edge_way(r_s, z_s, r_r, z_r).apex, fixed)
+        along = np.where(np.isnan(fixed), path_over_edge(r_s, z_s, r_r, z_r).apex, fixed)
         (leaving, one), (_, other) = towards_edge(end, along), towards_edge(seen, along)
         return _Over(one + other, along, one / np.maximum(other, ON_LINE), end, seen, leaving)
 
@@ -269,7 +270,7 @@ def _from_edges(edge: EdgeVertex) -> EdgeView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Way:
+class _SolvedPath:
     """Sound over an edge and by one scatterer (P, T)."""
 
     delays: Floats  # (2, P, T) to the scatterer, and from there, s
@@ -304,7 +305,7 @@ class _Sides:
     def __init__(self, links: Links, times: Floats) -> None:
         self._edges, self._legs = links.vertex.edges, links.legs
         self._centre, (self._source, receiver) = links.vertex.one.trajectory, links.motions
-        self._heard_at = receiver.position(times)[None], receiver.velocity(times)[None]
+        self._receiver_at = receiver.position(times)[None], receiver.velocity(times)[None]
         self._views = [
             beside and (EdgeView.of(leg.matrix, leg.offset, beside.edge.frame), beside.view)
             for beside, leg in zip(self._edges, self._legs, strict=True)
@@ -314,7 +315,7 @@ class _Sides:
         """Images of source and receiver at times (P, T) of emission and of scattering, s."""
         centre = self._centre.position(events), self._centre.velocity(events)
         sent = self._source.position(emitted), self._source.velocity(emitted)
-        return self._image(0, sent, centre), self._image(1, self._heard_at, centre)
+        return self._image(0, sent, centre), self._image(1, self._receiver_at, centre)
 
     def _image(self, n: int, end: Pair, centre: Pair) -> _Image:
         """Image of one end, from places and velocities of it and of the scatterer."""
@@ -337,7 +338,7 @@ class _Sides:
         return np.asarray(self._views[n][0].back(image.over.leaving))
 
 
-def _solved(links: Links, times: Floats, retarded: bool) -> _Way:
+def _solved(links: Links, times: Floats, retarded: bool) -> _SolvedPath:
     """Find the events (P, T) of sound that is received at times (T,), s, by Newton's method, the later one first."""
     scatterer, sides = links.vertex.one, _Sides(links, times)
     speed = float(links.chain.scene.air.speed_of_sound)
@@ -363,9 +364,9 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _Way:
             change[1] = change[1] / (1.0 - leaving)
             change[0] = (change[0] + change[1] * (mach - coming)) / (1.0 - mach)
         delays = delays + change
-        if done and body.change <= _SETTLED and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
+        if done and body.change <= _CONVERGED and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
             departure, arrival = sides.leaving(0, source, coming_to), sides.leaving(1, receiver, -onwards)
-            return _Way(
+            return _SolvedPath(
                 delays, (first, second), (source.over, receiver.over), (source.towards, receiver.towards), departure,
                 arrival, place, mach, coming, leaving, receding, *body.strength(shape),
             )  # fmt: skip

@@ -90,8 +90,8 @@ class GapPairSolver(EdgePairSolver):
         return self.lines.axes(pairs.edge, time), (other[0], other[1], other[2])
 
     def _with_between(self, pairs: Any, found: EdgePairEvents, between: tuple[Any, ...]) -> GapEvents:
-        leaving, way, onto, came = between
-        axes = self._seen_axes(pairs, found.time, leaving, way)
+        leaving, length, onto, came = between
+        axes = self._seen_axes(pairs, found.time, leaving, length)
         turned = [
             np.cos(angle)[..., None] * out - np.sin(angle)[..., None] * across
             for angle, (across, out, _) in zip((onto[1], came[1]), axes, strict=True)
@@ -99,9 +99,9 @@ class GapPairSolver(EdgePairSolver):
         distance = np.hypot(onto[0], onto[2])
         middle = np.stack([onto[1], came[1], distance, dot(*turned)], axis=-1)
         first, last = found.along[:, 0, :, None] * axes[0][2], found.along[:, 1, :, None] * axes[1][2]
-        start = first - last + way.departure * way.distance[..., None]  # of the last edge from that of the first
+        start = first - last + length.departure * length.distance[..., None]  # of the last edge from that of the first
         frames = [
             np.stack([place, *turn], axis=2) for place, turn in zip((np.zeros_like(start), start), axes, strict=True)
         ]
         own = {f.name: getattr(found, f.name) for f in fields(EdgePairEvents)}
-        return GapEvents(**own, between=way, leaving=leaving, middle=middle, gap=np.stack(frames, axis=2))
+        return GapEvents(**own, between=length, leaving=leaving, middle=middle, gap=np.stack(frames, axis=2))

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from clsim.acoustics.diffraction import gap_transition, lit_angles, partner_reflections, wedge_terms
+from clsim.acoustics.diffraction import adjacent_reflections, gap_transition, lit_angles, wedge_terms
 from clsim.acoustics.edge_gap import EdgeGap
 from clsim.paths.legs.mirrors import dot
 from clsim.paths.legs.places import path_vertices
-from clsim.paths.vertices.edge_field import partner_factors
+from clsim.paths.vertices.edge_field import adjacent_factors
 from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.vertices.gap_events import GapPairs, GapPairSolver
 
@@ -107,7 +107,7 @@ class GapPairVertex(EdgePairVertex):
     def passed(self, events: Any, kinematics: Kinematics) -> Columns:
         """Columns of arrivals on moving legs."""
         columns = EdgePairVertex.passed(self, events, kinematics)
-        for i, name in enumerate(("emitted_at", "heard_at")):
+        for i, name in enumerate(("emitted_at", "receiver_at")):
             columns[name][..., 2] -= events.along[:, i]
         return columns | {"middle": events.middle}
 
@@ -186,7 +186,7 @@ def gap_field(
     )
     tie = between[2] * np.sqrt(legs[0] * legs[2] / ((legs[0] + legs[1]) * (legs[1] + legs[2])))
     (first, one, side, before), (last, other, last_side, after) = found
-    met = [partner_reflections(edge.n) for edge in (pair, pair.last)]
+    met = [adjacent_reflections(edge.n) for edge in (pair, pair.last)]
     i, j = np.divmod(np.arange(16), 4)
     kept = (met[0][:, i] + met[1][:, j] <= pair.budget[:, None]) & (pair.lit[:, i] != 0) & (pair.last.lit[:, j] != 0)
     weight = 0.25 * one[..., i] * other[..., j] * kept[:, None]
@@ -207,5 +207,5 @@ def _terms(
     """Roots and weights (P, T, 4) of the terms at an edge, their sides and directions together, and faces' factors."""
     weight, root = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], *angles), edge.lit[:, None])
     breadth = 2.0 * leg * (whole - leg) / whole * slope**2
-    factors = partner_factors(edge.n, edge.faces, angles, slope, at)
+    factors = adjacent_factors(edge.n, edge.faces, angles, slope, at)
     return root * np.sqrt(breadth)[..., None], weight, np.where(weight > 0.0, -turns, turns), factors

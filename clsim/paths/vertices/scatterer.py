@@ -13,7 +13,7 @@ from clsim.acoustics.silhouette import ASPECTS
 from clsim.numerics.quaternions import inverse, rotate
 from clsim.paths.family import SCATTERING, ends_at
 from clsim.paths.links import in_chunks
-from clsim.paths.vertices.scatterer_paths import find_scattered, scattered_way
+from clsim.paths.vertices.scatterer_paths import find_scattered, scattered_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from clsim.paths.links import Columns, Links, Pair
     from clsim.paths.propagation import UniformAir
     from clsim.paths.response import SceneResponse
-    from clsim.paths.vertices.scatterer_paths import ScatteredEvents, Way
+    from clsim.paths.vertices.scatterer_paths import ScatteredEvents, ScatteredPath
     from clsim.scene.scatterer import Scatterer
     from clsim.scene.scene import Scene
 
@@ -140,31 +140,31 @@ class ScattererVertex:
         with its Mach number off the source, as by a mirror: behind it that is the direct sound's strength.
         """
         retarded, ends = kinematics.retarded, PairEnds(links, times)
-        way, scatterer = _way_of(links, ends, times, retarded), links.vertex.one
-        mach, coming, leaving = way.mach, way.coming, way.leaving
-        onwards, departing = links.legs[1].turned_back(way.second.direction), ends.leaving(way.first.direction)
-        receding = way.second.sound.growth(onwards, links.motions[1].velocity(times))
+        solved, scatterer = _path_of(links, ends, times, retarded), links.vertex.one
+        mach, coming, leaving = solved.mach, solved.coming, solved.leaving
+        onwards, departing = links.legs[1].turned_back(solved.second.direction), ends.leaving(solved.first.direction)
+        receding = solved.second.sound.growth(onwards, links.motions[1].velocity(times))
         rate, factor, ratio = receding - leaving + coming - mach, np.ones_like(mach), np.ones_like(mach)
         if retarded:  # not 1 less a number near 1: that would leave fewer digits
             rate = (receding * (1.0 - coming) + coming - mach - leaving * (1.0 - mach)) / ((1 - leaving) * (1 - mach))
             raised = 1.0 - coming if scatterer.shape.shadows else 1.0
             factor = ((1.0 - mach) * (1.0 - leaving) / raised) ** -kinematics.exponent
             ratio = 1.0 / (1.0 - mach)
-        departure, arrival = way.first.sound.normal(departing), -way.second.sound.normal(onwards)
-        first, second, late = way.first.length, way.second.length, way.second.sound.time if retarded else 0.0
-        strength = way.strength
-        if way.first.sound.carried is not None:  # as of paths by walls in wind
+        departure, arrival = solved.first.sound.normal(departing), -solved.second.sound.normal(onwards)
+        first, second, late = solved.first.length, solved.second.length, solved.second.sound.time if retarded else 0.0
+        strength = solved.strength
+        if solved.first.sound.carried is not None:  # as of paths by walls in wind
             first = first * np.sum(departure * departing, axis=-1)
             second = second * -np.sum(arrival * onwards, axis=-1)
             if scatterer.shape.shadows:  # rest in wind is motion through still air
-                strength = strength * first / way.first.sound.through
+                strength = strength * first / solved.first.sound.through
         return {
-            "delay": way.delay, "delay_rate": rate, "departure": departure, "arrival": arrival,
-            "length": first + second, "through": way.first.sound.through + way.second.sound.through,
-            "emission_time": times - way.delay if retarded else np.broadcast_to(times, way.delay.shape),
+            "delay": solved.delay, "delay_rate": rate, "departure": departure, "arrival": arrival,
+            "length": first + second, "through": solved.first.sound.through + solved.second.sound.through,
+            "emission_time": times - solved.delay if retarded else np.broadcast_to(times, solved.delay.shape),
             "mach_factor": factor, "frequency_ratio": ratio, "second_length": second,
-            "strength": strength, "aspects": self._padded(way.aspects),
-            "event_time": np.broadcast_to(times - late, way.delay.shape),
+            "strength": strength, "aspects": self._padded(solved.aspects),
+            "event_time": np.broadcast_to(times - late, solved.delay.shape),
         }  # fmt: skip
 
     def on_moving_legs(
@@ -200,7 +200,7 @@ class ScattererVertex:
         place = np.empty((len(self), 3))
         for mine in self.groups():
             some = links.part(mine)
-            place[mine] = _way_of(some, PairEnds(some, times), times, kinematics.retarded).place[:, 0]
+            place[mine] = _path_of(some, PairEnds(some, times), times, kinematics.retarded).place[:, 0]
         return place, place
 
     def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
@@ -292,8 +292,8 @@ class ScattererVertex:
         return len(self.scatterer)
 
 
-def _way_of(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> Way:
-    return scattered_way(links.medium, links.vertex.one, ends, times, retarded)
+def _path_of(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> ScatteredPath:
+    return scattered_path(links.medium, links.vertex.one, ends, times, retarded)
 
 
 class PairEnds:
@@ -303,7 +303,7 @@ class PairEnds:
         self._before, after = links.legs
         self._source, receiver = links.motions
         self.receiver = receiver.position(times)
-        self.heard_at = np.ascontiguousarray(after.image(self.receiver[None]))
+        self.receiver_at = np.ascontiguousarray(after.image(self.receiver[None]))
 
     def emitted(self, times: Floats) -> tuple[Floats, Floats, Floats | None]:
         """Return images of the source, its places, and its velocities, None for rest, (P, T, 3) at times (P, T)."""

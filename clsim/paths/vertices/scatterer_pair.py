@@ -17,7 +17,7 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SCATTERING, SPECULAR, ends_at
-from clsim.paths.search.scatterers import as_heard, heard_after
+from clsim.paths.search.scatterers import at_receivers, audible_after
 from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer import PairEnds, ScattererVertex
 from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, leg_between
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from clsim.paths.vertices.scatterer_paths import Leg
     from clsim.scene.scatterer import Scatterer
 
-_ROUNDS, _CLOSE, _SETTLED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
+_ROUNDS, _CLOSE, _CONVERGED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +90,8 @@ class ScattererPairVertex(ScattererVertex):
         found = np.empty((2, len(self), 3))
         for mine in self.groups():
             some = links.part(mine)
-            way = _solved(some, PairEnds(some, times), times, kinematics.retarded)
-            found[:, mine] = np.stack(way.places)[:, :, 0]
+            solved = _solved(some, PairEnds(some, times), times, kinematics.retarded)
+            found[:, mine] = np.stack(solved.places)[:, :, 0]
         return found[0], found[1]
 
     def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
@@ -107,30 +107,30 @@ class ScattererPairVertex(ScattererVertex):
         the sound comes from, and towards where it goes.
         """
         ends, retarded = PairEnds(links, times), kinematics.retarded
-        way = _solved(links, ends, times, retarded)
-        onwards, departing = links.legs[1].turned_back(way.legs[2].direction), ends.leaving(way.legs[0].direction)
-        receding = way.legs[2].sound.growth(onwards, links.motions[1].velocity(times))
-        slower, faster = (receding, *way.coming), (way.mach, *way.leaving)
-        rate, factor, ratio = sum(slower) - sum(faster), np.ones_like(way.mach), np.ones_like(way.mach)
-        delay, late = np.sum(way.delays, axis=0), way.delays[2]
+        solved = _solved(links, ends, times, retarded)
+        onwards, departing = links.legs[1].turned_back(solved.legs[2].direction), ends.leaving(solved.legs[0].direction)
+        receding = solved.legs[2].sound.growth(onwards, links.motions[1].velocity(times))
+        slower, faster = (receding, *solved.coming), (solved.mach, *solved.leaving)
+        rate, factor, ratio = sum(slower) - sum(faster), np.ones_like(solved.mach), np.ones_like(solved.mach)
+        delay, late = np.sum(solved.delays, axis=0), solved.delays[2]
         if retarded:  # not 1 less a number near 1: that would leave fewer digits
             rate = -np.expm1(sum(np.log1p(-x) for x in slower) - sum(np.log1p(-x) for x in faster))
-            factor, ratio = np.prod([1.0 - x for x in faster], axis=0), 1.0 / (1.0 - way.mach)
-            for scatterer, coming in zip(self.two, way.coming, strict=True):
+            factor, ratio = np.prod([1.0 - x for x in faster], axis=0), 1.0 / (1.0 - solved.mach)
+            for scatterer, coming in zip(self.two, solved.coming, strict=True):
                 factor = factor / (1.0 - coming) if scatterer.shape.shadows else factor
             factor = factor**-kinematics.exponent
         else:
             late = np.zeros_like(late)
-        lengths = [leg.length for leg in way.legs]
-        first_late = late + (way.delays[1] if retarded else 0.0)
+        lengths = [leg.length for leg in solved.legs]
+        first_late = late + (solved.delays[1] if retarded else 0.0)
         return {
-            "delay": delay, "delay_rate": rate, "departure": way.legs[0].sound.normal(departing),
-            "arrival": -way.legs[2].sound.normal(onwards), "length": sum(lengths),
-            "through": sum(leg.sound.through for leg in way.legs),
+            "delay": delay, "delay_rate": rate, "departure": solved.legs[0].sound.normal(departing),
+            "arrival": -solved.legs[2].sound.normal(onwards), "length": sum(lengths),
+            "through": sum(leg.sound.through for leg in solved.legs),
             "emission_time": times - delay if retarded else np.broadcast_to(times, delay.shape),
             "mach_factor": factor, "frequency_ratio": ratio,
-            "strength": np.prod(way.strengths, axis=0) / np.prod(lengths, axis=0),
-            "aspects": np.stack([self._padded(aspects) for aspects in way.aspects], axis=-1),
+            "strength": np.prod(solved.strengths, axis=0) / np.prod(lengths, axis=0),
+            "aspects": np.stack([self._padded(aspects) for aspects in solved.aspects], axis=-1),
             "event_times": np.stack([times - first_late, times - late], axis=-1),
         }  # fmt: skip
 
@@ -169,7 +169,7 @@ class ScattererPairVertex(ScattererVertex):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Way:
+class _SolvedPath:
     """Sound by two scatterers (P, T); of Mach numbers, places and fields, those of the first one and of the second."""
 
     legs: tuple[Leg, ...]
@@ -182,13 +182,13 @@ class _Way:
     aspects: tuple[Floats, ...]
 
 
-def _solved(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> _Way:
+def _solved(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> _SolvedPath:
     """Find the events (P, T) of sound that is received at times (T,), s, by Newton's method, the last one first.
 
     Each step solves what is linear in the travel times of the legs; specular points follow, each as seen from what was
     found of the other. As the way is the shortest, that they move on the surfaces changes no time.
     """
-    scatterers, shape = links.vertex.two, ends.heard_at.shape[:2]
+    scatterers, shape = links.vertex.two, ends.receiver_at.shape[:2]
     bodies, now = [Body(scatterer) for scatterer in scatterers], np.broadcast_to(times, shape)
     delays = np.zeros((3, *shape))  # of the legs from the source on
     second = np.broadcast_to(scatterers[1].trajectory.position(times), (*shape, 3))
@@ -197,9 +197,9 @@ def _solved(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> _Way
         events = now - np.cumsum(delays[::-1], axis=0)[::-1] if retarded else np.broadcast_to(now, delays.shape)
         image, real, source_velocity = ends.emitted(events[0])
         first, velocity = bodies[0].seen(events[1], image, second, weights[0], done >= PATIENCE)
-        second, after = bodies[1].seen(events[2], first, ends.heard_at, weights[1], done >= PATIENCE)
+        second, after = bodies[1].seen(events[2], first, ends.receiver_at, weights[1], done >= PATIENCE)
         stops = (image, first, first - real), (first, second, second - first)
-        last = second, ends.heard_at, ends.receiver - second
+        last = second, ends.receiver_at, ends.receiver - second
         legs = tuple(leg_between(links.medium, *leg) for leg in (*stops, last))
         coming, leaving = (
             tuple(leg.sound.growth(leg.direction, v) for leg, v in zip(some, (velocity, after), strict=True))
@@ -215,10 +215,10 @@ def _solved(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> _Way
             change[1] = (change[1] + change[2] * (leaving[0] - coming[1])) / (1.0 - leaving[0])
             change[0] = (change[0] + (change[1] + change[2]) * (mach - coming[0])) / (1.0 - mach)
         delays = delays + change
-        settled = max(body.change for body in bodies) <= _SETTLED
-        if settled and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
+        converged = max(body.change for body in bodies) <= _CONVERGED
+        if converged and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
             fields = zip(*(body.strength(shape) for body in bodies), strict=True)
-            return _Way(legs, delays, mach, coming, leaving, (first, second), *fields)
+            return _SolvedPath(legs, delays, mach, coming, leaving, (first, second), *fields)
     names = " and ".join(repr(scatterer.name) for scatterer in scatterers)
     during = f"from {times[0]:.6g} to {times[-1]:.6g} s"
     raise InputError(
@@ -255,7 +255,7 @@ def scatterer_pair_paths(
     assert legs[0] is not None
     assert legs[1] is not None
     before, after = columns.pop("before"), columns.pop("after")
-    return Chain(scene=scene, **columns, legs=(legs[0].part(before), as_heard(legs[1].part(after))), vertex=vertex)
+    return Chain(scene=scene, **columns, legs=(legs[0].part(before), at_receivers(legs[1].part(after))), vertex=vertex)
 
 
 def _others(scene: Scene, which: int) -> Scene:
@@ -310,6 +310,6 @@ def _known(
     frequency, times = scene.sources[met[0]].emitted.centre_frequency, getattr(sides[0], name)[rows[0]]
     for n in (1, 2):
         motions = places[n - 1], places[n]
-        times = heard_after(scene, frequency, motions, sides[n], rows[n], times)
+        times = audible_after(scene, frequency, motions, sides[n], rows[n], times)
         times = latest(times, getattr(sides[n], name)[rows[n]])
     return times

@@ -16,7 +16,7 @@ from clsim.paths.propagation import straight
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.acoustics.scattering import Glint
+    from clsim.acoustics.scattering import SpecularPoint
     from clsim.arrays import Floats
     from clsim.paths.legs.events import Events
     from clsim.paths.legs.mirrors import Mirrors
@@ -34,7 +34,7 @@ _APART = 4  # times from one at which ways are looked for to the next: between t
 _LEAST = 6 * _APART  # times, for that
 _LONGEST_GAP = 0.05  # s between these
 _CLOSE = 1e-9  # s; the next step is about its square over a second
-_SETTLED = 1e-3  # rad of a specular point; its way is the shortest: wrong by the fourth power of this after the step
+_CONVERGED = 1e-3  # rad of a specular point; its way is the shortest: wrong by the fourth power of this after the step
 _TURNS = 40
 _FEW, _MANY = 3, 20  # rounds of the searches for events: by the centre first, from where the surface is looked for
 
@@ -42,7 +42,7 @@ _FEW, _MANY = 3, 20  # rounds of the searches for events: by the centre first, f
 class Ends(Protocol):
     """The ends of P paths as a scatterer sees them, at T times of reception."""
 
-    heard_at: Floats  # images of the receiver (P, T, 3), m
+    receiver_at: Floats  # images of the receiver (P, T, 3), m
     receiver: Floats  # where it is (T, 3), m
 
     def emitted(self, times: Floats) -> tuple[Floats, Floats, Floats | None]:
@@ -72,7 +72,7 @@ class Leg:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class ScatteredPath:
     """Sound by a scatterer, of any shape (...), as it is received at some time.
 
     Attributes
@@ -103,24 +103,24 @@ class Body:
         Its specular points, as far as known.
     """
 
-    def __init__(self, scatterer: Scatterer, glint: Glint | None = None) -> None:
+    def __init__(self, scatterer: Scatterer, specular: SpecularPoint | None = None) -> None:
         self._shape, self._trajectory = scatterer.shape, scatterer.trajectory
         self._turned = scatterer.trajectory.has_orientation and scatterer.shape.radius > 0.0
-        self.glint = glint
+        self.specular = specular
         self._ends: tuple[Floats, Floats] | None = None
 
     @property
     def change(self) -> float:
         """Rotation of the specular point in the last step of its search, rad."""
-        return 0.0 if self.glint is None else self.glint.change
+        return 0.0 if self.specular is None else self.specular.change
 
     def seen(
         self, times: Floats, source: Floats, receiver: Floats, weight: Floats | float, stays: bool = False
     ) -> tuple[Floats, Floats]:
         """Return place and velocity (..., 3) of what scatters at times (...) for ends (..., 3).
 
-        The weight of the way to the receiver is that of `ellipsoid_glint`; with `stays`, ends that the scatterer hid
-        from each other it hides again.
+        The weight of the way to the receiver is that of `ellipsoid_specular_point`; with `stays`, ends that the
+        scatterer hid from each other it hides again.
         """
         centre, velocity = self._trajectory.position(times), self._trajectory.velocity(times)
         away = [end - centre for end in (source, receiver)]
@@ -129,12 +129,12 @@ class Body:
             away = [np.einsum("...ij,...i->...j", axes, v) for v in away]
         source, receiver = (np.ascontiguousarray(v.reshape(-1, 3).T) for v in away)
         flat = weight.ravel() if isinstance(weight, np.ndarray) else weight
-        near = self.glint if self.glint is None else replace(self.glint, stays=stays)
-        self.glint = self._shape.glint(source, receiver, near, flat)
+        near = self.specular if self.specular is None else replace(self.specular, stays=stays)
+        self.specular = self._shape.specular(source, receiver, near, flat)
         self._ends = source, receiver
-        if self.glint is None:
+        if self.specular is None:
             return centre, velocity
-        offset = self.glint.place.T.reshape(*times.shape, 3)
+        offset = self.specular.place.T.reshape(*times.shape, 3)
         if self._turned:
             offset = np.einsum("...ij,...j->...i", axes, offset)
             velocity = velocity + np.cross(self._trajectory.angular_velocity(times), offset)
@@ -143,7 +143,7 @@ class Body:
     def strength(self, shape: tuple[int, ...]) -> list[Floats]:
         """Return strength and aspects, of a shape, of what was last seen."""
         assert self._ends is not None
-        strength, aspects = self._shape.strength(*self._ends, self.glint)
+        strength, aspects = self._shape.strength(*self._ends, self.specular)
         return [strength.reshape(shape), aspects.reshape(*shape, self._shape.aspects)]
 
 
@@ -158,7 +158,7 @@ def _axes(quaternions: Floats) -> Floats:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def scattered_way(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats, retarded: bool) -> Way:
+def scattered_path(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats, retarded: bool) -> ScatteredPath:
     """Return the ways (P, T) of sound by a scatterer that is received at times (T,), s.
 
     retarded: whether all is where it was when the sound passed, or where it is at reception.
@@ -186,7 +186,7 @@ class _Some:
     """Ends at some of the times."""
 
     def __init__(self, ends: Ends, which: NDArray[np.int64]) -> None:
-        self.heard_at, self.receiver = ends.heard_at[:, which], ends.receiver[which]
+        self.receiver_at, self.receiver = ends.receiver_at[:, which], ends.receiver[which]
         self.emitted, self.leaving = ends.emitted, ends.leaving
 
 
@@ -196,39 +196,39 @@ class _Known:
 
     late: Floats
     first_time: Floats
-    glint: Glint | None
+    specular: SpecularPoint | None
     weight: Floats | float
 
     def between(self, shares: Floats) -> _Known:
         """Return the same at other times, as sums (T, others) of these."""
-        glint = self.glint
-        if glint is not None:
-            normal = glint.normal.reshape(3, *self.late.shape) @ shares
-            glint = glint.guessed(normal.reshape(3, -1))
-        return _Known(self.late @ shares, self.first_time @ shares, glint, self.weight @ shares)
+        specular = self.specular
+        if specular is not None:
+            normal = specular.normal.reshape(3, *self.late.shape) @ shares
+            specular = specular.guessed(normal.reshape(3, -1))
+        return _Known(self.late @ shares, self.first_time @ shares, specular, self.weight @ shares)
 
 
 def _begin(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats) -> _Known:
     """Estimate from the centre at the times of reception."""
     centre = scatterer.trajectory.position(times)
-    late = medium.passage(straight(centre, ends.heard_at)[0], ends.receiver - centre).time
+    late = medium.passage(straight(centre, ends.receiver_at)[0], ends.receiver - centre).time
     image, real, _ = ends.emitted(np.broadcast_to(times, late.shape))
     return _Known(late, medium.passage(straight(image, centre)[0], centre - real).time, None, 1.0)
 
 
 def _solved(
     medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats, retarded: bool, known: _Known
-) -> tuple[Way, _Known]:
+) -> tuple[ScatteredPath, _Known]:
     """Return the ways by Newton's method from what is known of them, and what is known then."""
-    body, shape = Body(scatterer, known.glint), ends.heard_at.shape[:2]
+    body, shape = Body(scatterer, known.specular), ends.receiver_at.shape[:2]
     now, late, first_time, weight = np.broadcast_to(times, shape), known.late, known.first_time, known.weight
     carried: tuple[Floats, Floats] | None = None
     weight_at_rest: Floats | float = 1.0
     for done in range(_ROUNDS):
         event = times - late if retarded else now
         image, real, source_velocity = ends.emitted(event - first_time if retarded else event)
-        place, velocity = body.seen(event, *(carried or (image, ends.heard_at)), weight, done >= PATIENCE)
-        second = leg_between(medium, place, ends.heard_at, ends.receiver - place)
+        place, velocity = body.seen(event, *(carried or (image, ends.receiver_at)), weight, done >= PATIENCE)
+        second = leg_between(medium, place, ends.receiver_at, ends.receiver - place)
         first = leg_between(medium, image, place, place - real)
         coming, leaving = (leg.sound.growth(leg.direction, velocity) for leg in (first, second))
         mach = np.zeros(shape)
@@ -245,7 +245,7 @@ def _solved(
         if first.sound.carried is not None:  # by air that moves: ends are seen where their wavefronts come from
             carried = place - first.ray(), place + second.ray()
             weight = weight_at_rest * (second.slowness() / first.slowness())
-        if moved <= _CLOSE and body.change <= _SETTLED and not again:
+        if moved <= _CLOSE and body.change <= _CONVERGED and not again:
             break
     else:
         raise InputError(
@@ -253,8 +253,8 @@ def _solved(
             f"must be seen from both ends, but no way by {scatterer.name!r} was found from {times[0]:.6g} to "
             f"{times[-1]:.6g} s",
         )
-    way = Way(late + first_time, first, second, mach, coming, leaving, place, *body.strength(shape))
-    return way, _Known(late, first_time, body.glint, weight)
+    solved = ScatteredPath(late + first_time, first, second, mach, coming, leaving, place, *body.strength(shape))
+    return solved, _Known(late, first_time, body.specular, weight)
 
 
 def leg_between(medium: Medium, start: Floats, stop: Floats, apart: Floats) -> Leg:
@@ -326,7 +326,7 @@ def find_scattered(
     body, shape = Body(scatterer), (len(legs[0]), len(times))
     now, point = np.broadcast_to(times, shape), _Point(scatterer.trajectory, None)
     wind = np.array(medium.wind or (0.0, 0.0, 0.0))
-    settled = False
+    converged = False
     for done in range(_TURNS):
         rounds = _FEW if done == 0 and scatterer.shape.radius > 0.0 else _MANY
         place: Any = point
@@ -341,10 +341,10 @@ def find_scattered(
         mach = [dot(n, velocity) / c for n, c in zip(onwards, speed, strict=True)]
         weight = (1.0 - mach[0]) / (1.0 - mach[1]) * speed[0] / speed[1] if retarded else speed[0] / speed[1]
         body.seen(event, seen[0], seen[1], weight)
-        if settled or body.glint is None:
+        if converged or body.specular is None:
             break
-        settled = done > 0 and body.change <= _SETTLED  # by images that the surface sees, not the centre
-        point = _Point(scatterer.trajectory, body.glint.place.T.reshape(*shape, 3))
+        converged = done > 0 and body.change <= _CONVERGED  # by images that the surface sees, not the centre
+        point = _Point(scatterer.trajectory, body.specular.place.T.reshape(*shape, 3))
     else:
         raise InputError(
             "scatterers",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.diffraction import EdgeWay
+from clsim.acoustics.diffraction import EdgePath
 from clsim.acoustics.edge_gap import EdgeGap
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status, turned
 from clsim.paths.visibility.edges import FAR, Course, EdgeVisibility
@@ -73,8 +73,8 @@ class GapVisibility(EdgeVisibility):
         before, between, behind = found.legs
         slopes = source[0] / before, receiver[0] / behind
         across = slopes[0] * (between + behind), slopes[1] * (before + between)
-        ways = tuple(EdgeWay(found.length, place, found.length) for place in found.places)
-        return Course((ways[0], ways[1]), across, found)
+        edge_paths = tuple(EdgePath(found.length, place, found.length) for place in found.places)
+        return Course((edge_paths[0], edge_paths[1]), across, found)
 
     def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
         """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns."""
@@ -119,13 +119,13 @@ class GapVisibility(EdgeVisibility):
         met = self.candidates.between[which]
         place = _before_last(walls, met, stance.apexes, OVERLAP[side - 2])
         part = met[:, ::-1] if side == 2 else met[:, :0]
-        clear_way, clear = path_status(
+        clear_path, clear = path_status(
             walls, part, place, stance.apexes[side - 2], Reach(moves, moves, none, none), True
         )
         sure = moves_within(clear, moves)
         blocked = np.where(free, sure, np.maximum(beside, sure))
-        ratio = np.where(clear_way, np.where(free, np.minimum(beside, sure), beside), blocked)
-        return free & clear_way, np.minimum(ratio, EVER) * stance.reach, stance.reach
+        ratio = np.where(clear_path, np.where(free, np.minimum(beside, sure), beside), blocked)
+        return free & clear_path, np.minimum(ratio, EVER) * stance.reach, stance.reach
 
 
 def _before_last(walls: Walls, between: NDArray[np.int32], ends: tuple[Floats, Floats], part: float) -> Floats:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import ON_LINE, TERMS, partner_reflections
+from clsim.acoustics.diffraction import ON_LINE, TERMS, adjacent_reflections
 from clsim.acoustics.edge_gap import FOUND, NEWTON, STEPS
 from clsim.errors import InputError
 from clsim.paths.search.edge_chains import joined_over_ends
@@ -100,9 +100,11 @@ class EdgeSearch:
         hindered = np.zeros(len(row), dtype=bool) if across_air else legs.hindered(row)
         if not hindered.any():
             return merged(row, begin, end, evaluations)
-        asked, spans = row[hindered], (begin[hindered], end[hindered])
-        found = find_intervals(self.query, asked.astype(np.int32)[:, None], receiver[asked], legs.evaluate, spans)
-        parts = (row, asked[found.path]), (begin, found.begin), (end, found.end)
+        requested, spans = row[hindered], (begin[hindered], end[hindered])
+        found = find_intervals(
+            self.query, requested.astype(np.int32)[:, None], receiver[requested], legs.evaluate, spans
+        )
+        parts = (row, requested[found.path]), (begin, found.begin), (end, found.end)
         row, begin, end = (np.concatenate([free[~hindered], rest]) for free, rest in parts)
         return merged(row, begin, end, evaluations + found.evaluations)
 
@@ -122,10 +124,13 @@ class EdgeSearch:
             "sequences": mine, "others": other, "edge_of": candidates.edge[row], "face_of": places,
             "end_of": candidates.end[row], "receiver_of": candidates.receiver[row],
         }  # fmt: skip
-        every, asked = np.column_stack([edges.frames.reshape(-1, 12), edges.length, edges.n]), candidates.edge[row, 1]
-        seen = every[asked] if across_air else every
+        every, requested = (
+            np.column_stack([edges.frames.reshape(-1, 12), edges.length, edges.n]),
+            candidates.edge[row, 1],
+        )
+        seen = every[requested] if across_air else every
         if across_air:
-            seen[:, :12] = seen_frames(self.query.walls, edges, asked, between).reshape(-1, 12)
+            seen[:, :12] = seen_frames(self.query.walls, edges, requested, between).reshape(-1, 12)
         others = {
             "counts": counts, "far": FAR * self.query.walls.size, "edges": every, "seen": seen,
         }  # fmt: skip
@@ -143,7 +148,7 @@ class Pieces:
     sides: NDArray[np.int8]  # (n, 11) see `EdgeVisibility.sides`
 
 
-def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell: Callable[[], None]) -> Pieces:
+def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, notify: Callable[[], None]) -> Pieces:
     """Find the intervals in which candidates are active, and cut them at the boundaries of their terms.
 
     Certified subdivision, as of `find_intervals`. While a path runs along a boundary, as where source, receiver and
@@ -154,7 +159,7 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell
     near = GRAZE * finder.query.walls.size
     met = candidates.before.shape[1] + candidates.after.shape[1] + candidates.between.shape[1]
     ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)  # terms whose partners have too many reflections
-    one, last = (partner_reflections(finder.edges.n[edge]) for edge in candidates.edge.T)
+    one, last = (adjacent_reflections(finder.edges.n[edge]) for edge in candidates.edge.T)
     shared = ((candidates.face >= 0) & (candidates.face != ACROSS_AIR))[:, :1]  # with the fewest at the other edge
     for term, mine, other in ((0, one, last), (TERMS + 1, last, one)):
         ignored[:, term : term + TERMS] = met + mine + shared * other.min(axis=1, keepdims=True) > order
@@ -179,7 +184,7 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, tell
         done[unsure] = True
         np.add.at(evaluations, row, 1)
         _refuse_endless(evaluations, lambda worst: finder.edges.names[candidates.edge[worst, 0]])
-        tell()
+        notify()
         found.append((row[done], begin[done], end[done], sides[done]))
         row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
         if len(row):

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.acoustics.diffraction import TERMS, EdgeWay, edge_way, lit_angles
+from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge
 from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 
@@ -85,7 +85,7 @@ class EdgeCandidates:
 class Course:
     """The shortest ways over the lines of edges, n of them, as each edge sees them."""
 
-    ways: tuple[EdgeWay, EdgeWay]
+    edge_paths: tuple[EdgePath, EdgePath]
     across: tuple[Floats, Floats]  # how far the other end is beyond each edge, rolled out, m
     crossing: Crossing | None  # of edges with air between
 
@@ -118,25 +118,25 @@ class EdgeVisibility:
 
     def stance(self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats) -> EdgeStance:
         """Course of candidates `which` (n,) at times (n,), with the motion of their endpoints within `half`, s."""
-        asked, tables, edges = self.candidates, query.trajectory_tables, self.edges
-        row, source = asked.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
-        (one, other), end = asked.edge[which].T, asked.end[which]
+        requested, tables, edges = self.candidates, query.trajectory_tables, self.edges
+        row, source = requested.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
+        (one, other), end = requested.edge[which].T, requested.end[which]
         over_end, ends = end >= 0, end * edges.length[one]
         at = tables.lifted(row, tables.position(row, time) + PERTURBATIONS[1])
-        r_r, t_r, z_r = edges.cylindrical(other, _imaged(query.walls, asked.after[which], at))
+        r_r, t_r, z_r = edges.cylindrical(other, _imaged(query.walls, requested.after[which], at))
         delay = np.zeros(len(which))
         for _ in range(CONTRACTIONS):  # each step by the Mach number of the source
             emitted_at = tables.lifted(source, tables.position(source, time - delay) + PERTURBATIONS[0])
-            r_s, t_s, z_s = edges.cylindrical(one, _imaged(query.walls, asked.before[which], emitted_at))
+            r_s, t_s, z_s = edges.cylindrical(one, _imaged(query.walls, requested.before[which], emitted_at))
             course = self.course(which, (r_s, z_s), (r_r, z_r))
             by_end = np.hypot(r_s, ends - z_s) + np.hypot(r_r, ends - z_r)
-            length = np.where(over_end, by_end, course.ways[0].length)
+            length = np.where(over_end, by_end, course.edge_paths[0].length)
             later = query.medium.passage(length, at - emitted_at).time - delay
             delay += later
             if not np.any(np.abs(later) > CONTRACTED):
                 break
-        places = tuple(np.where(over_end, ends, w.apex) for w in course.ways)
-        late, emission_time = query.time_dilation[asked.receiver[which]], time - delay
+        places = tuple(np.where(over_end, ends, w.apex) for w in course.edge_paths)
+        late, emission_time = query.time_dilation[requested.receiver[which]], time - delay
         reach = np.maximum(
             half * late * tables.speed_over(source, emission_time - late * half, emission_time + late * half),
             half * tables.speed_over(row, time - half, time + half),
@@ -148,14 +148,16 @@ class EdgeVisibility:
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
         """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
-        asked, edges = self.candidates, self.edges
-        (one, other), (face, other_face) = asked.edge[which].T, asked.face[which].T
+        requested, edges = self.candidates, self.edges
+        (one, other), (face, other_face) = requested.edge[which].T, requested.face[which].T
         if np.all(face < 0):
-            way = edge_way(*source, *receiver)
-            return Course((way, way), (receiver[0], source[0]), None)
-        heard = edges.beyond(one, face, other, other_face, *receiver)
+            leg = path_over_edge(*source, *receiver)
+            return Course((leg, leg), (receiver[0], source[0]), None)
+        audible = edges.beyond(one, face, other, other_face, *receiver)
         sent = edges.beyond(other, other_face, one, face, *source)
-        return Course((edge_way(*source, *heard), edge_way(*receiver, *sent)), (heard[0], sent[0]), None)
+        return Course(
+            (path_over_edge(*source, *audible), path_over_edge(*receiver, *sent)), (audible[0], sent[0]), None
+        )
 
     def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
         """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns.
@@ -176,8 +178,8 @@ class EdgeVisibility:
         The side is 0 from the source to the edge, 1 from the receiver; rows of candidates are all of `sequence`.
         """
         which = sequence[:, 0].astype(np.int64)
-        asked, stance = self.candidates, self.stance(query, which, time, half)
-        both = [self.slides(stance, edge, asked.end[which], query.walls.size) for edge in (0, 1)]
+        requested, stance = self.candidates, self.stance(query, which, time, half)
+        both = [self.slides(stance, edge, requested.end[which], query.walls.size) for edge in (0, 1)]
         moves, most = both[side], np.maximum(stance.reach, np.maximum(*both))
         off, places = self._margins(stance, which)
         least = np.minimum(off, places)
@@ -185,7 +187,7 @@ class EdgeVisibility:
         beside = moves_within(-off, stance.reach)  # wherever the places on the edges slide to
         ratio = np.where(off < 0.0, np.maximum(ratio, beside), ratio)
         rows, still = np.flatnonzero(valid), np.zeros((np.sum(valid), 3))
-        walls = (asked.before, asked.after)[side][which[rows]]
+        walls = (requested.before, requested.after)[side][which[rows]]
         reach = Reach(stance.reach[rows], moves[rows], still, still)
         free, clear = path_status(query.walls, walls, stance.ends[side][rows], stance.apexes[side][rows], reach, True)
         sure = moves_within(clear, reach.most)
@@ -206,8 +208,8 @@ class EdgeVisibility:
         for paths over one; and those of both ends, -1 near the 0-face and 1 near the n-face of a sheet, or of a wedge
         nearly as thin, whose plane they may pass beyond its other edges, 0 elsewhere.
         """
-        asked, stance = self.candidates, self.stance(query, which, time, half)
-        (one, other), end, double = asked.edge[which].T, asked.end[which], asked.face[which, 0] >= 0
+        requested, stance = self.candidates, self.stance(query, which, time, half)
+        (one, other), end, double = requested.edge[which].T, requested.end[which], requested.face[which, 0] >= 0
         near = stance.reach < np.minimum(*stance.distances)
         turn, other_turn = (
             np.arcsin(np.where(near, stance.reach / np.where(near, r, 1.0), 1.0)) for r in stance.distances
@@ -217,9 +219,9 @@ class EdgeVisibility:
         others = lit_angles(self.edges.n[other], back, stance.angles[1])
         sure = near & np.all(np.abs(angles) > (turn + more[0])[:, None], axis=1)
         sure &= ~double | np.all(np.abs(others) > (other_turn + more[1])[:, None], axis=1)
-        beside, passed = _beside(self.edges.n[asked.edge[which].T], np.stack(stance.angles))
+        beside, passed = _beside(self.edges.n[requested.edge[which].T], np.stack(stance.angles))
         sure &= np.all(passed > np.stack([turn, other_turn]), axis=0)
-        apex = stance.course.ways[0].apex
+        apex = stance.course.edge_paths[0].apex
         inside = np.where(end == 0, apex, self.edges.length[one] - apex)
         over_end = self.slides(stance, 0, np.full(len(end), -1), query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
@@ -239,7 +241,7 @@ class EdgeVisibility:
         """Largest motion of the point on the first or second edge along it, (n,) m."""
         across, reach = stance.distances[edge] + stance.course.across[edge], stance.reach
         room = across - 2.0 * reach
-        sliding = reach * (stance.course.ways[edge].length + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
+        sliding = reach * (stance.course.edge_paths[edge].length + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
         return np.where(end >= 0, 0.0, np.where(room > 0.0, sliding, FAR * size))
 
     def _margins(self, stance: EdgeStance, which: Rows) -> Floats:
@@ -297,8 +299,8 @@ class FaceLegs:
         for i, row in enumerate(which.tolist()):
             edge, face = seen.candidates.edge[row].tolist(), seen.candidates.face[row].tolist()
             lines = self._footprint(*edge, face[0])
-            way = np.stack([in_face(seen.edges, edge[0], face[0], apex[i]) for apex in stance.apexes])
-            crosses, apart = lines_apart(way, lines)
+            leg = np.stack([in_face(seen.edges, edge[0], face[0], apex[i]) for apex in stance.apexes])
+            crosses, apart = lines_apart(leg, lines)
             free[i] = not crosses.any()
             clear[i] = apart.min(initial=EVER) if free[i] else apart[crosses].max()
         return free, moves_within(clear, moves) * stance.reach, stance.reach
@@ -350,7 +352,7 @@ def _enters(line: Floats, hull: Floats, within: float) -> bool:
     return bool(first < last)
 
 
-def lines_apart(way: Floats, lines: Floats) -> tuple[Bools, Floats]:
+def lines_apart(leg: Floats, lines: Floats) -> tuple[Bools, Floats]:
     """Mask of lines (n, 2, 2) that a segment (2, 2) crosses, and the least distance of any end to the other line, m."""
 
     def turn(a: Floats, b: Floats, c: Floats) -> Floats:
@@ -363,6 +365,6 @@ def lines_apart(way: Floats, lines: Floats) -> tuple[Bools, Floats]:
         share = np.clip(np.sum((place - a) * along, axis=-1) / squared, 0.0, 1.0)
         return np.asarray(np.linalg.norm(place - a - share[..., None] * along, axis=-1))
 
-    (a, b), (p, q) = way, np.moveaxis(lines, 1, 0)
+    (a, b), (p, q) = leg, np.moveaxis(lines, 1, 0)
     crosses = (turn(a, b, p) * turn(a, b, q) < 0.0) & (turn(p, q, a) * turn(p, q, b) < 0.0)
     return crosses, np.minimum(np.minimum(off(a, p, q), off(b, p, q)), np.minimum(off(p, a, b), off(q, a, b)))

@@ -46,10 +46,10 @@ def behind_bodies(search: BodySearch, family: PathFamily, progress: Progress = l
         query = search.pair(pair.source, pair.receiver)
         status = _Status(pair, search)
         if family.is_specular:
-            look = _Look(status, search.obstacles, query)
+            evaluate = _Evaluation(status, search.obstacles, query)
             every = np.arange(len(pair.index))
             spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
-            path, begin, end = certified(look.look, look.status, spans, query.resolution, part)
+            path, begin, end = certified(evaluate.evaluate, evaluate.status, spans, query.resolution, part)
         else:
             path, begin, end = sampled(status, pair.index, query.times, query.resolution, status.nearby)
             part(1.0)
@@ -120,7 +120,7 @@ class _Status:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
+class _Evaluation:
     """Whether bodies are in the way of paths by walls of one pair, and for how long that is certain."""
 
     free: _Status
@@ -131,7 +131,7 @@ class _Look:
         """Mask of paths (n,) that are free at times (n,)."""
         return self.free(self.free.index[rows], times[:, None])[:, 0]
 
-    def look(self, rows: Rows, times: Floats, half: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
+    def evaluate(self, rows: Rows, times: Floats, half: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
         """Mask of free paths (n,), the time for which that is certain, s, and the speed of what decides, m/s.
 
         Walls rest: every point at a fixed share of a path moves by no more than its ends, see `certainty`, and a corner
@@ -163,15 +163,15 @@ class _Look:
                 sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
         jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
         sure = np.where(jumps & (sure < pace.half), 0.0, sure)
-        return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_ways)
+        return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_lengths)
 
 
 def _slides(place: Floats, most: Floats) -> Floats:
     """Speeds of corners of paths (n, V, 3) along their walls, (n, V - 2) m/s, whose ends go at most so fast, (n,)."""
-    way = np.diff(place, axis=1)
-    way /= np.maximum(np.linalg.norm(way, axis=2), 1e-300)[..., None]
+    steps = np.diff(place, axis=1)
+    steps /= np.maximum(np.linalg.norm(steps, axis=2), 1e-300)[..., None]
     with np.errstate(divide="ignore"):
-        bends = 1.0 + 2.0 / np.linalg.norm(np.diff(way, axis=1), axis=2)
+        bends = 1.0 + 2.0 / np.linalg.norm(np.diff(steps, axis=1), axis=2)
         slides = np.multiply(most[:, None], bends, out=np.zeros_like(bends), where=most[:, None] > 0.0)
     return np.where(most[:, None] > 0.0, slides, 0.0)
 
@@ -196,7 +196,7 @@ def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -
     else:
         delay = family.arrivals(rows, times[0]).delay
         corners = np.stack([family.vertices(rows, float(time)) for time in times[0]], axis=1)
-    way = np.linalg.norm(np.diff(corners, axis=2), axis=3)
-    along = np.concatenate([np.zeros((count, every, 1)), np.cumsum(way, axis=2)], axis=2)
+    steps = np.linalg.norm(np.diff(corners, axis=2), axis=3)
+    along = np.concatenate([np.zeros((count, every, 1)), np.cumsum(steps, axis=2)], axis=2)
     whole = np.nanmax(along, axis=2, keepdims=True)
     return corners, (times - delay)[..., None] + delay[..., None] * along / np.maximum(whole, 1e-300)

@@ -126,8 +126,8 @@ def find_intervals(
         done = (clear > reach) | (2.0 * half <= query.resolution) | (reach < SMALLEST_MOVE * query.walls.size)
         grazing = np.flatnonzero(~done & (clear < GRAZE * query.walls.size) & (half <= 0.5 * GRAZE_TIME))
         for instant in (begin, end) if len(grazing) else ():
-            asked = sequence[path[grazing]], receiver[path[grazing]]
-            seen, beside, most = evaluate_at(query, *asked, instant[grazing], half[grazing])
+            requested = sequence[path[grazing]], receiver[path[grazing]]
+            seen, beside, most = evaluate_at(query, *requested, instant[grazing], half[grazing])
             evaluations += len(grazing)
             grazing = grazing[(seen == valid[grazing]) & (beside < np.minimum(GRAZE * query.walls.size, ALONG * most))]
         done[grazing] = True

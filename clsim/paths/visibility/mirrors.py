@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MirrorLook:
+class MirrorEvaluation:
     """How paths by mirrors (P, N) from a source to receivers are at a time."""
 
     obstacles: Obstacles  # of the scene
@@ -49,7 +49,7 @@ class MirrorLook:
         walls = self.surfaces[rows]
         return self.obstacles.there(walls, self._events(walls, self.receiver[rows], times), times[:, None])[:, 0]
 
-    def look(self, rows: Rows, times: Floats, half: Floats) -> tuple[Bools, Floats, Floats]:
+    def evaluate(self, rows: Rows, times: Floats, half: Floats) -> tuple[Bools, Floats, Floats]:
         """Mask of valid paths (n,), and the times for which that is certain and assumed, s."""
         there, sure, taken = np.zeros(len(rows), dtype=bool), np.zeros(len(rows)), np.zeros(len(rows))
         order = np.sum(self.surfaces[rows] >= 0, axis=1)
@@ -57,14 +57,16 @@ class MirrorLook:
             some = np.flatnonzero(order == count)
             walls = self.surfaces[rows[some], :count]
             ears = self.receiver[rows[some]]
-            there[some], sure[some], taken[some] = self._look(walls, ears, times[some], half[some])
+            there[some], sure[some], taken[some] = self._evaluate(walls, ears, times[some], half[some])
         return there, sure, taken
 
     def _events(self, walls: NDArray[np.int32], ears: Rows, times: Floats) -> Events:
         ends: Any = (self.source, _Ears(self.receivers, ears))
         return find_events(self.obstacles.mirrors, walls, ends, self.medium, times[:, None], rounds=ROUNDS)
 
-    def _look(self, walls: NDArray[np.int32], ears: Rows, times: Floats, half: Floats) -> tuple[Bools, Floats, Floats]:
+    def _evaluate(
+        self, walls: NDArray[np.int32], ears: Rows, times: Floats, half: Floats
+    ) -> tuple[Bools, Floats, Floats]:
         events = self._events(walls, ears, times)
         line = straightened(self.obstacles.mirrors, walls, events, times, self.medium)
         delay = events.delay[:, 0]
@@ -80,16 +82,16 @@ class MirrorLook:
         sure[gone] = np.maximum(not_met, behind(self.obstacles.mirrors, walls, line, pace, self.medium, delay))[gone]
         there, some = met, np.flatnonzero(met)
         if len(some):
-            ways = np.linalg.norm(np.diff(line.place[some], axis=1), axis=2)
+            lengths = np.linalg.norm(np.diff(line.place[some], axis=1), axis=2)
             closing = change.place[some, 1:] + change.place[some, :-1]
-            kept = np.minimum(lasts(apart, slide)[some].min(axis=1, initial=FAR), lasts(ways, closing).min(axis=1))
+            kept = np.minimum(lasts(apart, slide)[some].min(axis=1, initial=FAR), lasts(lengths, closing).min(axis=1))
             kept = np.minimum(kept, change.holds[some])
             there[some], sure[some] = self._free(walls[some], line, change, pace, some, kept)
         certain = sure
         jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
         certain = np.where(jumps & (certain < half), 0.0, certain)
-        loose = np.minimum(lasts(np.full(len(walls), self.step), pace.all_ways), FAR)
-        fastest = np.minimum(change.place.max(axis=1), FAR) + pace.all_ways
+        loose = np.minimum(lasts(np.full(len(walls), self.step), pace.all_lengths), FAR)
+        fastest = np.minimum(change.place.max(axis=1), FAR) + pace.all_lengths
         return there, certain, np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
 
     def _on_faces(self, walls: NDArray[np.int32], place: Floats, when: Floats) -> tuple[Bools, Floats, Floats]:
@@ -134,7 +136,7 @@ class MirrorLook:
                 change.place[p, leg], change.place[p, leg + 1], change.dilation[p, leg : leg + 2].max(axis=1), held,
                 pace.part(p),
             )  # fmt: skip
-            blocked, certain = self.obstacles.looked(legs, padded[rows, leg], padded[rows, leg + 1], changes)
+            blocked, certain = self.obstacles.evaluated(legs, padded[rows, leg], padded[rows, leg + 1], changes)
             free[rows] = ~blocked
             certain = np.minimum(certain, kept[rows])
             sure[rows] = np.where(blocked, certain, np.minimum(sure[rows], certain))

@@ -106,9 +106,9 @@ class Obstacles:
 
     def blocked(self, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
         """Mask (n,) of legs between mirrors, -1 for none, that a wall or a body blocks."""
-        return self.looked(legs, first, last, None)[0]
+        return self.evaluated(legs, first, last, None)[0]
 
-    def looked(
+    def evaluated(
         self, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: LegDrift | None
     ) -> tuple[Bools, Floats]:
         """Mask of blocked legs, as `blocked`, and the time for which that is certain, (n,) s."""
@@ -237,28 +237,38 @@ def _faced(
     """
     heights = [x @ walls.normal.T - walls.offset for x in (start, stop)]
     hit, crossed = np.zeros(skipped.shape, dtype=bool), _crossed(*heights) & ~skipped
-    way, face = np.nonzero(crossed)
-    share = heights[0][way, face] / (heights[0][way, face] - heights[1][way, face])
-    places = start[way] + share[:, None] * (stop[way] - start[way])
-    if turning is not None and len(way):
-        places = _met_turning(walls, turning, way, face, share, [h[way, face] for h in heights])
+    crossed_leg, face = np.nonzero(crossed)
+    share = heights[0][crossed_leg, face] / (heights[0][crossed_leg, face] - heights[1][crossed_leg, face])
+    places = start[crossed_leg] + share[:, None] * (stop[crossed_leg] - start[crossed_leg])
+    if turning is not None and len(crossed_leg):
+        places = _met_turning(walls, turning, crossed_leg, face, share, [h[crossed_leg, face] for h in heights])
     for each in np.unique(face).tolist():
         these = np.flatnonzero(face == each)
-        hit[way[these], each] = walls.holds(each, places[these])
+        hit[crossed_leg[these], each] = walls.holds(each, places[these])
     found = np.any(hit, axis=1)
     if drift is None:
         return found, np.zeros(len(found))
     sides = np.minimum(*(lasts(np.abs(h), x[:, None]) for h, x in zip(heights, (drift.start, drift.stop), strict=True)))
     sure = _past(walls, heights, (start, stop), drift, sides, skipped | found[:, None])
-    used = ~found[way] | hit[way, face]
-    way, face, places, share = way[used], face[used], places[used], share[used]
-    border = np.empty(len(way))
+    used = ~found[crossed_leg] | hit[crossed_leg, face]
+    crossed_leg, face, places, share = crossed_leg[used], face[used], places[used], share[used]
+    border = np.empty(len(crossed_leg))
     for each in np.unique(face).tolist():
         these = np.flatnonzero(face == each)
         border[these] = edges_apart(walls.edges_of(each), places[these], places[these])
-    border = lasts(border, _slides([h[way, face] for h in heights], (start[way], stop[way]), share, drift.part(way)))
-    sure[way, face] = np.where(
-        hit[way, face], np.minimum(border, sides[way, face]), np.maximum(sure[way, face], border)
+    border = lasts(
+        border,
+        _slides(
+            [h[crossed_leg, face] for h in heights],
+            (start[crossed_leg], stop[crossed_leg]),
+            share,
+            drift.part(crossed_leg),
+        ),
+    )
+    sure[crossed_leg, face] = np.where(
+        hit[crossed_leg, face],
+        np.minimum(border, sides[crossed_leg, face]),
+        np.maximum(sure[crossed_leg, face], border),
     )
     blocked = np.where(hit, sure, 0.0).max(axis=1, initial=0.0)
     return found, np.where(found, blocked, np.where(skipped, FAR, sure).min(axis=1, initial=FAR))
@@ -273,9 +283,9 @@ def _past(
     apart = np.linalg.norm(_nearest(walls.centre, start[:, None], stop[:, None]) - walls.centre, axis=2)
     sure = lasts(np.maximum(apart - walls.radius - drift.curved[:, None], 0.0), np.broadcast_to(fast, apart.shape))
     sure = np.where(heights[0] * heights[1] > 0.0, np.maximum(sure, sides), sure)
-    way, face = np.nonzero((sure < drift.half[:, None]) & ~done)
+    crossed_leg, face = np.nonzero((sure < drift.half[:, None]) & ~done)
     for each in np.unique(face).tolist():
-        p = way[face == each]
+        p = crossed_leg[face == each]
         reach = _beside(walls, each, start[p], stop[p], [h[p, each] for h in heights]) - drift.curved[p]
         sure[p, each] = np.maximum(sure[p, each], lasts(np.maximum(reach, 0.0), fast[p, 0]))
     return sure
@@ -318,10 +328,10 @@ def _crossed(first: Floats, last: Floats) -> Bools:
 
 
 def _met_turning(
-    walls: Walls, turning: tuple[Body, Legs], way: Rows, face: Rows, share: Floats, heights: list[Floats]
+    walls: Walls, turning: tuple[Body, Legs], crossed_leg: Rows, face: Rows, share: Floats, heights: list[Floats]
 ) -> Floats:
     """Points where legs meet the planes of a turning body's faces, in the body's axes, (n, 3) m."""
-    body, legs = turning[0], turning[1].part(way)
+    body, legs = turning[0], turning[1].part(crossed_leg)
     normal, offset, apart = walls.normal[face], walls.offset[face], heights[0] - heights[1]
     for step in range(_STEPS + 1):
         place = legs.start + share[:, None] * (legs.stop - legs.start)

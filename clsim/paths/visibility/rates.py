@@ -131,7 +131,7 @@ class Pace:
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
     @property
-    def all_ways(self) -> Floats:
+    def all_lengths(self) -> Floats:
         """Sum (n,) of the speeds of all that moves, of points a metre from where bodies turn, m/s."""
         return np.asarray(self.source + self.receiver + np.sum(self.speed + self.turn, axis=1))
 
@@ -180,12 +180,12 @@ class EndRates:
                 jumps[np.searchsorted(peaks.bounds, end, "right")]
                 - jumps[np.searchsorted(peaks.bounds, emitted, "left")]
             ).T
-        heard, source = np.empty(count), self.source.over(emitted, end)[:, 0]
+        audible, source = np.empty(count), self.source.over(emitted, end)[:, 0]
         for ear in np.unique(receiver).tolist():
             rows = np.flatnonzero(receiver == ear)
-            heard[rows] = self.receivers[ear].over(emitted[rows], end[rows])[:, 0]
+            audible[rows] = self.receivers[ear].over(emitted[rows], end[rows])[:, 0]
         speed, turn, gain, lift, jolt, twist = columns
-        return Pace(half, source, heard, speed, turn, gain, lift, jolt, twist, self.held[receiver])
+        return Pace(half, source, audible, speed, turn, gain, lift, jolt, twist, self.held[receiver])
 
 
 @lru_cache(maxsize=16)
@@ -231,10 +231,10 @@ def _body_cells(body: Body, first: float, last: float) -> tuple[Peaks, Floats]:
         after.append(ends[0])
         before.append(ends[1])
     jump = np.linalg.norm(np.concatenate(after)[1:] - np.concatenate(before)[:-1], axis=2)
-    told = np.stack([jump[:, 0], np.sqrt(0.5 * np.sum(jump[:, 1:] ** 2, axis=1))], axis=1)
-    told[told < _ROUNDING] = 0.0
+    given = np.stack([jump[:, 0], np.sqrt(0.5 * np.sum(jump[:, 1:] ** 2, axis=1))], axis=1)
+    given[given < _ROUNDING] = 0.0
     return Peaks.of(bounds, values), np.concatenate(
-        [np.zeros((2, 2)), np.cumsum(told, axis=0), np.sum(told, axis=0)[None]]
+        [np.zeros((2, 2)), np.cumsum(given, axis=0), np.sum(given, axis=0)[None]]
     )
 
 

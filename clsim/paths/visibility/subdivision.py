@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.scene.motion.motion import even_ways
+from clsim.scene.motion.motion import even_lengths
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
     Rows = NDArray[np.int64]
-    Look = Callable[[Rows, Floats, Floats], tuple[Bools, Floats, Floats]]
+    Evaluation = Callable[[Rows, Floats, Floats], tuple[Bools, Floats, Floats]]
     Status = Callable[[Rows, Floats], Bools]
     Gaps = tuple[Any, ...]
     CodesAt = Callable[[Rows, Floats], NDArray[Any]]
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 SAMPLE = 16  # resolutions; what lasts less is not found
 _CERTAIN = 0.999  # of the time for which something is certain, what is relied on
-_LOOKS = 4_000  # looks
+_EVALUATIONS = 4_000  # looks
 _AT_ONCE = 400  # looks, below which more of them cost next to nothing
 _MOST_PARTS = 7  # of a gap, at the middles of which is looked
 _PARTS = 4  # of the time in which something changes, and so on
@@ -49,7 +49,7 @@ _CODES = 20_000  # paths and times that are coded together
 
 
 def certified(
-    look: Look, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float,
+    evaluate: Evaluation, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[Rows, Floats, Floats]:  # fmt: skip
     """Return when paths are there: which (n,), begins and ends (n,), s, in the order of spans.
@@ -59,31 +59,35 @@ def certified(
     far before and after agree, s: where a path runs along what decides about it, or nothing is certain.
     """
     which, begin, end = spans
-    parts = [np.arange(i, min(i + _LOOKS, len(which))) for i in range(0, len(which), _LOOKS)]
+    parts = [np.arange(i, min(i + _EVALUATIONS, len(which))) for i in range(0, len(which), _EVALUATIONS)]
     whole, done = float(np.sum(end - begin)) or 1.0, 0.0
     found: list[tuple[Any, Any, Any]] = [(which[:0], begin[:0], end[:0])]
     for part in parts:
         share = float(np.sum(end[part] - begin[part])) / whole
-        tell = partial(_tell, progress, done, share)
-        found.append(_of_part(look, status, (which[part], begin[part], end[part]), resolution, tell))
+        notify = partial(_report, progress, done, share)
+        found.append(_of_part(evaluate, status, (which[part], begin[part], end[part]), resolution, notify))
         done += share
     progress(1.0)
     path, first, last = (np.concatenate([each[i] for each in found]) for i in range(3))
     return path, first, last
 
 
-def _tell(progress: Callable[[float], None], first: float, share: float, left: float) -> None:
+def _report(progress: Callable[[float], None], first: float, share: float, left: float) -> None:
     """Tell the share of the work that is done, where of one share of it, behind a first one, some is left."""
     progress(first + share * (1.0 - left))
 
 
 def _of_part(
-    look: Look, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float, tell: Callable[[float], None]
+    evaluate: Evaluation,
+    status: Status,
+    spans: tuple[Rows, Floats, Floats],
+    resolution: float,
+    notify: Callable[[float], None],
 ) -> Any:
     which, begin, end = spans
     number, length = np.arange(len(which)), end - begin
     whole = float(np.sum(length)) or 1.0
-    (at_first, after, _), (at_last, before, _) = (look(which, t, length) for t in (begin, end))
+    (at_first, after, _), (at_last, before, _) = (evaluate(which, t, length) for t in (begin, end))
     left, right = begin + _CERTAIN * after, end - _CERTAIN * before
     stack: list[Gaps] = [_open((number, left, right, at_first, at_last))]
     changes: list[Gaps] = [tuple(x[:0] for x in stack[0])]
@@ -92,28 +96,28 @@ def _of_part(
     changes.append((number[touching], begin[touching], end[touching], at_first[touching], at_last[touching]))
     while stack:
         gaps = stack.pop()
-        if len(gaps[0]) > _LOOKS:
-            stack.append(tuple(x[_LOOKS:] for x in gaps))
-            gaps = tuple(x[:_LOOKS] for x in gaps)
+        if len(gaps[0]) > _EVALUATIONS:
+            stack.append(tuple(x[_EVALUATIONS:] for x in gaps))
+            gaps = tuple(x[:_EVALUATIONS] for x in gaps)
         short = gaps[2] - gaps[1] <= SAMPLE * resolution
         differs = short & (gaps[3] != gaps[4])
         changes.append(tuple(x[differs] for x in gaps))
         if not np.all(short):
-            stack.append(_divided(look, which, tuple(x[~short] for x in gaps)))
-        tell(sum(float(np.sum(late - early)) for _, early, late, _, _ in stack) / whole)
+            stack.append(_divided(evaluate, which, tuple(x[~short] for x in gaps)))
+        notify(sum(float(np.sum(late - early)) for _, early, late, _, _ in stack) / whole)
     path, first, last, there, _ = (np.concatenate([each[i] for each in changes]) for i in range(5))
     return _joined(spans, at_first, (path, _narrowed(status, which[path], first, last, there, resolution), there))
 
 
-def _divided(look: Look, which: Rows, gaps: Gaps) -> Gaps:
+def _divided(evaluate: Evaluation, which: Rows, gaps: Gaps) -> Gaps:
     """Rest of gaps after evaluation at the middles of even parts of them: more of each where gaps are few."""
     path, begin, end, before, after = gaps
     count = int(np.clip(_AT_ONCE // len(path), 1, _MOST_PARTS))
     half = 0.5 * (end - begin) / count
     times = begin[:, None] + half[:, None] * np.arange(1, 2 * count, 2)
     halves = np.repeat(half[:, None], count, axis=1)
-    told = look(np.repeat(which[path], count), times.ravel(), halves.ravel())
-    there, sure, taken = (x.reshape(times.shape) for x in told)
+    given = evaluate(np.repeat(which[path], count), times.ravel(), halves.ravel())
+    there, sure, taken = (x.reshape(times.shape) for x in given)
     state = np.column_stack([before, there, after])
     agreed = (2.0 * halves <= taken) & (there == state[:, :-2]) & (there == state[:, 2:])
     sure = np.where(agreed, halves, np.minimum(_CERTAIN * sure, halves))
@@ -158,7 +162,7 @@ def _joined(
     return which[starts[i]], bounds[0][i], bounds[1][j]
 
 
-def looks(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: float, step: float) -> Floats:
+def evaluations(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: float, step: float) -> Floats:
     """Return times of reception (n,), from one to the next of which all that moves goes no farther than a step, s."""
     from scipy.ndimage import maximum_filter1d
 
@@ -171,7 +175,7 @@ def looks(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: 
         if not motion.is_static:
             speed += np.linalg.norm(motion.velocity(instants), axis=-1)
     width = 2 * math.ceil(longest * _RATE) + 1
-    return np.minimum(even_ways(maximum_filter1d(speed, width, mode="nearest"), _RATE, step), last)
+    return np.minimum(even_lengths(maximum_filter1d(speed, width, mode="nearest"), _RATE, step), last)
 
 
 def sampled(
@@ -258,7 +262,7 @@ def evaluated(codes: CodesAt, rows: Rows, times: Floats, together: int) -> Any:
 
 
 def coded(
-    codes: CodesAt, looks: Sequence[tuple[Rows, Floats]], resolution: float
+    codes: CodesAt, evaluations: Sequence[tuple[Rows, Floats]], resolution: float
 ) -> tuple[Rows, Floats, Floats, Codes]:
     """Return rows (n,), when each begins and ends to be as a code says (n,), s, and the codes (n,), 0 or more.
 
@@ -274,8 +278,8 @@ def coded(
         [(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int8))],
         [(*[np.empty(0)] * 3, *[np.empty(0, np.int8)] * 2)],
     )
-    last = np.empty(sum(len(rows) for rows, _ in looks))
-    for rows, times in looks:
+    last = np.empty(sum(len(rows) for rows, _ in evaluations))
+    for rows, times in evaluations:
         seen = evaluated(codes, rows, np.broadcast_to(times, (len(rows), len(times))), _CODES)
         path, gap = np.nonzero(seen[:, 1:] != seen[:, :-1])
         found.append((rows, np.full(len(rows), times[0]), seen[:, 0]))

@@ -190,8 +190,8 @@ def _add_exactly(frames: EarFrames, begin: int, end: int) -> None:
         last = min(first + plan.segment, end)
         for pair, member in enumerate(plan.tracks.pairs):
             signals = np.zeros((len(member), last - first))
-            for row, heard in path_pressures(plan, pair, first, last):
-                signals[row] = heard[0]
+            for row, audible in path_pressures(plan, pair, first, last):
+                signals[row] = audible[0]
             frames.add(pair, np.arange(len(member)), signals, first)
 
 

@@ -189,7 +189,7 @@ _MOST_BANDS = 6
 _BINS, _SHARP_BINS = 10.0, 1.0  # added to bands: of short-time spectra what a tone spreads in them, of others the step
 _LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the cost decides
 _WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
-_LOOKED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
+_EVALUATED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
 _STRETCH = 0.02  # s
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
@@ -227,7 +227,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         return []
     known, rate, error_db = measured_costs(), signal.sampling_rate, options.interpolator.error_db
     samples = min(signal.duration, emission.until) * rate
-    path_samples = max(_heard(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
+    path_samples = max(_audible(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
     of_band = samples * known.upsampled * len(pairs) / path_samples
     of_all = (known.planned + samples * known.split) / path_samples
     if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
@@ -264,7 +264,7 @@ def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
     return next(filter(None, reasons), None)
 
 
-def _heard(tracks: Tracks, mine: list[int], until: float) -> float:
+def _audible(tracks: Tracks, mine: list[int], until: float) -> float:
     """Return the mean number of active paths of some pairs until the end of the run, s."""
     times = (np.clip([tracks.pairs[i].start, tracks.pairs[i].end], 0.0, until) for i in mine)
     return float(sum((end - start).sum() for start, end in times)) / until
@@ -277,7 +277,7 @@ def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
     (1 - (2 f T)^2)^2``: beyond F there are ``1 / (320 pi^2 T^4 F^5)`` to either side together, which must be below the
     asked error in what sounds within 20 ms even if all paths begin at once.
     """
-    if tracks.transition == 0.0 or all(tracks.pairs[i].always_heard for i in mine):
+    if tracks.transition == 0.0 or all(tracks.pairs[i].always_audible for i in mine):
         return 0.0
     return float((320.0 * math.pi**2 * tracks.transition**4 * LEVEL_TIME * 10 ** (error_db / 10)) ** -0.2)
 
@@ -356,7 +356,7 @@ def _obstacle(
     The span is when the signal begins and ends and when the run ends, s.
     """
     scene = tracks.paths.scene
-    if tracks.transition == 0.0 and not all(tracks.pairs[i].always_heard for i in mine):
+    if tracks.transition == 0.0 and not all(tracks.pairs[i].always_audible for i in mine):
         return "paths begin and end at once"
     receivers = sorted({tracks.pairs[i].receiver for i in mine})
     ends = [("the source", scene.sources[index].trajectory)]
@@ -379,7 +379,7 @@ def _obstacle(
     for what, ends_of, most, radius in passes(tracks, index, receivers):
         if most > 0.0 and is_passed(ends_of, span[2], needed, most, radius):
             return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
-    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _LOOKED_AT[0])]) > silence:
+    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _EVALUATED_AT[0])]) > silence:
         return "ends move so quickly that the received band is not narrow"
     return ""
 
@@ -391,16 +391,16 @@ def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[floa
     shift, skirt = carrier * max_rate, narrow.half - narrow.flat
     rate = min(2.0 * (narrow.baseband.sampling_rate or 0.0), 8.0 * (shift + skirt))
     count, rng = math.ceil(_STRETCH * rate), np.random.default_rng(pair)
-    rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
+    rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _EVALUATED_AT[1] - 1)))
     window, worst = np.kaiser(count, _BETA), 0.0
     outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > shift + skirt
-    begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _LOOKED_AT[2])
+    begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _EVALUATED_AT[2])
     stretches = begins[:, None] + np.arange(count) / rate
     delays, _, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
     for k, begin in enumerate(begins.tolist()):
         delay, gain = (a[:, k * count : (k + 1) * count] for a in (delays, gains[0]))
-        heard = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
-        spectrum = np.fft.fft((gain * np.exp(-2j * math.pi * carrier * delay) * window)[heard], axis=1)
+        audible = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
+        spectrum = np.fft.fft((gain * np.exp(-2j * math.pi * carrier * delay) * window)[audible], axis=1)
         level = np.maximum(np.linalg.norm(spectrum, axis=1), 1e-300)
         worst = max(worst, float((np.linalg.norm(spectrum[:, outside], axis=1) / level).max(initial=0.0)))
     return worst * 10 ** (-MARGIN_DB / 20)

@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
-from clsim.tracks.splines import heard
+from clsim.tracks.splines import audible
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -154,7 +154,7 @@ def path_pressures(plan: Plan, pair: int, first: int, last: int) -> Iterator[tup
     if not len(rows):
         return
     delay, _, gain = tracks.evaluate(pair, times, filters.basis, rows)
-    weight = heard(times, member.start[rows], member.end[rows], tracks.transition)
+    weight = audible(times, member.start[rows], member.end[rows], tracks.transition)
     gain = np.where(weight > 0.0, gain, 0.0) * weight
     delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples
     whole = np.rint(delay_samples)

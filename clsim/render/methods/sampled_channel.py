@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 _SPARE, _MARGINS = 1.03, (6.0, 12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order
 _BEYOND = 1.0  # s beyond delays and blocks, for which motions go on at either end: as long as nodes weigh at most
 _LEAST_SPACING = 16  # samples between nodes, below which the sum over paths is as cheap
-_LOOKED_AT = (4, 8, 24)  # pairs, paths of each, and instants at which the error over time is measured
+_EVALUATED_AT = (4, 8, 24)  # pairs, paths of each, and instants at which the error over time is measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple
     for margin in _MARGINS:
         shift = emission.max_rate * filters.band
         spacing = math.floor(rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
-        if spacing < _LEAST_SPACING or not _pays(emission, filters, mine, spacing):
+        if spacing < _LEAST_SPACING or not _is_cheaper(emission, filters, mine, spacing):
             return None, ""
         tracks = continued(of_scene, 2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate)
         why = _obstacle(emission, mine, shift, margin)
@@ -102,7 +102,7 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
     member = tracks.pairs[pair]
     if isinstance(scene.receivers[member.receiver].directivity, ChannelDirectivity):
         return "its receiver has several channels"
-    if not member.always_heard:
+    if not member.always_audible:
         return "paths begin or end"
     ends = scene.sources[member.source], scene.receivers[member.receiver]
     if any(len(end.trajectory.breaks) for end in ends):
@@ -115,7 +115,7 @@ def _allowed_db(options: RenderOptions) -> float:
     return options.interpolator.error_db
 
 
-def _pays(emission: Emission, filters: SourceFilters, pairs: list[int], spacing: int) -> bool:
+def _is_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int], spacing: int) -> bool:
     """Test whether the processor time of sampled channels is below that of the sum over paths, or is requested."""
     if emission.options.channels:
         return True
@@ -170,7 +170,7 @@ def _error_db(tracks: SceneTracks, emission: Emission, filters: SourceFilters, p
     """
     rate = emission.signal.sampling_rate
     rng, window = np.random.default_rng(emission.source), node_window(spacing)
-    count = _LOOKED_AT[2]
+    count = _EVALUATED_AT[2]
     places = rng.integers(0, max(round(emission.until * rate), 1), count)
     places[:2] = 0, round(emission.until * rate)
     whole, within = np.divmod(places, spacing)
@@ -178,8 +178,8 @@ def _error_db(tracks: SceneTracks, emission: Emission, filters: SourceFilters, p
     weights = window[within[:, None] + spacing * np.arange(2 * NODES - 1, -1, -1) - 1]
     times = np.concatenate([whole * spacing, whole[:, NODES - 1, None] * spacing + within[:, None]], axis=1) / rate
     wrong = loud = 0.0
-    for pair in pairs[:: -(-len(pairs) // _LOOKED_AT[0])]:
-        rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _LOOKED_AT[1] - 1)))
+    for pair in pairs[:: -(-len(pairs) // _EVALUATED_AT[0])]:
+        rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _EVALUATED_AT[1] - 1)))
         delay, _, gain = tracks.evaluate(pair, times.ravel(), flat_basis(filters.band), rows)
         turned = (gain[0, 0] * np.exp(-2j * math.pi * filters.band * delay)).reshape(len(rows), count, -1)
         apart = np.einsum("pin,in->pi", turned[..., :-1], weights) - turned[..., -1]
@@ -290,8 +290,8 @@ class ChannelEngine(OpenclEngine):
                 grid = self._grid(filters, active)
                 frames = ChannelFrames(filters, grid, pressure, start)
                 self._add_source(source, active, frames, first, last - first)
-        for unheld in self.unheld:
-            unheld.settle(first // self._plan.segment)
+        for residuals in self.residuals:
+            residuals.settle(first // self._plan.segment)
 
     def _grid(self, filters: ChannelFilters, active: list[ActivePaths]) -> ChannelGrid:
         low, high = min(pair.low.min() for pair in active), max(pair.high.max() for pair in active)
@@ -304,8 +304,8 @@ class ChannelEngine(OpenclEngine):
         least = round((min(float(pair.low.min()) for pair in active) + begin) * rate)
         most = round((max(float(pair.high.max()) for pair in active) + begin) * rate)
         branches = Branches(None, 0, start - most, least - _MARGIN, most + _MARGIN, None)
-        heard = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
-        for batch in in_batches(plan, heard, self.kind, self.limits.node_budget, plan.blocks[0], apart=_APART):
+        audible = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
+        for batch in in_batches(plan, audible, self.kind, self.limits.node_budget, plan.blocks[0], apart=_APART):
             task = ChannelTask(source, batch, branches, None, length, start, 0, -(-length // plan.segment), frames)
             _ChannelRun(self, task).render()
 
@@ -319,7 +319,7 @@ class _ChannelRun(Run):
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
-        wanted = frames.sounding(range(-(-first // spacing), -(-last // spacing)))
+        wanted = frames.emitting(range(-(-first // spacing), -(-last // spacing)))
         size = 4 * len(rows) * self._functions * frames.grid.points
         unit = thread_count() * (_ROWS // math.gcd(_ROWS, len(rows)))
         step = unit * max(1, _AT_ONCE // (unit * size))
@@ -347,8 +347,10 @@ class _ChannelRun(Run):
         )  # fmt: skip
         made: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         parts = np.array_split(np.arange(len(some)), min(thread_count(), len(some)))
-        heard = side_by_side(lambda part: frames.heard([some[i] for i in part], made[part[0] : part[-1] + 1]), parts)
+        audible = side_by_side(
+            lambda part: frames.audible([some[i] for i in part], made[part[0] : part[-1] + 1]), parts
+        )
         made.base.release(engine._queue)
-        for part, samples in zip(parts, heard, strict=True):
+        for part, samples in zip(parts, audible, strict=True):
             for i, of_node in zip(part, samples, strict=True):
                 frames.add(some[i], rows, of_node)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.render.plan import BATCH
-from clsim.tracks.splines import heard_samples
+from clsim.tracks.splines import audible_samples
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,8 +65,8 @@ class ActivePaths:
 
     def during(self, pair: PairTracks, ramp: float, begin: float, end: float) -> ActivePaths:
         """Return those active from a time to another, s, where half of a transition takes `ramp`, s."""
-        heard = (pair.start[self.rows] - ramp <= end) & (pair.end[self.rows] + ramp >= begin)
-        return ActivePaths(self.index, self.rows[heard], self.low[heard], self.high[heard])
+        audible = (pair.start[self.rows] - ramp <= end) & (pair.end[self.rows] + ramp >= begin)
+        return ActivePaths(self.index, self.rows[audible], self.low[audible], self.high[audible])
 
     def parts(self, most: int) -> list[ActivePaths]:
         """Return them in parts of at most so many, neighbours by delay; none of none."""
@@ -230,7 +230,7 @@ def _boundaries(plan: Plan, pairs: list[int], rows: list[NDArray[np.int64]], pad
     members = [plan.tracks.pairs[i] for i in pairs]
     start = np.concatenate([g.start[r] for g, r in zip(members, rows, strict=True)])
     end = np.concatenate([g.end[r] for g, r in zip(members, rows, strict=True)])
-    first, last = heard_samples(start, end, transition, rate)
+    first, last = audible_samples(start, end, transition, rate)
     # Ends before it begins: an empty interval within a block that begins before 0 s would count as active.
     first[padding], last[padding] = _NEVER, -_NEVER
     if transition == 0.0:  # at once: between samples
@@ -253,7 +253,7 @@ class Activity:
         return Activity(self.cells | other.cells)
 
     @property
-    def pays(self) -> bool:
+    def is_cheaper(self) -> bool:
         """Whether few enough cells are active for skipping to be cost-effective."""
         return float(np.mean(self.cells)) < _SPARSE
 

@@ -152,7 +152,7 @@ class BranchSignals:
         wanted = source, start, length
         return self._ahead[1] if self._ahead[0] == wanted else self._feed(*wanted)
 
-    def look_ahead(self, source: int, start: int) -> None:
+    def prefetch(self, source: int, start: int) -> None:
         """Prepare the signal of the next source or chunk while the device computes."""
         plan = self._plan
         self._queue.flush()
@@ -200,7 +200,7 @@ class BranchSignals:
         parts = np.stack([values.real, values.imag][: self._parts], axis=1, dtype=np.float32)
         return Feed(
             source, active, places.astype(np.int32), parts, before, after, width, first, least, most,
-            found if found.pays and times == 1 else None,
+            found if found.is_cheaper and times == 1 else None,
         )  # fmt: skip
 
     def made(self, feed: Feed, skips_silence: bool) -> Branches:

@@ -57,7 +57,7 @@ class OpenclEngine:
             plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts, self.limits.most_samples
         )
         self.skips_silence = True
-        self.unheld = [Residual(plan.receiver_count) for _ in plan.source_filters]
+        self.residuals = [Residual(plan.receiver_count) for _ in plan.source_filters]
         self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._makers: dict[PathFamily | None, Maker] = {}  # None: the host, whatever the kind of paths
 
@@ -88,11 +88,11 @@ class OpenclEngine:
     def warn(self) -> None:
         """Warn of responses for which the functions of frequency miss the requested error."""
         for i, filters in enumerate(self._plan.source_filters):
-            reached = self.unheld[i].level_db
-            if reached > filters.unheld_db > -math.inf:
+            reached = self.residuals[i].level_db
+            if reached > filters.residual_db > -math.inf:
                 warn(
                     f"source {i}: air, walls and directivities were held within {reached:.1f} dB, not the "
-                    f"{filters.basis.asked_db:g} dB asked for; ask for a smaller response_error_db"
+                    f"{filters.basis.requested_db:g} dB asked for; ask for a smaller response_error_db"
                 )
             wrong, time = self._coarse[i]
             wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
@@ -151,18 +151,18 @@ class OpenclEngine:
                 continue
             active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
             segments = -(-length // plan.segment)
-            always = all(plan.tracks.pairs[pair.index].always_heard for pair in active)
+            always = all(plan.tracks.pairs[pair.index].always_audible for pair in active)
             step = segments if always else _CHOSEN_ANEW
             for first in range(0, segments, step):
                 last = min(first + step, segments)
                 begin, end = ((start + at * plan.segment) / plan.sampling_rate for at in (first, last))
                 ramp = 0.5 * plan.tracks.transition
                 here = [pair.during(plan.tracks.pairs[pair.index], ramp, begin, end) for pair in active]
-                heard = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
-                for batch in in_batches(plan, heard, self.kind, self.limits.node_budget, plan.shortest_block):
+                audible = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
+                for batch in in_batches(plan, audible, self.kind, self.limits.node_budget, plan.shortest_block):
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
-        for unheld in self.unheld:
-            unheld.settle((start + length) // plan.segment)
+        for residuals in self.residuals:
+            residuals.settle((start + length) // plan.segment)
         rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         self.put(rows[:, : pressure.shape[1]], pressure)
         rows.base.release(self._queue)
@@ -230,7 +230,7 @@ class Run:
             begin, end = at * segment, min(upto * segment, self._length)
             nodes = self._maker.nodes(
                 self._state, self._start + begin, block, (end - begin) // block,
-                lambda: self._engine.branch_signals.look_ahead(self._source, self._start),
+                lambda: self._engine.branch_signals.prefetch(self._source, self._start),
             )  # fmt: skip
             self._check(nodes.shortest, nodes.longest)
             coarse = nodes.error > self._tolerance
@@ -244,7 +244,7 @@ class Run:
                     self._cover(at + a, at + b, level + 1)
                 else:
                     number = self._start // segment + at + a
-                    self._engine.unheld[self._source].add(number, self._batch.receiver, nodes.residual[:, a:b])
+                    self._engine.residuals[self._source].add(number, self._batch.receiver, nodes.residual[:, a:b])
                     self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
 
     def _fits(self, block: int) -> bool:

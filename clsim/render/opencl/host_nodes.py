@@ -44,7 +44,7 @@ class _Run:
     start: int
     block: int
     blocks: int
-    heard: tuple[NDArray[np.int32], NDArray[np.int32]]  # (slots,), samples of the run
+    audible: tuple[NDArray[np.int32], NDArray[np.int32]]  # (slots,), samples of the run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +120,8 @@ class HostNodeMaker:
         for i, index in enumerate(batch.pairs):
             squares = np.sum([found.squares for pair, found in made if pair == index], axis=0)
             residual[1, :, i] = squares[1]
-            wrong, heard = np.sqrt(squares)
-            np.maximum(error, wrong / np.maximum(heard, 1e-30), out=error)
+            wrong, audible = np.sqrt(squares)
+            np.maximum(error, wrong / np.maximum(audible, 1e-30), out=error)
         laid_out = cubics.reshape(*cubics.shape[:2], -1, _BESIDE[plan.delay_terms]).swapaxes(1, 2)
         shortest, longest = min(found.shortest for _, found in made), max(found.longest for _, found in made)
         return Nodes(self._upload(whole), self._upload(laid_out), None, error, residual, shortest, longest)
@@ -140,12 +140,12 @@ class HostNodeMaker:
         sized = gain * _strengths(filters.basis, len(gain))[:, None, None]
         part = 0.0 if plan.is_fine(block) else plan.subblock(run.source, block) / block
         wrong = block_error(delay, change, sized, 2.0 * math.pi * filters.swiftness, block / rate, part, terms)
-        first, last = (edge[slots, None] for edge in run.heard)
+        first, last = (edge[slots, None] for edge in run.audible)
         begins = block * np.arange(run.blocks)
-        heard = (first < begins + block) & (last > begins)
-        made[:, terms:] = np.where(heard.T[:, None], made[:, terms:], 0.0)
-        loud = np.abs(sized).sum(axis=0)[:, 1:-2] * heard
-        sounds = heard & _sounds(filters, times, delay, rate)
+        audible = (first < begins + block) & (last > begins)
+        made[:, terms:] = np.where(audible.T[:, None], made[:, terms:], 0.0)
+        loud = np.abs(sized).sum(axis=0)[:, 1:-2] * audible
+        sounds = audible & _sounds(filters, times, delay, rate)
         squares = _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block)
         return whole, made, _Found(squares, float(delay.min()), float(delay.max()))
 
@@ -304,16 +304,16 @@ class PairNodeMaker(NodeMaker):
             filters.delay_samples,
             0.5 * times * block,
         ]
-        told = np.zeros(receivers.shape, PAIR_RECEIVER)
+        given = np.zeros(receivers.shape, PAIR_RECEIVER)
         for name in ("velocity", "axes"):
-            told[name] = receivers[name]
+            given[name] = receivers[name]
         for name in ("position", "clock_error"):
-            told[name] = pairs(receivers[name])
-        told["clock_drift"] = receivers["clock_rate"] - 1.0
+            given[name] = pairs(receivers[name])
+        given["clock_drift"] = receivers["clock_rate"] - 1.0
         constants = self._constants(chunk.source, chunk.batch) | {"SPARSE": int(more["activity"] is not None)}
         kernel = self._compiler.kernel("pair_tracks", constants)
         kernel(
             self._queue, work(chunk.batch.count, segments), **chunk.images, **chunk.columns, **trajectory, **more,
-            receivers=told, numbers=pairs(np.array(numbers)), speed_of_sound=c, emitted_first=first - origin,
+            receivers=given, numbers=pairs(np.array(numbers)), speed_of_sound=c, emitted_first=first - origin,
             emitted_last=last - origin,
         )  # fmt: skip

@@ -356,10 +356,10 @@ def _nodes_made(
 ) -> Nodes:
     """Return nodes with what was found of each walk and path, by receivers that begin at given paths."""
     # Errors of paths add up like the paths themselves: as the root of the sum of squares.
-    wrong, heard, left = (np.add.reduceat(square, first, axis=1) for square in (found[..., 0], found[..., 1], residual))
-    error = np.sqrt(wrong, dtype=np.float64) / np.maximum(np.sqrt(heard, dtype=np.float64), 1e-30)
+    wrong, total, left = (np.add.reduceat(square, first, axis=1) for square in (found[..., 0], found[..., 1], residual))
+    error = np.sqrt(wrong, dtype=np.float64) / np.maximum(np.sqrt(total, dtype=np.float64), 1e-30)
     shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
-    return Nodes(*on_device, error.max(axis=1), np.stack([left, heard], dtype=np.float64), shortest, longest)
+    return Nodes(*on_device, error.max(axis=1), np.stack([left, total], dtype=np.float64), shortest, longest)
 
 
 def _largest_turn(axes: Floats) -> float:

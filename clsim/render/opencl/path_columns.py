@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.acoustics import fock, shade, silhouette
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
-from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE, partner_reflections
+from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE, adjacent_reflections
 from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.errors import InputError
@@ -40,14 +40,14 @@ NONE, EDGE, SCATTERER = range(3)  # vertices
 POINT, ELLIPSOID, CAPSULE, SPHERE = range(4)  # shapes of scatterers; from CAPSULE on fields have phases
 END_CELLS = 128  # of the tables of ends of edges
 NO_PATH = -1e6  # s, delay that reports that no path by a scatterer is found
-_SETTLED = 1e-5  # rad of a specular point: after the step its error, and that of its strength, is about the square
+_CONVERGED = 1e-5  # rad of a specular point: after the step its error, and that of its strength, is about the square
 _FACE_SHARE = 0.1  # of a source's allowed error: a mirror's error displaces images twice as far, and each mirror adds
 # Constants of every program of nodes, whatever its leg and vertex.
 OF_DELAYS = {
     "STATIC": STATIC, "MOVING": MOVING, "NONE": NONE, "EDGE": EDGE, "SCATTERER": SCATTERER,
     "POINT": POINT, "CAPSULE": CAPSULE,
     "ELONGATED": ELONGATED, "OUTWARD_STEPS": OUTWARD_STEPS,
-    "LONGEST_STEP": LONGEST_STEP, "SPECULAR_FAR": FAR, "SPECULAR_FOUND": FOUND, "SETTLED": _SETTLED,
+    "LONGEST_STEP": LONGEST_STEP, "SPECULAR_FAR": FAR, "SPECULAR_FOUND": FOUND, "SETTLED": _CONVERGED,
     "FLATTEST": FLATTEST, "NO_PATH": NO_PATH, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
     "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
 }  # fmt: skip
@@ -167,7 +167,7 @@ class EdgeColumns(StaticColumns):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
         for name in ("n", "lit", "end_side", "corner"):
             edges[name] = getattr(vertex, name)
-        half_turns, edges["bounces"] = np.pi * edges["n"], partner_reflections(edges["n"])[:, 1:3]
+        half_turns, edges["bounces"] = np.pi * edges["n"], adjacent_reflections(edges["n"])[:, 1:3]
         even, odd = (half_turns * (count // 2) for count in edges["bounces"].T)
         angles = {"wide": half_turns, "narrow": 0.5 * np.pi / edges["n"], "even": even, "odd": odd}
         for name, angle in angles.items():
@@ -246,12 +246,12 @@ class ScattererColumns(StaticColumns):
 
         Points that are worked on side by side have their numbers beside each other.
         """
-        asked = outline.asked(2.0 * math.pi * float(waves.max()))
-        steps, together = asked.steps(), self._of.together
+        requested = outline.requested(2.0 * math.pi * float(waves.max()))
+        steps, together = requested.steps(), self._of.together
         tables = [outline.table(count).reshape(6, -1, together).swapaxes(0, 1).ravel() for _, count in steps]
         places = start + 5 + 3 * len(steps) + np.cumsum([0, *(table.size for table in tables)])
         rows = [(limit, count, place) for (limit, count), place in zip(steps, places[:-1], strict=True)]
-        head = [len(steps), asked.fewest, asked.slope, asked.most, asked.largest]
+        head = [len(steps), requested.fewest, requested.slope, requested.most, requested.largest]
         return np.concatenate([head, np.ravel(rows), *tables])
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:

@@ -432,17 +432,17 @@ def seen_by(frame: Motion, point: Motion) -> Motion:
     return Motion(Seen(frame, point), start, end)
 
 
-def even_ways(speed: Floats, rate: float, step: float) -> Floats:
+def even_lengths(speed: Floats, rate: float, step: float) -> Floats:
     """Return times (n,), s, between which objects move at most a step, m; first and last instants are included.
 
     speed: bounds (m,) of how fast they go about instants so many per second from 0 s on, m/s.
     """
     pace = np.maximum(speed[1:], speed[:-1]) / (rate * step)  # steps from one instant to the next
-    way = np.concatenate([[0.0], np.cumsum(pace)])
-    instants = np.arange(len(way)) / rate
-    steps = np.arange(1, int(np.ceil(way[-1])))
-    rising = np.concatenate([[True], np.diff(way) > 0.0])
-    between = np.interp(steps, way[rising], instants[rising]) if len(steps) else np.empty(0)
+    length = np.concatenate([[0.0], np.cumsum(pace)])
+    instants = np.arange(len(length)) / rate
+    steps = np.arange(1, int(np.ceil(length[-1])))
+    rising = np.concatenate([[True], np.diff(length) > 0.0])
+    between = np.interp(steps, length[rising], instants[rising]) if len(steps) else np.empty(0)
     # What rests from instant to instant is left where it was until it goes on.
-    starts = instants[np.flatnonzero(~rising[:-1] & rising[1:])] if len(way) > 1 else np.empty(0)
+    starts = instants[np.flatnonzero(~rising[:-1] & rising[1:])] if len(length) > 1 else np.empty(0)
     return np.unique(np.concatenate([instants[[0, -1]], between, starts]))

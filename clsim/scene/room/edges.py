@@ -174,7 +174,7 @@ def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | No
     if inside is not None and found:
         step = _BESIDE * walls.size
         air = inside(np.array([p.middle + step * p.into_air for p in found]))
-        found = [p for p, heard in zip(found, air, strict=True) if heard]
+        found = [p for p, audible in zip(found, air, strict=True) if audible]
     if not found:
         return Edges.none()
     along = np.array([p.line.along for p in found])

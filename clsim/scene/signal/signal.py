@@ -215,8 +215,8 @@ class Signal:
         windowed = each * _hann(length)
         energy = np.sum(windowed**2, axis=1)
         level = np.maximum(np.maximum(energy[:-2], energy[1:-1]), energy[2:]) * length
-        sounding = np.any(each[1:-1], axis=1)
-        return np.where(sounding, level, 0.0), np.abs(np.fft.rfft(windowed[1:-1], axis=1)) ** 2
+        emitting = np.any(each[1:-1], axis=1)
+        return np.where(emitting, level, 0.0), np.abs(np.fft.rfft(windowed[1:-1], axis=1)) ** 2
 
     def band(self) -> tuple[float, float]:
         """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz.

@@ -154,7 +154,7 @@ class Resonance:
             """Return the magnitude of the resonance, bounded from below, since its logarithm is taken."""
             return np.maximum(np.abs(resonance_response(f, self.frequency, self.width)), 1e-6)
 
-        return self.peak * _settled(lambda f: minimum_phase(magnitude(f)), sampling_rate)
+        return self.peak * _converged(lambda f: minimum_phase(magnitude(f)), sampling_rate)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,7 +198,7 @@ class ResponseTable:
     def taps(self, sampling_rate: float) -> Floats:
         """Return the impulse response: with minimum phase, or with the table's own, if that is causal."""
         if self.phases is None:
-            return _settled(lambda f: minimum_phase(self.magnitude_at(f)), sampling_rate)
+            return _converged(lambda f: minimum_phase(self.magnitude_at(f)), sampling_rate)
 
         def transformed(f: Floats) -> Floats:
             """Return the impulse response that magnitude and phase at frequencies (Hz) give."""
@@ -206,7 +206,7 @@ class ResponseTable:
 
             return np.asarray(irfft(self.magnitude_at(f) * np.exp(1j * self.phase_at(f))), dtype=np.float64)
 
-        taps = _settled(transformed, sampling_rate, acausal=True)
+        taps = _converged(transformed, sampling_rate, acausal=True)
         return _causal(taps, "values", "delay them by what the measurement took away, or give magnitudes only")
 
 
@@ -237,7 +237,7 @@ class ImpulseResponse:
         return _cut(_causal(whole, "samples", advice, count))
 
 
-def _settled(make: Callable[[Floats], Floats], sampling_rate: float, *, acausal: bool = False) -> Floats:
+def _converged(make: Callable[[Floats], Floats], sampling_rate: float, *, acausal: bool = False) -> Floats:
     """Return taps from a spectrum fine enough for them to decay, truncated after the decay."""
     size = _SHORTEST
     while True:

@@ -50,7 +50,7 @@ static void by_face(const environment* env, const vertex_tables* t, __global con
     multiply(r, &factor);
 }
 
-// The same for all reflections of a term's partner in turn, as `partner_factors`: by half the sum or the difference of angles.
+// The same for all reflections of a term's partner in turn, as `adjacent_factors`: by half the sum or the difference of angles.
 static void by_faces(const environment* env, const vertex_tables* t, __global const edge_view* edge, int slot, int first,
                      int count, double angle, double slope, response* r)
 {

@@ -57,7 +57,7 @@ static void look_along(outline* o)
     }
 }
 
-// Numbers and place of the points that an outline needs as its ends are now, `PointsAsked`. Its table has how many steps there are,
+// Numbers and place of the points that an outline needs as its ends are now, `RequestedPoints`. Its table has how many steps there are,
 // fewest points, how many more by `x`, most, largest radius; of each step most points asked, points, place.
 static __global const double* points_asked(const outline* o, __global const double* tables, int first, int* count)
 {

@@ -251,7 +251,7 @@ def test_view_shows_walls_and_what_is_heard(mesh_scene: Path) -> None:
     heard = np.flatnonzero(np.isfinite(table.delay[:, 0]))
     level = 20.0 * np.log10(np.abs(table.gain[heard, 0]) / np.nanmax(np.abs(table.gain)))
     assert set(view.frames[0].labels) == {
-        f"robot to mic, {table.name_way(p)}: {table.delay[p, 0] * 1e3:.3f} ms, {decibels:.1f} dB"
+        f"robot to mic, {table.name_objects(p)}: {table.delay[p, 0] * 1e3:.3f} ms, {decibels:.1f} dB"
         for p, decibels in zip(heard, level, strict=True)
     }
     first, last = view.frames[0], view.frames[-1]

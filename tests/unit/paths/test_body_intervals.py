@@ -195,12 +195,12 @@ def assert_certain(scene: clsim.Scene, family: Any) -> None:
     """Assert that what looks near changes say is certain holds, and that some of it fails for 30 times as long."""
     search = searched(scene, 2)
     pair = search.pair(0, 0)
-    look = search.mirror_look([pair])(family.legs[0].surfaces, np.zeros(len(family), dtype=int))
+    look = search.mirror_evaluation([pair])(family.legs[0].surfaces, np.zeros(len(family), dtype=int))
     rng, changes = np.random.default_rng(0), np.stack([family.start, family.end], axis=1)
     row, side = np.nonzero(np.isfinite(changes))
     rows = np.repeat(row, 40)
     times = np.repeat(changes[row, side], 40) + rng.choice([-1, 1], len(rows)) * 10 ** rng.uniform(-5, -2, len(rows))
-    there, sure, _ = look.look(rows, times, np.full(len(rows), 0.01))
+    there, sure, _ = look.evaluate(rows, times, np.full(len(rows), 0.01))
     for spare in (1.0, 30.0):
         within = np.minimum(spare * sure, 0.01)
         again = [look.status(rows, times + share * within) for share in (-0.999, -0.5, 0.5, 0.999)]

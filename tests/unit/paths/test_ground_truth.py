@@ -97,7 +97,7 @@ def test_every_door_has_the_ground_truth_under_its_own_names(paths: clsim.PathSe
             np.testing.assert_array_equal(member[name], getattr(exact, name))
     # What is true of the direct path is that of the table, where it is heard.
     for row in np.flatnonzero(table.direct):
-        heard, r = table.heard[row], table.receiver[row]
+        heard, r = table.audible[row], table.receiver[row]
         assert exact.line_of_sight[0, r][heard].all()
         for name in ("delay", "doppler_factor", "arrival"):
             np.testing.assert_array_equal(getattr(exact, name)[0, r][heard], getattr(table, name)[row][heard])
@@ -109,11 +109,11 @@ def test_every_door_has_the_ground_truth_under_its_own_names(paths: clsim.PathSe
 
 def test_a_silent_path_is_not_counted_as_heard(paths: clsim.PathSet, table) -> None:
     there = np.isfinite(table.delay)
-    silent = there & ~table.heard
+    silent = there & ~table.audible
     assert 0 < silent[:, 0].sum() < there[:, 0].sum()
     assert np.all(table.gain[silent] == 0.0)
     frame = viewed(paths, duration=0.1, frames=1).frames[0]
-    assert len(frame.order) == table.heard[:, 0].sum()
+    assert len(frame.order) == table.audible[:, 0].sum()
     assert not any("z_min" in label for label in frame.labels)
 
 

@@ -224,8 +224,8 @@ def test_paths_take_few_bytes() -> None:
 
 def test_paths_of_one_receiver() -> None:
     paths = clsim.find_paths(scene_of(STILL, receivers=3), 2)
-    assert set(paths.heard_by(1).receiver) == {1}
-    assert len(paths.heard_by(1)) == 25
+    assert set(paths.at_receiver(1).receiver) == {1}
+    assert len(paths.at_receiver(1)) == 25
 
 
 def test_too_many_paths_are_refused() -> None:

@@ -89,7 +89,7 @@ def test_with_a_finder_its_paths_are_rendered_and_shown(monkeypatch: pytest.Monk
     paths = clsim.find_paths(scene(HalfSpace(), (0.0, 0.0, 0.5)), 1)
     table, c = paths.table([0.0]), paths.scene.air.speed_of_sound
     np.testing.assert_allclose(table.delay[:, 0] * c, [np.sqrt(2.25), np.sqrt(4.25)], rtol=1e-14)
-    assert [table.name_way(row) for row in range(2)] == ["direct", "floor"]
+    assert [table.name_objects(row) for row in range(2)] == ["direct", "floor"]
     np.testing.assert_allclose(paths.vertices(0.0)[1, 1], [1 / 3, 1 / 3, 0.0], atol=1e-12)
     heard = clsim.render(paths, 192e3, engine="reference", duration=0.02).pressure[0]
     times = np.arange(round(0.008 * 192e3), round(0.012 * 192e3)) / 192e3  # both sound, at their full level
