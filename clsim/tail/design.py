@@ -226,7 +226,7 @@ class _Decay:
         self._air = self._modal = np.empty((0, len(centres)))
 
     def over(self, count: int) -> tuple[Floats, Floats]:
-        """Return what air leaves in bins of time (T, B), and the same times the share of modes."""
+        """Compute the share of energy that air leaves in bins of time (T, B), and the same times the share of modes."""
         if count > len(self._air):
             times = STEP * (np.arange(-(-count // _AHEAD) * _AHEAD, dtype=np.float64) + 0.5)
             self._air = np.exp(-np.multiply.outer(self._c * times - 1.0, self._energies.air))
