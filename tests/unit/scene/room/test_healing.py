@@ -258,11 +258,14 @@ def test_sheets_hang_in_a_closed_room() -> None:
         ([(0, 1, 2)], {"heal": "yes"}, "heal: must be 'auto', 'off' or a tolerance"),
         ([(0, 1, 2)], {"heal": -1.0}, "heal: must be at least"), ([(0, 1, 2)], {"heal": float("nan")}, "heal: must be"),
         ([(0, 1, 2)], {"labels": []}, "labels: must be one per polygon"),
+        ([(0, 1, 2)], {"materials": [WALL] * 2}, "materials: must be one per polygon, 1, but are 2"),
     ],
 )  # fmt: skip
 def test_polygons_with_something_wrong(polygons: Any, more: dict[str, Any], problem: str) -> None:
     with pytest.raises(clsim.InputError, match=problem):
-        clsim.MeshRoom.from_polygons([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], polygons, WALL, **more)
+        clsim.MeshRoom.from_polygons(
+            [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], polygons, **{"materials": WALL} | more
+        )
 
 
 def test_the_report_tells_where_and_by_how_much() -> None:
