@@ -27,7 +27,7 @@ EXACT = {
 
 
 def echo(side: float, ends: tuple[np.ndarray, np.ndarray]) -> complex:
-    """Return what a square plate in the plane z = 0 scatters from one place to another, Pa."""
+    """Compute the pressure that a square plate in the plane z = 0 scatters from one place to another, Pa."""
     half, far = 0.5 * side, 60.0
     corners = [(x, y, z) for x in (0.0, far) for y in (0.0, far) for z in (0.0, far)]
     corners += [tuple(MIDDLE + half * np.array([x, y, 0.0])) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]

@@ -246,7 +246,7 @@ def turning(air: clsim.Air) -> PathSet:
 
 @pytest.mark.parametrize("dispersion", [False, True])
 def test_the_transpose_of_each_kind(dispersion: bool, rng: np.random.Generator) -> None:
-    """Of parameters of every kind, and of a scene in which responses depend on directions and on time."""
+    """Parameters of every kind, in a scene whose responses depend on directions and on time."""
     names = [
         "sources[0].trajectory", "sources[0].orientation", "sources[0].start", "receivers[0].position",
         "receivers[0].trajectory", "receivers[0].orientation", "receivers[0].electronics.clock_ppm",
