@@ -305,9 +305,10 @@ def speech_transmission(
         )  # fmt: skip
     if noise_db is not None and speech_db is None:
         raise InputError("speech_db", "must be given where there is noise, but is None")
-    speech = None if speech_db is None else np.atleast_1d(np.asarray(speech_db, dtype=np.float64))
-    if speech is not None:
-        speech = as_floats("speech_db", speech[0] + SPEECH_DB if speech.shape == (1,) else speech, (7,), within=200.0)
+    speech = None
+    if speech_db is not None:
+        one = np.isscalar(speech_db) or getattr(speech_db, "shape", None) == ()
+        speech = as_floats("speech_db", speech_db, () if one else (7,), within=200.0) + SPEECH_DB * one
     noise = None if noise_db is None else as_floats("noise_db", noise_db, (7,), within=200.0)
     index = np.full(given.samples.shape[:2], math.nan)
     for s, r in np.argwhere(given.begin >= 0).tolist():

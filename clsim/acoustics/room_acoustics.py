@@ -141,8 +141,8 @@ def level_fall(samples: Floats, sampling_rate: float) -> float:
 
 
 def is_clipped(samples: Floats) -> bool:
-    """Test whether three samples (n,) in a row are at full scale, 1."""
-    full = np.abs(samples) >= _FULL
+    """Test whether three samples (n,) in a row are at full scale: 1, or the peak of a file of floats beyond 1."""
+    full = np.abs(samples) >= _FULL * max(1.0, float(np.abs(samples).max(initial=0.0)))
     return bool(np.any(full[2:] & full[1:-1] & full[:-2]))
 
 

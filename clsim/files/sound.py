@@ -133,8 +133,10 @@ def read_sound_file(
                 raise InputError("channel", f"must be below {file.channels}, the file's channels, but is {channel}")
             densest = _MPEG_PER_BYTE if file.format == "MP3" else _MOST_PER_BYTE
             most = min(_LONGEST, densest * Path(path).stat().st_size)
+            if not file.frames:
+                raise InputError("path", f"must hold sound, but {path} is empty")
             if not 0 < file.frames <= most:
-                claim = f"{path} says that it holds {file.frames} samples" if file.frames else f"{path} is empty"
+                claim = f"{path} says that it holds {file.frames} samples"
                 raise InputError("path", f"must hold sound, and its bytes hold {most} samples at most, but {claim}")
             if not truncated:
                 _check_whole(path, file)

@@ -43,6 +43,8 @@ _NOTES = (
     "bands hold its end.",
     "C80 is off where measured values step by some 1 dB from one third to the next, as at 2520 Hz. Coefficients that "
     "vary little from third to third do not give such steps.",
+    "The worst band in C80 is 2520 Hz with 0.77 dB. The mean over the ten bands is 0.35 dB. The worst band in T20 is "
+    "794 Hz with 4.8 %.",
     "Measured values are means over the ten pairs, and so are clsim's.",
 )
 

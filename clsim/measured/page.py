@@ -45,6 +45,9 @@ Differences are in just noticeable differences (JND; ISO 3382-1:2009, table A.1)
 
 Values of clsim are parameters averaged over the seeds, since the noise of a single seed has a decay
 of its own. Rows are means over all pairs.
+
+Aims in JND are means over bands and pairs. Aims in % and dB are those of the worst band, in the
+mean over pairs.
 """
 
 

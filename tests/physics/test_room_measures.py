@@ -154,16 +154,31 @@ def test_a_clipped_response_is_told(gain: float, clipped: bool, tmp_path: Path, 
     assert any("loud.wav is clipped" in str(w.message) for w in caught) == clipped
 
 
+@pytest.mark.filterwarnings("ignore:noise or the end of responses")
+@pytest.mark.parametrize("most", [math.inf, 1.0])
+def test_floats_beyond_one_are_not_clipped(most: float, tmp_path: Path, rng: np.random.Generator) -> None:
+    """Files of floats hold samples beyond 1: only a flat top is clipped, at whatever value."""
+    wave = decaying(0.5, 1.0, rng)
+    wave *= 4.0 / np.abs(wave).max()
+    wave[100:200] = np.sign(wave[100:200]) * np.maximum(np.abs(wave[100:200]), 2.0)  # a row of samples beyond 1
+    soundfile.write(tmp_path / "loud.wav", np.clip(wave, -most, most), round(RATE), subtype="FLOAT")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", clsim.ClsimWarning)
+        clsim.room_measures(tmp_path / "loud.wav")
+    assert any("loud.wav is clipped" in str(w.message) for w in caught) == (most == 1.0)
+
+
 def test_files_that_hold_no_response(tmp_path: Path) -> None:
     soundfile.write(tmp_path / "silence.wav", np.zeros(4800), 48_000)
     soundfile.write(tmp_path / "short.wav", np.eye(1, 4800)[0], 48_000)
     soundfile.write(tmp_path / "slow.wav", np.eye(1, 1600)[0], 16_000)
+    soundfile.write(tmp_path / "empty.wav", np.zeros(0), 48_000)
     soundfile.write(tmp_path / "brief.wav", np.eye(1, 480)[0], 48_000)
     soundfile.write(tmp_path / "broken.wav", np.array([0.0, np.nan] * 4800), 48_000, subtype="FLOAT")
     for path, more, problem in (
         ("brief.wav", {}, "responses: must last 50 ms at least, but .*brief.wav lasts 10 ms"), ("broken.wav", {}, "must hold finite samples"),
         ("silence.wav", {}, "responses: must hold a response, but .*silence.wav is silent"),
-        ("none.wav", {}, "there is no file"), ("short.wav", {"channel": 1}, "channel: must be below 1"),
+        ("empty.wav", {}, "path: must hold sound, but .*empty.wav is empty$"), ("none.wav", {}, "there is no file"), ("short.wav", {"channel": 1}, "channel: must be below 1"),
         ("short.wav", {"free_field": 3.0}, "free_field: must be a sound file and a distance"),
         ("short.wav", {"free_field": ("short.wav", 0.0)}, r"free_field\[1\]: must be at least"),
         ("short.wav", {"free_field": (tmp_path / "slow.wav", 1.0)}, r"free_field\[0\]: must have the sampling rate 48000"),
@@ -174,6 +189,9 @@ def test_files_that_hold_no_response(tmp_path: Path) -> None:
         clsim.speech_transmission(tmp_path / "slow.wav")
     with pytest.raises(clsim.InputError, match="speech_db: must be given where there is noise"):
         clsim.speech_transmission(tmp_path / "short.wav", noise_db=[40.0] * 7)
+    for level, problem in (("a", "must be numbers, but is 'a'"), ([60.0] * 6, "must have the shape 7, but has 6")):
+        with pytest.raises(clsim.InputError, match=f"speech_db: {problem}"):
+            clsim.speech_transmission(tmp_path / "short.wav", level)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("length", [1.0, 2.5])

@@ -9,7 +9,8 @@ import numpy as np
 
 from clsim.arrays import as_number, unique_rows
 from clsim.errors import InputError
-from clsim.scene.room.mesh_cleaning import SMALLEST_AREA, WELD, clean_mesh, cross_products, mesh_shape
+from clsim.scene.room.copies import SMALLEST_AREA, WELD, clean_mesh, without_copies
+from clsim.scene.room.mesh_cleaning import cross_products, mesh_shape
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,9 +42,9 @@ def heal_mesh(vertices: Floats, triangles: Ints, heal: str | float) -> Healed:
     """Join what nearly meets in triangles (T, 3) of vertices (V, 3) m, by "auto", "off" or a tolerance, m.
 
     Corners nearer than the tolerance become one. A triangle with a corner of another one on its side is cut there, so
-    that no slit without an area is left. "auto" tries tolerances from 0.1 to 12 mm, 2 per mille of the size of the mesh
-    at most, and takes the first of those that leave the fewest open edges. A mesh that is closed, or that gains
-    nothing, is left as it is.
+    that no slit without an area is left. Where edges stay open, it is tried without triangles thinner than the
+    tolerance. "auto" tries tolerances from 0.1 to 12 mm, 2 per mille of the size of the mesh at most, and takes the
+    first of those that leave the fewest open edges. A mesh that is closed, or that gains nothing, is left as it is.
     """
     as_it_is = Healed(vertices, triangles, np.arange(len(triangles)), (), np.empty((0, 3)))
     if heal == "off":
@@ -60,11 +61,14 @@ def heal_mesh(vertices: Floats, triangles: Ints, heal: str | float) -> Healed:
     else:
         tolerances = [as_number("heal", heal, at_least=WELD, at_most=_LARGEST, unit="m")]
     found = []
-    for tolerance in tolerances:
-        healed = _joined(clean.vertices, clean.triangles, tolerance)
-        found.append((_open_edges(healed.vertices, healed.triangles), healed))
-        if found[-1][0] == 0:
-            break
+    for tolerance, thinner in [(t, thinner) for t in tolerances for thinner in (0.0, t)]:
+        healed = _joined(clean.vertices, clean.triangles, tolerance, thinner)
+        if len(healed.triangles):
+            found.append((_open_edges(healed.vertices, healed.triangles), healed))
+            if found[-1][0] == 0:
+                break
+    if not found:
+        raise InputError("heal", f"must leave triangles of the mesh, but joins all corners of each: {tolerances[0]} m")
     left, best = min(found, key=lambda pair: pair[0])  # the first of the best
     if heal == HEAL and left >= start:
         return as_it_is
@@ -83,8 +87,8 @@ def _open_edges(vertices: Floats, triangles: Ints) -> int:
     return len(mesh_shape(vertices, triangles).open_edges)
 
 
-def _joined(vertices: Floats, triangles: Ints, tolerance: float) -> Healed:
-    """Weld corners, and cut triangles at corners that are on their sides."""
+def _joined(vertices: Floats, triangles: Ints, tolerance: float, thinner: float) -> Healed:
+    """Weld corners, leave out triangles thinner than a distance, m, and cut triangles at corners on their sides."""
     vertex, places, moved = _welded(vertices, tolerance)
     corners, origin = vertex[triangles], np.arange(len(triangles))
     notes, where = [], [vertices[moved > 0.0]]
@@ -92,15 +96,18 @@ def _joined(vertices: Floats, triangles: Ints, tolerance: float) -> Healed:
         count = len(vertices) - len(places)
         joined = _at(places[np.unique(vertex[moved > 0.0])])
         notes.append(f"healed: {count} corners joined to others, moved by {1e3 * moved.max():.3g} mm at most, {joined}")
-    corners, origin = _without_flat(places, corners, origin)
+    corners, origin, thin = _without_flat(places, corners, origin, thinner)
     cut: dict[int, float] = {}
     for _ in range(_MOST_ROUNDS):
-        pieces = _cut_once(places, corners, origin, tolerance)
+        pieces = _cut_once(places, corners, origin, tolerance) if len(corners) else None
         if pieces is None:
             break
         corners, origin, at = pieces
         cut |= at
-        corners, origin = _without_flat(places, corners, origin)
+        corners, origin, more = _without_flat(places, corners, origin, thinner)
+        thin += more
+    if thin:
+        notes.append(f"healed: {thin} triangles thinner than {1e3 * thinner:.3g} mm were left out")
     if cut:
         off = f"within {1e3 * max(cut.values()):.3g} mm" if max(cut.values()) > WELD else "exactly"
         notes.append(f"healed: sides cut at {len(cut)} corners that were on them {off}, {_at(places[sorted(cut)])}")
@@ -124,13 +131,17 @@ def _welded(vertices: Floats, tolerance: float) -> tuple[Ints, Floats, Floats]:
     return vertex, places, np.linalg.norm(places[vertex] - vertices, axis=1)
 
 
-def _without_flat(places: Floats, corners: Ints, origin: Ints) -> tuple[Ints, Ints]:
-    """Drop triangles without area, and pairs that became the same to one of them."""
+def _without_flat(places: Floats, corners: Ints, origin: Ints, thinner: float) -> tuple[Ints, Ints, int]:
+    """Drop triangles without area, copies, and triangles thinner than a distance, m; these are counted.
+
+    What is thinner has a corner on its longest side, at which the triangles beyond this side are cut.
+    """
+    sides = places[corners] - places[np.roll(corners, 1, axis=1)]
     area = 0.5 * np.linalg.norm(cross_products(places[corners]), axis=1)
-    kept = np.flatnonzero(area > SMALLEST_AREA)
-    _, once, _ = unique_rows(np.sort(corners[kept], axis=1))
-    kept = kept[np.sort(once)]
-    return corners[kept], origin[kept]
+    thick = 2.0 * area > thinner * np.linalg.norm(sides, axis=2).max(axis=1)
+    kept = np.flatnonzero((area > SMALLEST_AREA) & thick)
+    kept = kept[without_copies(places, corners[kept])] if len(kept) else kept
+    return corners[kept], origin[kept], int(np.count_nonzero((area > SMALLEST_AREA) & ~thick))
 
 
 def _cut_once(

@@ -13,13 +13,13 @@ import numpy as np
 from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
+from clsim.scene.room.copies import clean_mesh
 from clsim.scene.room.edges import Edges, find_edges, numbered
 from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.healing import HEAL, heal_mesh, healing_tolerance
 from clsim.scene.room.mesh_cleaning import (
     MeshShape,
-    clean_mesh,
     cross_products,
     describe_mesh,
     mesh_shape,
@@ -115,7 +115,7 @@ class MeshRoom:
     def __post_init__(self) -> None:
         vertices = as_floats("vertices", self.vertices, (None, 3), within=FARTHEST, unit="m")
         triangles = _checked_triangles(self.triangles, len(vertices))
-        materials = _per_triangle("materials", self.materials, len(triangles))
+        materials = _per_one("materials", self.materials, len(triangles), "triangle")
         labels = ("",) * len(triangles) if self.labels is None else tuple(self.labels)
         if len(labels) != len(triangles):
             raise InputError("labels", f"must be one per triangle, {len(triangles)}, but are {len(labels)}")
@@ -240,7 +240,7 @@ class MeshRoom:
         """
         points = as_floats("corners", corners, (None, 3), within=FARTHEST, unit="m")
         rows = checked_polygons(polygons, len(points))
-        given = _per_triangle("materials", materials, len(rows))
+        given = _per_one("materials", materials, len(rows), "polygon")
         names = tuple(f"polygon {i}" for i in range(len(rows))) if labels is None else tuple(labels)
         if len(names) != len(rows):
             raise InputError("labels", f"must be one per polygon, {len(rows)}, but are {len(names)}")
@@ -569,13 +569,13 @@ def _checked_triangles(value: object, count: int) -> NDArray[np.int64]:
     return triangles.astype(np.int64)
 
 
-def _per_triangle(name: str, materials: object, count: int) -> list[Material]:
+def _per_one(name: str, materials: object, count: int, of: str) -> list[Material]:
     if isinstance(materials, Material):
         return [materials] * count
     if not isinstance(materials, Sequence) or isinstance(materials, str):
-        raise InputError(name, f"must be a Material or one per triangle, but is {materials!r:.80}")
+        raise InputError(name, f"must be a Material or one per {of}, but is {materials!r:.80}")
     if len(materials) != count:
-        raise InputError(name, f"must be one per triangle, {count}, but are {len(materials)}")
+        raise InputError(name, f"must be one per {of}, {count}, but are {len(materials)}")
     for i, material in enumerate(materials):
         if not isinstance(material, Material):
             raise InputError(f"{name}[{i}]", f"must be a Material, but is {material!r:.80}")

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clsim.arrays import unique_rows
-from clsim.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
 
     Ints = NDArray[np.int64]
 
-WELD = 1e-6  # m; vertices nearer than this are one
-SMALLEST_AREA = 1e-12  # m²
 _FLAT = 1e-3  # of a panel's thickness, by which its two sides may be uneven
 _EVEN = 1e-3  # of the mesh's size, by which a sheet may be bent
 _RAY = np.array([0.3607, 0.4783, 0.8007])  # a direction that no wall is likely to lie along
@@ -125,50 +122,9 @@ def _side(corners: Floats, area: Floats) -> tuple[NDArray[np.int64], Floats, flo
     return side, -0.5 * thickness * normal, thickness if len(side) else 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CleanMesh:
-    """Triangles on shared vertices."""
-
-    vertices: Floats  # (V, 3) m, each used by a triangle
-    triangles: NDArray[np.int64]  # (T, 3) indices of corners
-    kept: NDArray[np.int64]  # (T,) row of each triangle before cleaning
-    notes: tuple[str, ...]  # what was repaired
-
-
-def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
-    """Weld vertices (V, 3), m, by position, and drop triangles (T, 3) without area and copies of others."""
-    unique, _, which = unique_rows(vertices)
-    vertex, welded = _weld(unique)
-    corners = vertex[which][triangles]
-    notes = []
-    area = 0.5 * np.linalg.norm(cross_products(welded[corners]), axis=1)
-    flat = area <= SMALLEST_AREA
-    if flat.any():
-        notes.append(f"{flat.sum()} triangles without area were dropped, the first is face {np.flatnonzero(flat)[0]}")
-    kept = np.flatnonzero(~flat)
-    if not len(kept):
-        raise InputError("triangles", f"must have an area, but all {len(triangles)} have none")
-    _, once, _ = unique_rows(np.sort(corners[kept], axis=1))
-    if len(once) < len(kept):
-        notes.append(f"{len(kept) - len(once)} triangles that lay on others were dropped")
-    kept = kept[np.sort(once)]
-    used, corners = np.unique(corners[kept], return_inverse=True)
-    return CleanMesh(welded[used], corners.reshape(-1, 3).astype(np.int64), kept, tuple(notes))
-
-
 def cross_products(corners: Floats) -> Floats:
     """Return the normals of triangles (n, 3, 3) with twice their areas as lengths, (n, 3) m²."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def _weld(points: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return the index of each point's cluster, and one place per cluster."""
-    from scipy.spatial import cKDTree
-
-    count, cluster = clusters(len(points), cKDTree(points).query_pairs(WELD, output_type="ndarray"))
-    places = np.empty((count, 3))
-    places[cluster[::-1]] = points[::-1]
-    return cluster, places
 
 
 def clusters(count: int, pairs: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:

@@ -19,6 +19,8 @@ WALL = clsim.Material.from_reflection(0.9)
 MEASURED = Path(
     os.environ.get("CLSIM_MEASURED_ROOMS", Path(__file__).resolve().parents[5] / "shared" / "data" / "measured")
 )
+BOX = [(x, y, z) for z in (0, 3) for y in (0, 4) for x in (0, 5)]
+SIDES = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
 DAMAGES = ("cuts", "flips", "copies", "jitter", "split", "in line")
 
 
@@ -151,10 +153,8 @@ def test_heal_off_and_open_meshes_change_nothing(rng: np.random.Generator) -> No
 def test_a_window_is_cut_out_of_its_wall() -> None:
     """A smaller polygon wins: its area is of its material, once, and the room stays closed."""
     glass = clsim.Material.from_reflection(0.98)
-    box = [(x, y, z) for z in (0, 3) for y in (0, 4) for x in (0, 5)]
-    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     window = [(5, 1, 1), (5, 2, 1), (5, 2, 2), (5, 1, 2)]
-    room = clsim.MeshRoom.from_polygons([*box, *window], [*sides, (8, 9, 10, 11)], [WALL] * 6 + [glass])
+    room = clsim.MeshRoom.from_polygons([*BOX, *window], [*SIDES, (8, 9, 10, 11)], [WALL] * 6 + [glass])
     assert room.is_closed
     assert room.volume == pytest.approx(60.0, rel=1e-12)
     assert room.surface_area == pytest.approx(2 * (20 + 15 + 12), rel=1e-12)
@@ -164,11 +164,82 @@ def test_a_window_is_cut_out_of_its_wall() -> None:
     assert area[of_glass].sum() == pytest.approx(1.0, rel=1e-12)
 
 
+@pytest.mark.parametrize("extra", ["flipped", "rolled", "all", "twice", "jitter"])
+@pytest.mark.parametrize("heal", ["auto", "off"])
+def test_a_copy_with_other_diagonals_is_a_copy(extra: str, heal: str, tmp_path: Path) -> None:
+    """A face once more, from another corner or backwards, is dropped: from polygons, OBJ and triangles."""
+    if extra == "jitter" and heal == "off":
+        return
+    corners: list[Any] = list(BOX)
+    turned = {
+        "flipped": [side[::-1] for side in SIDES[1:2]], "rolled": [(*side[1:], side[0]) for side in SIDES[1:2]],
+        "all": [side[::-1] for side in SIDES], "twice": [side[::-1] for side in SIDES[:1]] + [(*SIDES[0][1:], 0)],
+        "jitter": [(8, 9, 10, 11)],
+    }[extra]  # fmt: skip
+    if extra == "jitter":
+        corners += [np.add(BOX[i], (3e-4, -2e-4, 3e-4)).tolist() for i in SIDES[1][::-1]]
+    glass = clsim.Material.from_reflection(0.98)
+    lines = ["v {} {} {}".format(*c) for c in corners]
+    lines += ["f " + " ".join(str(i + 1) for i in side) for side in [*SIDES, *turned]]
+    (tmp_path / "box.obj").write_text("\n".join(lines))
+    rooms_ = [
+        clsim.MeshRoom.from_polygons(corners, [*SIDES, *turned], [WALL] * 6 + [glass] * len(turned), heal=heal),
+        clsim.MeshRoom.from_file(tmp_path / "box.obj", materials=WALL, heal=heal),
+    ]
+    for room in rooms_:
+        assert room.volume == pytest.approx(60.0, rel=1e-12)
+        assert room.surface_area == pytest.approx(94.0, rel=1e-12)
+        assert glass not in room.faces.materials
+
+
+def test_a_concave_floor_twice_is_one_floor() -> None:
+    """The polygons share no diagonal: six corners, counted from another one and backwards."""
+    plan = clsim.MeshRoom.from_plan([(0, 0), (6, 0), (6, 3), (3, 3), (3, 6), (0, 6)], 2.7, WALL)
+    floor = [(0, 0), (6, 0), (6, 3), (3, 3), (3, 6), (0, 6)]
+    corners = [*plan.vertices.tolist(), *[(x, y, 0.0) for x, y in floor]]
+    first = len(plan.vertices)
+    for start in range(6):
+        again = np.roll(np.arange(first, first + 6), start)[::-1].tolist()
+        room = clsim.MeshRoom.from_polygons(corners, [*plan.triangles.tolist(), again], WALL)
+        assert room.volume == pytest.approx(plan.volume, rel=1e-12)
+        assert len(room.triangles) == len(plan.triangles)
+
+
+def test_what_only_touches_is_no_copy() -> None:
+    """Crates on each other are two closed shells, and a smaller face covers another region."""
+    low = clsim.MeshRoom.from_polygons(BOX, SIDES, WALL)
+    high = clsim.MeshRoom.from_polygons(
+        [(x, y, z + 3) for x, y, z in BOX], [(1, 3, 2, 0), *SIDES[1:]], WALL
+    )  # whose lower face has the other diagonal
+    pile = clsim.MeshRoom.joined([low, high])
+    assert pile.is_closed
+    assert len(pile.triangles) == 24
+    for other in ([(8, 9, 10), (8, 10, 11)], [(1, 5, 10)]):  # a door in the wall, and a triangle at its side
+        door = [(5, 1, 0), (5, 2, 0), (5, 2, 2), (5, 1, 2)]
+        room = clsim.MeshRoom([*BOX, *door], [*low.triangles.tolist(), *other], WALL)
+        assert len(room.triangles) == 12 + len(other)
+
+
+@pytest.mark.parametrize("heal", ["auto", 1e-3, 1e-2])
+def test_needles_are_left_out(heal: str | float) -> None:
+    """A triangle of corners in line, all split and moved by up to 0.2 mm, has an area but fills no gap."""
+    rng = np.random.default_rng(0)
+    box = clsim.MeshRoom.from_polygons(BOX, SIDES, WALL)
+    each = np.concatenate([box.vertices[box.triangles].reshape(-1, 3), [(5, 4, 0), (0, 4, 0), (2.5, 4, 0)]])
+    each += rng.uniform(-1.0, 1.0, each.shape) * 1e-4
+    room = clsim.MeshRoom.from_polygons(each, np.arange(len(each)).reshape(-1, 3).tolist(), WALL, heal=heal)
+    assert room.volume == pytest.approx(60.0, rel=1e-3)
+    assert any("1 triangles thinner than" in note for note in room.notes)
+
+
+def test_a_tolerance_that_leaves_no_triangle_is_refused() -> None:
+    with pytest.raises(clsim.InputError, match="heal: must leave triangles"):
+        clsim.MeshRoom.from_polygons([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)], [(0, 1, 2)], WALL, heal=0.5)
+
+
 def test_sheets_hang_in_a_closed_room() -> None:
-    box = [(x, y, z) for z in (0, 3) for y in (0, 4) for x in (0, 5)]
-    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     curtain = [(4.5, 1, 0.5), (4.5, 3, 0.5), (4.5, 3, 2.5), (4.5, 1, 2.5)]
-    room = clsim.MeshRoom.from_polygons([*box, *curtain], [*sides, (8, 9, 10, 11)], WALL, double_sided=[6])
+    room = clsim.MeshRoom.from_polygons([*BOX, *curtain], [*SIDES, (8, 9, 10, 11)], WALL, double_sided=[6])
     assert room.is_closed
     assert room.volume == pytest.approx(60.0, rel=1e-12)
     assert room.contains([(4.7, 2.0, 1.0), (4.0, 2.0, 1.0), (5.5, 2.0, 1.0)]).tolist() == [True, True, False]
@@ -187,11 +258,14 @@ def test_sheets_hang_in_a_closed_room() -> None:
         ([(0, 1, 2)], {"heal": "yes"}, "heal: must be 'auto', 'off' or a tolerance"),
         ([(0, 1, 2)], {"heal": -1.0}, "heal: must be at least"), ([(0, 1, 2)], {"heal": float("nan")}, "heal: must be"),
         ([(0, 1, 2)], {"labels": []}, "labels: must be one per polygon"),
+        ([(0, 1, 2)], {"materials": [WALL] * 2}, "materials: must be one per polygon, 1, but are 2"),
     ],
 )  # fmt: skip
 def test_polygons_with_something_wrong(polygons: Any, more: dict[str, Any], problem: str) -> None:
     with pytest.raises(clsim.InputError, match=problem):
-        clsim.MeshRoom.from_polygons([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], polygons, WALL, **more)
+        clsim.MeshRoom.from_polygons(
+            [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], polygons, **{"materials": WALL} | more
+        )
 
 
 def test_the_report_tells_where_and_by_how_much() -> None:
