@@ -26,7 +26,9 @@ from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module
 from clsim.render.methods import sampled_channel as channel_module
+from clsim.render.methods.ears import EarEngine
 from clsim.render.methods.sampled_channel import ChannelEngine
+from clsim.render.opencl import baseband_engine as envelope_module
 from clsim.render.opencl import batches as layout_module
 from clsim.render.opencl import branch_signals as limits_module
 from clsim.render.opencl import engine as engine_module
@@ -48,6 +50,8 @@ CURTAIN = clsim.Material.from_absorption([20e3, 30e3, 40e3, 50e3, 60e3], [0.1, 0
 SWEEP = clsim.Signal.chirp(37e3, 43e3, 0.02, RATE, window="tukey")
 # Paths of a batch, to which scenes are filled up: at least as many as workers share. `make drivers` has 64, as by default.
 BATCHES = {"pulses.cpu": 64, "crowd.cpu": 64, "plain.gpu": 32, "pulses.gpu": 32}
+# Terms of sixteen paths of an envelope lie side by side.
+BATCHES |= {f"{name}.{layout}": 16 for name in ("baseband", "baseband_pulses") for layout in ("cpu", "gpu")}
 FEWEST = 64 if os.environ.get("CLSIM_ALL_DRIVERS") else 8
 LAYOUTS = {"cpu": CPU_LAYOUT, "gpu": GPU_LAYOUT}
 DISPERSING, WINDY = clsim.Air(dispersion=True), clsim.Air(wind=(9.0, -4.0, 1.0))
@@ -241,6 +245,29 @@ def pairs_pulses(device: str) -> Plan:
 
 
 @dataclasses.dataclass(frozen=True)
+class Heads:
+    """Each path on its own at the centre of a head."""
+
+    device: str
+
+    def heard(self, lanes: int) -> np.ndarray:
+        heads = plan(world(beams=(clsim.Omni(), clsim.SphericalHead())), self.device, blocks=())
+        centres = heads.allocation.ears[0].plan
+        centres = dataclasses.replace(centres, blocks=(96,))
+        signals: list[np.ndarray] = []
+
+        class Frames:
+            """Takes the sound of paths."""
+
+            def add(self, pair: int, rows: np.ndarray, found: np.ndarray, first: int) -> None:
+                signals.append(np.array(found[: len(rows)]))
+
+        layout = next(layout for layout in LAYOUTS.values() if layout.lanes == lanes)
+        EarEngine(centres, layout).filter(Frames(), 0, centres.samples)
+        return np.concatenate(signals)
+
+
+@dataclasses.dataclass(frozen=True)
 class Streams:
     """Streams of a diffuse tail, one of which two listeners that move do not hear."""
 
@@ -313,6 +340,12 @@ class Moments:
 
 
 @scene
+def heads(device: str) -> Heads:
+    """The sound of each path on its own."""
+    return Heads(device)
+
+
+@scene
 def moments(device: str) -> Moments:
     """The transpose of the sum over paths, some of which come and go."""
     return Moments(plan(partly(world(walls=[CURTAIN, *REAL[1:]]), 0.0005), device))
@@ -376,8 +409,8 @@ MUTANTS = {
     "off_by_one": ("branches", "tap_count - 1 - k]", "tap_count - k]"),
     "no_barrier": (
         "render",
-        "subblock_sum);\n                }\n                SYNCHRONISE;",
-        "subblock_sum);\n                }",
+        "#endif\n                }\n                SYNCHRONISE;",
+        "#endif\n                }",
     ),
     "not_cleared": (),
 }
@@ -401,7 +434,10 @@ def mutated(mutant: str) -> Iterator[None]:
 @contextmanager
 def filled_up_to(paths: int) -> Iterator[None]:
     """Have paths filled up to batches of so many, and work-groups of no more: what fills them up sounds of nothing."""
-    modules, defaults = (plan_module, limits_module, layout_module, engine_module, channel_module), work.__kwdefaults__
+    modules, defaults = (
+        (plan_module, limits_module, layout_module, engine_module, channel_module, envelope_module),
+        work.__kwdefaults__,
+    )
     before, group = plan_module.BATCH, defaults["group"]
     for module in modules:
         module.BATCH = paths
@@ -421,7 +457,7 @@ def rendered(device: str, name: str) -> np.ndarray:
         warnings.simplefilter("ignore")  # boxes of a few centimetres are unusual
         made = SCENES[scene_name](device)
         if not isinstance(made, Plan):
-            return made.audible(LAYOUTS[layout].lanes)
+            return made.heard(LAYOUTS[layout].lanes)
         engine = OpenclEngine if made.baseband is None else BasebandEngine
         return engine(made, LAYOUTS[layout]).render(0, made.samples)
 

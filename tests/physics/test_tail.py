@@ -299,7 +299,7 @@ def test_cost_of_many_moving_receivers_does_not_grow_with_zones(monkeypatch: pyt
     assert len(heard) > 10
     asked: list[str] = []
     together: list[int] = []
-    weigh, add_up = Zones.weights, HostWaves.heard
+    weigh, add_up = Zones.weights, HostWaves.audible
 
     def weighed(zones: Zones, end: Any, times: np.ndarray) -> Any:
         asked.append(end.name)
