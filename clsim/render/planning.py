@@ -233,10 +233,11 @@ def allocate(
 ) -> tuple[tuple[SourceFilters, ...], Allocation]:
     """Return the filters of what each source emits, and the allocation, for a recording of a length in samples."""
     convolved = Allocation(static.pairs_at_rest(tracks, options))
-    convolved = replace(convolved, ears=ears.parts_of(emissions, tracks, options, samples, convolved.convolved))
+    parts, rest = ears.parts_of(emissions, tracks, options, samples, convolved.convolved)
+    convolved = replace(convolved, ears=parts)
     shaded = _shaded(tracks, convolved, options)
     if not shaded:
-        return _allocated(emissions, tracks, options, samples, convolved, ears.without(tracks, convolved.ears))
+        return _allocated(emissions, tracks, options, samples, convolved, rest)
     # Their responses need many more functions of frequency than others, which these would all have to take.
     all_of_it, allowed_db = frozenset(range(len(tracks.pairs))), options.shadow_error_db or 0.0
     of_ears = convolved.claimed - convolved.convolved

@@ -253,7 +253,7 @@ class Heads:
     def heard(self, lanes: int) -> np.ndarray:
         heads = plan(world(beams=(clsim.Omni(), clsim.SphericalHead())), self.device, blocks=())
         centres = heads.allocation.ears[0].plan
-        centres = dataclasses.replace(centres, blocks=(96,))
+        centres = dataclasses.replace(centres, blocks=(96,), builders=[])
         signals: list[np.ndarray] = []
 
         class Frames:

@@ -277,7 +277,7 @@ def test_filters_leave_the_paths_that_were_asked_for(tab: Any) -> None:
     assert tab.evaluate("clsim.state().paths") == [1, np.sum((to == "near") & (order == 1)), 0, 0]
     tab.select_option("#receiver", label="all")
     tab.select_option("#order", label="all")
-    tab.wait_for_function(f"clsim.state().text.includes(': {len(order)} paths')")
+    tab.wait_for_function(f"clsim.state().text.includes(': {len(order)} active paths')")
     assert not tab.locator("#source").is_visible()  # of one source
 
 

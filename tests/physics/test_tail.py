@@ -310,7 +310,7 @@ def test_cost_of_many_moving_receivers_does_not_grow_with_zones(monkeypatch: pyt
         return add_up(waves, streams, first, motion, start, stop)
 
     monkeypatch.setattr(Zones, "weights", weighed)
-    monkeypatch.setattr(HostWaves, "heard", added_up)
+    monkeypatch.setattr(HostWaves, "audible", added_up)
     assert np.any(of_contribution(plan))
     assert [asked.count(end.name) for end in of.receivers] == [1] * 20
     assert sum(together) == heard.sum()

@@ -71,30 +71,17 @@ def centre_tracks(tracks: SceneTracks, pairs: Sequence[int]) -> SceneTracks:
     )
 
 
-def without(tracks: Tracks, parts: Sequence[EarPart]) -> Tracks:
-    """Return the tracks of the pairs that are in no part."""
-    of_scene, claimed = tracks.of_scene, frozenset[int]().union(*(part.pairs for part in parts))
-    if of_scene is None or not claimed:
-        return tracks
-    kept = [i for i in range(len(of_scene.pairs)) if i not in claimed]
-    return replace(
-        of_scene,
-        pairs=tuple(of_scene.pairs[i] for i in kept),
-        pair_paths=tuple(of_scene.pair_paths[i] for i in kept),
-    )
-
-
 def parts_of(
     emissions: Sequence[tuple[Signal, float]],
     tracks: Tracks,
     options: RenderOptions,
     samples: int,
     others: frozenset[int],
-) -> tuple[EarPart, ...]:
-    """Return the pairs with receivers whose channels differ over frequency, with a plan for what arrives there."""
+) -> tuple[tuple[EarPart, ...], Tracks]:
+    """Return pairs with receivers whose channels differ over frequency, with a plan, and the tracks of all others."""
     pairs = [i for i in range(len(tracks.pairs)) if i not in others and can(tracks, options, i) is None]
     if not pairs or tracks.of_scene is None:
-        return ()
+        return (), tracks
     centres, rate = centre_tracks(tracks.of_scene, pairs), options.sampling_rate
     until = samples / rate
     made = []
@@ -107,7 +94,8 @@ def parts_of(
             made.append(design_source_filters(emission))
     chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, centres.channels)), centres.longest_delay)
     plan = Plan(options, centres, Allocation(), tuple(made), rate, samples, chunk, SEGMENT, BLOCKS, [])
-    return (EarPart(plan, frozenset(pairs)),)
+    left = sorted(set(range(len(tracks.pairs))) - set(pairs))
+    return (EarPart(plan, frozenset(pairs)),), tracks.of_scene.among(left)
 
 
 def build(plan: Plan) -> Ears:
