@@ -6,8 +6,6 @@ The pipeline is four values and three arrows between them::
 
 `render` takes the last two arrows at once.
 
-The names are those of ``__init__.pyi``, and where they come from stands there alone; each is imported when it is first
-asked for, so that a process which needs few of them starts at once.
 """
 
 import sys

@@ -106,7 +106,9 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     words = arguments if completed is None else completed.split()[1:]
     called = next((word for word in words if not word.startswith("-")), None)
     if called is not None and called not in COMMANDS and completed is None:
-        raise InputError("COMMAND", f"{called!r:.80} is none; `clsim --help` lists them{meant(called, COMMANDS)}")
+        raise InputError(
+            "COMMAND", f"must be one that `clsim --help` lists, but is {called!r:.80}{meant(called, COMMANDS)}"
+        )
     parser_called = parser
     for name, text in COMMANDS.items():
         command = commands.add_parser(name, description=f"{text[0].upper()}{text[1:]}.")

@@ -164,7 +164,7 @@ def impulse_responses(
     Raises
     ------
     InputError
-        If the instant lies outside a trajectory, no path is heard then, the band does not fit the sampling rate, or
+        If the instant lies outside a trajectory, no path is active then, the band does not fit the sampling rate, or
         walls or directivities are not known over it.
 
     Notes

@@ -213,7 +213,8 @@ def room_measures(
     Raises
     ------
     InputError
-        If the responses are none, a file cannot be read, is silent or lasts less than 50 ms, the word is not
+        If `responses` is not an `ImpulseResponses`, a file cannot be read, is silent or lasts less than 50 ms, the word
+        is not
         known, or no such band lies
         within that of the responses.
 
@@ -289,7 +290,8 @@ def speech_transmission(
     Raises
     ------
     InputError
-        If the responses are none, or do not reach over the octaves from 125 Hz to 8 kHz, or levels are not such.
+        If `responses` is not an `ImpulseResponses`, or do not reach over the octaves from 125 Hz to 8 kHz, or levels
+        are not such.
 
     Notes
     -----
@@ -455,7 +457,8 @@ def lateral_measures(
     Raises
     ------
     InputError
-        If the responses are none, a receiver is not known, or no such band lies within that of the responses.
+        If `responses` is not an `ImpulseResponses`, a receiver is not known, or no such band lies within that of the
+        responses.
 
     Notes
     -----

@@ -73,7 +73,7 @@ def find_device(wanted: str | None) -> tuple[DeviceInfo, Any]:
         if wanted == info.id or (":" not in wanted and wanted.lower() in f"{info.name} {info.platform}".lower()):
             return info, device
     listed = "; ".join(f"{info.id} {info.name}" for info, _ in found)
-    raise DeviceError(f"no OpenCL device is or is called {wanted!r}; there are: {listed}")
+    raise DeviceError(f"the device must be the id or part of the name of one of {listed}, but is {wanted!r}")
 
 
 def no_device() -> str:

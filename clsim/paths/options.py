@@ -52,15 +52,15 @@ class PathOptions:
     body_order : int, optional
         Largest number of reflections of paths by bodies; `max_order`, which it does not exceed, when left out.
     body_step : float
-        Largest movement of bodies, source and receiver together from one look to the next, 10 um to 1 m. It applies to
-        paths over edges and by scatterers that bodies may hide, and to others for which no bound holds. What comes and
-        goes between two looks is missed.
+        Largest movement of bodies, source and receiver together from one evaluation to the next, 10 um to 1 m. It
+        applies to paths over edges and by scatterers that bodies may hide, and to others for which no bound holds.
+        Changes between two evaluations are missed.
     direct : bool, float or mapping
-        Whether direct paths are among them. Without them a sonar hears no cross-talk of its own source, and with
-        `max_order` 0 nothing but echoes of scatterers. A number is their level relative to the free direct sound, dB,
-        as behind a baffle. A mapping of (source, receiver), by their names, to either is for these pairs alone. The
+        Whether direct paths are among them. False leaves out the direct sound from a sonar's own source. A number is
+        their level relative to the free direct sound, dB, as behind a baffle. A mapping of (source, receiver), by their
+        names, to either is for these pairs alone. The
         reflection in a face that both ends sit in counts as direct sound. It must be False for a source and a receiver
-        at the same place, such as a transducer that hears its own echo.
+        at the same place, such as a transducer that receives its own echo.
     path_limit : int
         Number of paths above which the search is refused or given up.
     finder : {"auto", "beam-tree", "shooting"}

@@ -54,7 +54,7 @@ class PathSet:
     source, receiver, order : ndarray (paths,) int
         Indices in the scene, and number of interactions.
     start, end : ndarray (paths,)
-        Interval of reception in which the path is heard, s.
+        Interval of reception in which the path is active, s.
     interactions : ndarray (paths, N) int
         Interactions in order from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
         reflection by a body, 4 transmission through a wall; filled up with -1.
@@ -105,12 +105,12 @@ class PathSet:
 
     @cached_property
     def start(self) -> Floats:
-        """From when on each path is heard, s."""
+        """Time from which each path is active, s."""
         return _joined([family.start for family in self.families])
 
     @cached_property
     def end(self) -> Floats:
-        """Until when each path is heard, s."""
+        """Time until which each path is active, s."""
         return _joined([family.end for family in self.families])
 
     @cached_property

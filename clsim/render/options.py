@@ -77,7 +77,7 @@ class RenderOptions:
         `Bandlimited` interpolator. Left out: where an estimate says that it pays.
     shadow_error_db : float, optional
         Bound on the error of paths by scatterers with the shadow of their outline, -120 to -40 dB, relative to the
-        level of these paths; their formulae are right within about 1 dB. They have delay filters and functions of
+        level of these paths. Their formulae are right within about 1 dB. They have delay filters and functions of
         frequency of their own. None: those of all other paths. It applies with the OpenCL engine and a `Bandlimited`
         interpolator, and not in baseband.
     tail : {"off", "auto"}

@@ -109,7 +109,7 @@ class Air:
     Attributes
     ----------
     speed_of_sound : float
-        The given speed, or what the formula gives, m/s; half way up where it depends on the height.
+        The given speed, or what the formula gives, m/s; at half the room's height where it depends on the height.
     wind : tuple or None
         Velocity of the air, m/s; None where it rests.
     extent : tuple or None
@@ -117,7 +117,7 @@ class Air:
     layers : tuple of Air
         Homogeneous layers of such air, at Chebyshev's points of `extent`, from the highest down; empty otherwise.
     state : tuple of float
-        Temperature, °C, relative humidity and pressure, Pa; half way up where they depend on the height.
+        Temperature, °C, relative humidity and pressure, Pa; at half the room's height where they depend on it.
 
     Raises
     ------
@@ -306,7 +306,7 @@ class Air:
         return lines
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
-        """Return the absorption of pure tones by ISO 9613-1, dB/m, half way up; zero in air without.
+        """Return the absorption of pure tones by ISO 9613-1, dB/m, at half the room's height; zero in air without.
 
         Parameters
         ----------

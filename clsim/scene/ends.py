@@ -20,6 +20,7 @@ from clsim.scene.motion.checks import LONGEST, as_direction, as_places
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.scene.motion.orientation import quaternion_product, turning_between
 from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Directions = Callable[[Floats], tuple[Floats, NDArray[np.bool_]]]
-    from clsim.scene.signal.signal import Signal
 
 _STEP = 1.0 / 32.0  # s, between the orientations that are tried first
 _TOLERANCE = 1e-4  # rad, of the axis between two orientations
@@ -193,6 +193,8 @@ class Source:
     def __post_init__(self) -> None:
         _check_end(self)
         _settle_aim(self)
+        if not isinstance(self.signal, Signal):
+            raise InputError("signal", f"must be a Signal, but is {self.signal!r:.80}")
         if isinstance(self.directivity, ChannelDirectivity):
             raise InputError("directivity", "must have one channel, for several are of receivers")
         object.__setattr__(self, "flush", _checked_flush(self.flush))

@@ -28,7 +28,7 @@ class Fluctuation:
     correlation_time : float
         Time after which the correlation is 1/e, from 1 ms, s.
     correlation_length : float
-        The same of places: noise of a path whose source or receiver stands there instead, m.
+        Distance between two positions of the source or receiver at which the correlation is 1/e, m.
     seed : int
         Seed of the noise.
 

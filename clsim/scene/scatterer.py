@@ -292,8 +292,8 @@ class CapsuleShape:
 class Scatterer:
     """An object that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
-    It ends no path: behind what casts a shadow (spheres, and others by `shadow`), what it scatters takes the sound away
-    that goes on there. Paths by two scatterers are found with ``scatterers_in_row=2``.
+    It ends no path: behind what casts a shadow (spheres, and others by `shadow`), the scattered wave
+    cancels the direct one there. Paths by two scatterers are found with ``scatterers_in_row=2``.
 
     Parameters
     ----------

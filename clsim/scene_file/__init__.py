@@ -27,7 +27,7 @@ def load_scene(path: str | os.PathLike[str]) -> SceneFile:
     Parameters
     ----------
     path : path-like
-        A TOML file; `clsim schema` tells its fields. The files that it names are relative to it.
+        A TOML file; `clsim schema` prints its fields. The files that it names are relative to it.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def load_scene(path: str | os.PathLike[str]) -> SceneFile:
     Warns
     -----
     ClsimWarning
-        If something in the scene is hardly meant.
+        If a value is probably a mistake.
 
     Examples
     --------

@@ -58,7 +58,7 @@ def load_recording(
     Raises
     ------
     InputError
-        If the folder holds no finished run, a receiver is none of it, a package that reads the store is missing, or
+        If the folder holds no finished run, a receiver is not in it, a package that reads the store is missing, or
         what was written has changed where that is seen.
     """
     folder = Path(folder)
@@ -66,7 +66,7 @@ def load_recording(
     as_flag("verify", verify)
     record = load_record(folder, "folder")
     if not (record.finished and (folder / COMPLETED).exists()):
-        raise InputError("folder", f"must hold what clsim run finished, but {folder} does not")
+        raise InputError("folder", f"must hold the results of a finished `clsim run`, but {folder} does not")
     file = load_scene(folder / COMPLETED)
     if isinstance(receivers, str):
         raise InputError("receivers", f"must be a list of names, but is {receivers!r:.80}")

@@ -115,7 +115,7 @@ def test_what_cannot_run_is_one_line(
         (
             "sampling_rate = 192e3\n",
             'sampling_rate = 192e3\ndevice = "no such thing"\n',
-            "no OpenCL device is or is called",
+            "the device must be the id or part of the name of one of",
         ),
     ],
 )

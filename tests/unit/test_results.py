@@ -86,7 +86,7 @@ def test_some_receivers_are_loaded_with_their_own_scene(folder: Path, recording:
 
 
 def test_what_is_no_result_is_refused(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(clsim.InputError, match=r"folder: must hold what clsim run finished"):
+    with pytest.raises(clsim.InputError, match=r"folder: must hold the results of a finished"):
         clsim.load_recording(tmp_path)
     with pytest.raises(
         clsim.InputError, match=r'receivers: must be one of "über links", "right", but is .rigth.; did you mean "right"'

@@ -57,9 +57,12 @@ def test_commands_are_those_that_are_listed() -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["rnu", "scene.toml"], """COMMAND: 'rnu' is none; `clsim --help` lists them; did you mean "run"?"""),
-        (["studdy"], """COMMAND: 'studdy' is none; `clsim --help` lists them; did you mean "study"?"""),
-        (["nothing"], "COMMAND: 'nothing' is none; `clsim --help` lists them"),
+        (
+            ["rnu", "scene.toml"],
+            """COMMAND: must be one that `clsim --help` lists, but is 'rnu'; did you mean "run"?""",
+        ),
+        (["studdy"], """COMMAND: must be one that `clsim --help` lists, but is 'studdy'; did you mean "study"?"""),
+        (["nothing"], "COMMAND: must be one that `clsim --help` lists, but is 'nothing'"),
         (["--verion"], 'unrecognized arguments: --verion; did you mean "--version"?'),
         (["devices", "--tset"], 'unrecognized arguments: --tset; did you mean "--test"?'),
     ],

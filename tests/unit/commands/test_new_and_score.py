@@ -143,7 +143,7 @@ def test_what_cannot_be_scored_is_a_line(run: Path, tmp_path: Path, capsys: pyte
     assert main(["-v", "score", str(tmp_path)]) == 2
     told = capsys.readouterr().err
     assert "Traceback" in told
-    assert told.splitlines()[-1].startswith("clsim: error: folder: must hold what clsim run finished")
+    assert told.splitlines()[-1].startswith("clsim: error: folder: must hold the results of a finished")
 
 
 @pytest.mark.parametrize(
