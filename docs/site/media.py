@@ -13,7 +13,7 @@ import soundfile
 
 import clsim
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(clsim.__file__).parents[1] / "examples"  # the gate builds the site of a copy of the pages
 COMMENT = re.compile(r"^<!-- (viewer|sound): (\w+) -->$", re.MULTILINE)
 FRAME = '<iframe src="media/{}.html" title="interactive view" loading="lazy" style="width:100%;height:32rem;border:0"></iframe>'
 PLAYER = '<audio controls preload="none" src="media/{}.flac"></audio>'
