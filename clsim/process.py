@@ -111,7 +111,7 @@ def _raise_again(found: sys.UnraisableHookArgs) -> None:
     """Raise an interrupt again that arrived in a place that cannot raise, such as a callback."""
     if isinstance(found.exc_value, KeyboardInterrupt):
         _raise_later()
-    else:
+    elif not _is_half_made(found):
         sys.__unraisablehook__(found)
 
 
@@ -121,8 +121,14 @@ def _drop_interrupt(found: sys.UnraisableHookArgs) -> None:
     Python reports with an OSError of no object that a signal came while its handler was replaced.
     """
     late = isinstance(found.exc_value, OSError) and found.object is None
-    if not (late or isinstance(found.exc_value, KeyboardInterrupt)):
+    if not (late or isinstance(found.exc_value, KeyboardInterrupt) or _is_half_made(found)):
         sys.__unraisablehook__(found)
+
+
+def _is_half_made(found: sys.UnraisableHookArgs) -> bool:
+    """Test whether an event loop is deleted that an interrupt left without its sockets."""
+    where = getattr(found.object, "__qualname__", "")
+    return isinstance(found.exc_value, AttributeError) and where == "BaseEventLoop.__del__"
 
 
 def printable(text: str) -> str:

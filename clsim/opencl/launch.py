@@ -242,11 +242,12 @@ class Scratch:
         self._context = context
         self._kept: dict[Any, Any] = {}
 
-    def take(self, name: Any, size: int) -> Any:
-        """Return the buffer of a name, of at least `size` bytes; its content may be lost."""
+    def take(self, name: Any, size: int, *, zeros: bool = False) -> Any:
+        """Return the buffer of a name, of at least `size` bytes; its content may be lost. `zeros`: at first all 0."""
         import pyopencl as cl
 
         if name not in self._kept or self._kept[name].size < size:
             self._kept.pop(name, None)
-            self._kept[name] = cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
+            flags = cl.mem_flags.READ_WRITE | (cl.mem_flags.COPY_HOST_PTR if zeros else 0)
+            self._kept[name] = cl.Buffer(self._context, flags, size, np.zeros(size, np.uint8) if zeros else None)
         return self._kept[name]

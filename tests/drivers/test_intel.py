@@ -20,6 +20,7 @@ AS_USERS = [
     "rays.cpu",
     "channels.cpu",
     "moments.cpu",
+    "heads.cpu",
     "doubled.cpu",
     "baseband_pulses.cpu",
     "pairs.cpu",

@@ -181,6 +181,30 @@ __main__.run()
 """
 
 
+HALF_MADE = """
+import asyncio, os, signal, sys, time
+from clsim import __main__, cli
+def main():
+    loop = asyncio.SelectorEventLoop.__new__(asyncio.SelectorEventLoop)
+    asyncio.BaseEventLoop.__init__(loop)  # an interrupt comes before its sockets are there
+    del loop
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(1.0)
+cli.main = main
+sys.argv = ["clsim", "check"]
+__main__.run()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
+def test_an_event_loop_that_an_interrupt_leaves_half_made_is_not_reported() -> None:
+    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    command = [sys.executable, "-c", begin + HALF_MADE]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
+    assert done.returncode == 130
+    assert [line.startswith(MESSAGE) for line in done.stderr.splitlines()] == [True]
+
+
 @pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
 def test_a_coroutine_that_an_interrupt_leaves_is_not_reported() -> None:
     """A coroutine like those of Zarr, which makes one for each file that it writes."""
