@@ -196,7 +196,7 @@ class SceneResponse:
             gain = np.moveaxis(directivity_gain(directivity, towards, self.frequencies, c), -1, 0)
         else:
             gain = directivity.aligned(towards, covered(self.frequencies, directivity), c, channels)
-        return np.asarray(gain * response, dtype=self.dtype)
+        return np.asarray(gain * response, dtype=np.result_type(response, self.dtype))
 
 
 def is_complex(scene: Scene) -> bool:

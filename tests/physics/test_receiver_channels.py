@@ -142,6 +142,32 @@ def test_both_engines_receive_the_same_channels(kind, measured):
     )
 
 
+@pytest.mark.parametrize("air", ["plain", "dispersive"])
+@pytest.mark.parametrize("engine", ["opencl", "reference"])
+def test_the_first_component_beside_a_moving_ball_is_what_an_omni_there_hears(engine, air, measured):
+    """Phases of the ball and of the air stay in components that have none of their own, whoever else listens."""
+    way = clsim.Trajectory.line((2.6, 1.6, 1.2), (2.7, 1.8, 1.3), 0.4)
+    place = clsim.Trajectory.fixed((5.2, 4.0, 1.5))
+    microphones = [
+        clsim.Receiver.ambisonic("hoa", place, order=7, normalization="N3D"),  # gains of so many are made on the host
+        clsim.Receiver("omni", place),
+        clsim.Receiver("elsewhere", clsim.Trajectory.fixed((4.5, 3.2, 1.1))),
+    ]
+    signal = clsim.Signal.noise(0.04, RATE, 1, band=(200.0, 2e3), fade=0.01)
+    scene = clsim.Scene(
+        clsim.Shoebox(size=(6.0, 5.0, 2.8), walls=clsim.Material.from_reflection(0.6)),
+        clsim.Air(dispersion=air == "dispersive"),
+        [clsim.Source("s", signal, clsim.Trajectory.fixed((1.0, 1.0, 1.6)))],
+        microphones,
+        scatterers=[clsim.Scatterer.sphere("ball", 0.15, way)] if air == "plain" else [],
+    )
+    paths = clsim.find_paths(scene, max_order=0, scattering_order=0)
+    found = clsim.render(paths, RATE, duration=0.06, engine=engine).pressure.astype(float)
+    error = 20.0 * np.log10(max(np.linalg.norm(found[0] - found[64]) / np.linalg.norm(found[64]), 1e-12))
+    what = "ball that moves" if air == "plain" else "air with dispersion"
+    assert measured(f"first component, {what}, {engine}", "an omni there", float(error), -80.0) <= -80.0
+
+
 class TwoPlaces(ChannelDirectivity):
     """Two places on the x axis, d before and behind the centre, for sound from far away."""
 

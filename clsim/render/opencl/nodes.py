@@ -209,11 +209,9 @@ class NodeMaker:
         channels = self._channels(batch)
         terms = plan.delay_terms + 4 * len(filters.basis) * channels
         # Sums of envelopes round the delays of all paths of a batch, also of those that only fill it up.
-        zeros = self._plan.delay_terms == 8
+        zeros, size = plan.delay_terms == 8, 4 * (terms * blocks * batch.count + VECTOR)
         delay = self._scratch.take(("delay", block), 4 * blocks * batch.count, zeros=zeros)
-        polynomials = self._scratch.take(
-            ("polynomials", block), 4 * (terms * blocks * batch.count + VECTOR), zeros=zeros
-        )
+        polynomials = self._scratch.take(("polynomials", block), size, zeros=zeros)
         found = np.empty((segments, batch.count, 4), dtype=np.float32)
         residual = np.empty((segments, batch.count), dtype=np.float32)
         there = [self._scratch.take(name, to.nbytes) for name, to in (("found", found), ("residual", residual))]
