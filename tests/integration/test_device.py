@@ -40,7 +40,7 @@ def test_no_platform_says_what_to_install(monkeypatch: pytest.MonkeyPatch, capsy
 
 
 def test_unknown_device_lists_those_there_are(device: None) -> None:
-    with pytest.raises(clsim.DeviceError, match=r"'9:9'; there are: 0:0"):
+    with pytest.raises(clsim.DeviceError, match=r"one of 0:0 .*, but is '9:9'"):
         find_device("9:9")
     with pytest.raises(clsim.DeviceError, match="no such thing"):
         render(device="no such thing")
