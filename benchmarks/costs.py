@@ -88,7 +88,7 @@ def measured() -> dict[str, float]:
         "nodes": nodes,
         "envelope": envelope,
         "upsampled": 1e9 * seconds(lambda: part.upsampler(received, 0)) / samples,
-        "split": 1e9 * seconds(lambda: split.emitting(0, samples)) / samples,
+        "split": 1e9 * seconds(lambda: split.emitted_samples(0, samples)) / samples,
         "planned": 1e9 * max(planned[1] - planned[0], 0.0),
         **of_dense_scenes(),
     }

@@ -317,8 +317,8 @@ def speech_transmission(
         transfer = []
         for centre in SPEECH_BANDS.tolist():
             taps, begin = cut_to_band(given.samples[s, r], given.rate, centre, octave), int(given.begin[s, r])
-            audible = taps[: begin + before_noise(taps[begin:], given.rate)[0]]
-            transfer.append(modulation_transfer(np.square(audible), given.rate))
+            decay = taps[: begin + before_noise(taps[begin:], given.rate)[0]]
+            transfer.append(modulation_transfer(np.square(decay), given.rate))
         index[s, r], _ = transmission_index(np.array(transfer), speech, noise)
     return read_only(index)
 
@@ -363,8 +363,8 @@ def cut_to_band(taps: Floats, rate: float, centre: float, share: float | None) -
 def _measures(taps: Floats, begin: int, rate: float, free_field: Floats | None) -> tuple[dict[str, float], bool]:
     """Measures of taps (n,) in a band by the sample of the first arrival, and whether noise hides one: NaN."""
     whole, noise, beyond = before_noise(taps[begin:], rate)
-    audible = taps[: begin + whole]
-    curve, early = decay_curve(audible[begin:], noise, beyond), begin + round(0.05 * rate)
+    decay = taps[: begin + whole]
+    curve, early = decay_curve(decay[begin:], noise, beyond), begin + round(0.05 * rate)
     found = {name: reverberation_time(curve, rate, *levels) for name, levels in _DECAYS.items()}
     reached = [name for name in _DECAYS if math.isfinite(found[name])]
     noisy, fall = beyond > 0.0, level_fall(taps[begin:], rate)
@@ -374,14 +374,14 @@ def _measures(taps: Floats, begin: int, rate: float, free_field: Floats | None) 
         if not has_decay_range(curve, rate, _DECAYS[name][1], found[name], noisy=noisy, fall_db=fall)
     ]
     found |= dict.fromkeys(hidden, math.nan)
-    energy, free = (math.nan if x is None else float(np.sum(np.square(x))) for x in (audible, free_field))
+    energy, free = (math.nan if x is None else float(np.sum(np.square(x))) for x in (decay, free_field))
     found |= {
-        "c50": clarity(audible, early),
-        "c80": clarity(audible, begin + round(0.08 * rate)),
-        "d50": definition(audible, early),
-        "ts": centre_time(audible, rate, begin),
+        "c50": clarity(decay, early),
+        "c80": clarity(decay, begin + round(0.08 * rate)),
+        "d50": definition(decay, early),
+        "ts": centre_time(decay, rate, begin),
         "g": 10.0 * math.log10(energy / free) if energy > 0.0 and free > 0.0 else math.nan,
-        "drr": clarity(audible, begin + round(_DIRECT * rate)),
+        "drr": clarity(decay, begin + round(_DIRECT * rate)),
     }
     return found, bool(hidden) or (noisy and len(reached) < len(_DECAYS))
 

@@ -109,7 +109,7 @@ def _fill(
     times = table_times(plan, options.table_rate, "--table-rate")
     identity = run_identity(planned) | {"options": {"store": options.store, "table_rate": options.table_rate}}
     sound = planned.stored_sound(results.folder)
-    store = store_kinds()[options.store](results.work, sound, outputs.audible)
+    store = store_kinds()[options.store](results.work, sound, outputs.sounds)
     results.begin(identity)
     made = render_sound(results, plan, store, identity, workers)
     changing = bool((paths.start > times[0]).any() or (paths.end <= times[-1]).any())

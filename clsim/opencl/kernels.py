@@ -260,7 +260,7 @@ PROGRAMS = {
             "motion": taken("float4", "listeners, nodes, count"),
             "nodes": INT,
             "bank": taken("float", "POWERS, TAPS"),
-            "audible": made("float", "listeners, nodes NODE"),
+            "received": made("float", "listeners, nodes NODE"),
         },
         frozenset({"LANES", "NODE", "POWERS", "TAPS"}),
     ),

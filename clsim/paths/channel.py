@@ -177,14 +177,14 @@ def channel_taps(
     low, high = band.carrier - 0.5 * band.bandwidth, band.carrier + 0.5 * band.bandwidth
     check_band_coverage(scene, range(len(scene.sources)), low, high, "the band of the taps")
     kernels = BandKernels(band.bandwidth / band.sampling_rate)
-    audible = [(rows, pair) for rows, pair in pairs]
+    members = [(rows, pair) for rows, pair in pairs]
     ends = len(scene.sources), len(scene.receivers)
     _check_size((*ends, 2 * kernels.reach, len(times)))  # at least, before delays are known
-    first, last = _reach(audible, times, kinematics, band.sampling_rate, kernels.reach)
+    first, last = _reach(members, times, kinematics, band.sampling_rate, kernels.reach)
     shape = (*ends, last - first + 1, len(times))
     _check_size(shape)
     out = np.zeros((*shape[:2], shape[3], shape[2]), dtype=np.complex128)
-    for rows, pair in audible:
+    for rows, pair in members:
         for part in slices_of(len(times), len(rows)):
             now = times[part]
             found = pair.arrivals(now, kinematics)

@@ -470,9 +470,9 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     )  # fmt: skip
 
 
-def _leg(events: Events, audible: Floats) -> Legs:
+def _leg(events: Events, received: Floats) -> Legs:
     """Return the one leg of ways by no mirror (1, T) as legs (T,)."""
-    at = np.broadcast_to(audible, events.delay.shape)[0]
+    at = np.broadcast_to(received, events.delay.shape)[0]
     return Legs(events.place[0, :, 0], events.place[0, :, 1], at + events.time[0, :, 0], at)
 
 

@@ -179,11 +179,11 @@ def _synthesis(
 
     frequencies: Floats = np.arange(size // 2 + 1, dtype=np.float64) * (sampling_rate / size)
     weight = band_taper(frequencies, band.low, band.high, band.below, band.above)
-    audible = np.flatnonzero(weight)
+    passed = np.flatnonzero(weight)
     spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
     sums = delayed_sums(late, weights, size)
-    above_zero = np.maximum(frequencies[audible], 0.5 * sampling_rate / size)
-    spectrum[audible] = weight[audible] * np.einsum("kf,kf->f", responses(above_zero, few), sums[:, audible])
+    above_zero = np.maximum(frequencies[passed], 0.5 * sampling_rate / size)
+    spectrum[passed] = weight[passed] * np.einsum("kf,kf->f", responses(above_zero, few), sums[:, passed])
     return np.asarray(irfft(spectrum, size))
 
 

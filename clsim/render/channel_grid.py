@@ -111,13 +111,13 @@ class ChannelGrid:
         """Return places of delays in samples, points."""
         return np.asarray((delays - self.first) * (FINER / COARSER))
 
-    def audible(self, node: int) -> tuple[int, int]:
+    def received(self, node: int) -> tuple[int, int]:
         """Return the first sample that a node's window weighs, and the one behind the last."""
         return (node - NODES) * self.spacing + 1, (node + NODES) * self.spacing
 
     def needed(self, node: int) -> int:
         """Return the first sample of what is emitted, without delay, that is transformed for a node."""
-        return self.audible(node)[0] - self.first - self.span
+        return self.received(node)[0] - self.first - self.span
 
     def shaping(self, filters: Floats) -> Complexes:
         """Return the spectra (K, size / 2 + 1) of filters (K, L) about their middle, over that of the window."""
@@ -174,9 +174,9 @@ class ChannelFrames:
         self._window = node_window(grid.spacing).astype(real)
         self._first = grid.needed(self.nodes[0])
         last = grid.needed(self.nodes[-1]) + grid.size
-        self._emitted = filters.source.emitting(self._first, last).astype(real)
+        self._emitted = filters.source.emitted_samples(self._first, last).astype(real)
 
-    def emitting(self, nodes: range) -> list[int]:
+    def active_nodes(self, nodes: range) -> list[int]:
         """Return those of some nodes to whose windows something that sounds may contribute."""
         inside = range(max(nodes.start, self.nodes.start), min(nodes.stop, self.nodes.stop))
         return [node for node in inside if np.any(self._frame(node))]
@@ -185,7 +185,7 @@ class ChannelFrames:
         begin = self.grid.needed(node) - self._first
         return np.asarray(self._emitted[begin : begin + self.grid.size])
 
-    def audible(self, nodes: Sequence[int], grids: NDArray[Any]) -> NDArray[Any]:
+    def received(self, nodes: Sequence[int], grids: NDArray[Any]) -> NDArray[Any]:
         """Return weighted samples (nodes, receivers, n) that responses (nodes, receivers, K, points) make."""
         from scipy.fft import irfft, rfft
 
@@ -197,11 +197,11 @@ class ChannelFrames:
         response *= rfft(np.stack([self._frame(node) for node in nodes]))[:, None]
         return np.asarray(irfft(response, size)[..., self.grid.span :][..., : len(self._window)] * self._window)
 
-    def add(self, node: int, receivers: NDArray[np.integer[Any]], audible: NDArray[Any]) -> None:
+    def add(self, node: int, receivers: NDArray[np.integer[Any]], received: NDArray[Any]) -> None:
         """Add a node's samples (receivers, n) to the pressure of receivers."""
-        first, last = (at - self._start for at in self.grid.audible(node))
+        first, last = (at - self._start for at in self.grid.received(node))
         begin, end = max(first, 0), min(last, self._pressure.shape[1])
-        for row, samples in zip(receivers, audible, strict=True):
+        for row, samples in zip(receivers, received, strict=True):
             self._pressure[row, begin:end] += samples[begin - first : end - first]
 
 
@@ -213,11 +213,11 @@ def reference_channels(part: ChannelPart, start: int, stop: int) -> Floats:
     ranges = [plan.tracks.delay_range(pair, start / rate - 1.0, stop / rate + 1.0) for pair in part.pairs]
     low, high = min(float(low.min()) for low, _ in ranges), max(float(high.max()) for _, high in ranges)
     frames = ChannelFrames(channel, channel.grid(low, high, part.spacing), pressure, start)
-    nodes = frames.emitting(frames.nodes)
+    nodes = frames.active_nodes(frames.nodes)
     for pair in part.pairs if nodes else ():
         delay, _, gain = plan.tracks.evaluate(pair, np.array(nodes) * (part.spacing / rate), filters.basis)
         places = frames.grid.places((delay + filters.start) * rate)
         for i, node in enumerate(nodes):
             grid = spread(places[:, i], gain[0, :, :, i], frames.grid.points)[None, None]
-            frames.add(node, np.array([plan.rows_of_pair(pair).start]), frames.audible([node], grid)[0])
+            frames.add(node, np.array([plan.rows_of_pair(pair).start]), frames.received([node], grid)[0])
     return pressure

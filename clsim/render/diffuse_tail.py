@@ -79,28 +79,28 @@ class _Tail(Stateless):
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._audible: list[_ZoneAudible] | None = None
+        self._received: list[_ZoneTail] | None = None
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add the tail from sample `start` on to the pressure (rows, n), Pa."""
-        if self._audible is None:
-            self._audible = [
-                _ZoneAudible(self._plan, signals, zone)
+        if self._received is None:
+            self._received = [
+                _ZoneTail(self._plan, signals, zone)
                 for source, tail in enumerate(self._plan.allocation.tails)
                 if tail is not None
                 for signals in [SourceSignals(self._plan, source, tail)]
                 for zone in range(len(tail.receiver_zones))
             ]
         held = 0
-        for audible in self._audible:
-            audible.add(pressure, start)
-            for streams in audible.streams.values():
+        for received in self._received:
+            received.add(pressure, start)
+            for streams in received.streams.values():
                 held = streams.kept_within(held)
-        for audible in self._audible:
-            audible.signals.crossings.forget()
+        for received in self._received:
+            received.signals.crossings.forget()
 
 
-class _ZoneAudible:
+class _ZoneTail:
     """Tail of one source in one zone of receivers."""
 
     def __init__(self, plan: Plan, signals: SourceSignals, zone: int) -> None:
@@ -127,9 +127,9 @@ class _ZoneAudible:
         """Add it from sample `start` on to the pressure (receivers, n)."""
         still = self._alone or self._combined
         if still:
-            audible = self._of(waves=False).read(start, start + pressure.shape[1])
-            if audible is not None:
-                pressure[[row for r in still for row in self._rows[r]]] += audible
+            received = self._of(waves=False).read(start, start + pressure.shape[1])
+            if received is not None:
+                pressure[[row for r in still for row in self._rows[r]]] += received
         for first in range(0, pressure.shape[1] if self._moving else 0, _TOGETHER):
             some = pressure[:, first : first + _TOGETHER]
             grid = _grid(start + first, start + first + some.shape[1])
@@ -148,9 +148,9 @@ class _ZoneAudible:
             for r in receivers
             for row, motion in zip(self._rows[r], self._motions(r, _grid(start, stop)), strict=False)
         }
-        audible = self._audible(list(found.values()), start, stop)
-        if audible is not None:
-            pressure[list(found)] += audible
+        received = self._received(list(found.values()), start, stop)
+        if received is not None:
+            pressure[list(found)] += received
 
     def _add_ears(self, pressure: NDArray[Any], receiver: int, start: int) -> None:
         """Add all streams at a head from sample `start` on to the pressure (receivers, n)."""
@@ -159,14 +159,14 @@ class _ZoneAudible:
         last = start + pressure.shape[1] + filters.lead
         motions = self._motions(receiver, _grid(first, last))
         parts = [
-            self._audible(motions[group : group + _RECEIVERS], first, last)
+            self._received(motions[group : group + _RECEIVERS], first, last)
             for group in range(0, len(motions), _RECEIVERS)
         ]
         given = [part for part in parts if part is not None]
         if given:
             pressure[self._rows[receiver]] += filters.through(np.concatenate(given))
 
-    def _audible(self, motions: list[tuple[Floats, Floats]], start: int, stop: int) -> NDArray[np.float32] | None:
+    def _received(self, motions: list[tuple[Floats, Floats]], start: int, stop: int) -> NDArray[np.float32] | None:
         """Return the sum (rows, n) of all streams by motions from sample `start` to `stop`; None where it is silent."""
         if not motions:
             return None
@@ -175,7 +175,7 @@ class _ZoneAudible:
         (least, most), half = motion.reach, self.signals.between.half + 1
         first = start - NODE + least - half
         streams = self._of(waves=True).read(first, stop + NODE + most + half)
-        return None if streams is None else self.signals.waves.audible(streams, first, motion, start, stop)
+        return None if streams is None else self.signals.waves.received(streams, first, motion, start, stop)
 
     def _motions(self, receiver: int, grid: NDArray[np.int64]) -> list[tuple[Floats, Floats]]:
         """Return the advance of streams, samples, and gains (N, M) by row of a receiver; none out of the zone.
@@ -321,7 +321,7 @@ class SourceSignals:
         near = self._near(zone, grid)
         ahead[:, near, 0], level[:, near, 0] = self._sending(zone, grid[near])
         motion = Motion(ahead, level)
-        return self.waves.audible(emitted[None], low, motion, first, last)
+        return self.waves.received(emitted[None], low, motion, first, last)
 
     def _near(self, zone: int, grid: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Mask (N,) of nodes at and next to which a zone may be heard in some direction."""

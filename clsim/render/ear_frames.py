@@ -138,20 +138,20 @@ class EarFrames:
 
     def add(self, pair: int, rows: NDArray[np.int64], signals: NDArray[Any], first: int) -> None:
         """Add the signals (P, n) of some paths of a pair at the centre, from a sample on, the first of a segment."""
-        emitting, paths = np.flatnonzero(np.any(signals, axis=1)), self._tracks.pair_paths[pair]
+        active, paths = np.flatnonzero(np.any(signals, axis=1)), self._tracks.pair_paths[pair]
 
         def filtered(part: tuple[int, int]) -> tuple[int, NDArray[Any]]:
-            at, some = part[0], emitting[part[1] : part[1] + _AT_ONCE]
+            at, some = part[0], active[part[1] : part[1] + _AT_ONCE]
             return self._filtered(paths.part(rows[some]), signals[some, at : at + self.plan.segment], first + at)
 
-        parts = list(product(range(0, signals.shape[1], self.plan.segment), range(0, len(emitting), _AT_ONCE)))
+        parts = list(product(range(0, signals.shape[1], self.plan.segment), range(0, len(active), _AT_ONCE)))
         with with_blas_threads(1):  # each part has a thread of its own
             found = side_by_side(filtered, parts)
         row = int(self._rows[paths.receiver])
-        for begin, audible in found:
-            low, high = max(begin, self._start), min(begin + audible.shape[1], self._start + self._pressure.shape[1])
+        for begin, received in found:
+            low, high = max(begin, self._start), min(begin + received.shape[1], self._start + self._pressure.shape[1])
             if low < high:
-                self._pressure[row : row + len(audible), low - self._start : high - self._start] += audible[
+                self._pressure[row : row + len(received), low - self._start : high - self._start] += received[
                     :, low - begin : high - begin
                 ]
 
@@ -173,8 +173,8 @@ class EarFrames:
             for sound, response in zip(sounds, responses[:, k : k + blocks], strict=True):
                 total += sound[:, None] * response
         out = np.zeros((total.shape[1], (blocks - 1) * spacing + size), signals.dtype)
-        for b, audible in enumerate(np.roll(irfft(total, size), ears.before, axis=-1)):
-            out[:, b * spacing : b * spacing + size] += audible
+        for b, received in enumerate(np.roll(irfft(total, size), ears.before, axis=-1)):
+            out[:, b * spacing : b * spacing + size] += received
         return first - ears.before, out
 
     def _nodes(self, paths: PairPaths, turn: float, first: int, count: int) -> tuple[int, Floats]:

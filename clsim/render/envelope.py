@@ -361,7 +361,7 @@ class RestFilters(SourceFilters):
         """Infinite: engines know the residual of the rest, but not its level relative to the narrow part."""
         return math.inf
 
-    def emitting(self, first: int, last: int) -> Floats:
+    def emitted_samples(self, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of the rest."""
         return self.split.rest(self.signal, first, last)
 

@@ -403,30 +403,20 @@ class NarrowPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChannelPart:
-    """Pairs of one source, rendered by impulse responses that are sampled over time."""
+class PairPart:
+    """Pairs that have a plan of their own."""
 
-    plan: Plan  # of these pairs alone, in long blocks
-    source: int  # index
+    plan: Plan
     pairs: frozenset[int]  # indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelPart(PairPart):
+    """Pairs of one source, rendered by impulse responses that are sampled over time; the plan has long blocks."""
+
+    source: int  # index
     spacing: int  # samples from one response to the next
     error_db: float  # measured, of what is between them
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EarPart:
-    """Pairs with receivers whose channels differ over frequency: each path is filtered on its own."""
-
-    plan: Plan  # of an omnidirectional receiver at each receiver's centre
-    pairs: frozenset[int]  # indices
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ShadowPart:
-    """Pairs by scatterers with shadows of outlines, summed path by path with filters of their own."""
-
-    plan: Plan  # of these pairs alone
-    pairs: frozenset[int]  # indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -438,8 +428,9 @@ class Allocation:
     # Bands that are rendered as complex envelopes, for all other pairs of their sources.
     narrow: tuple[NarrowPart, ...] = ()
     channels: tuple[ChannelPart, ...] = ()  # pairs of which impulse responses are sampled
-    ears: tuple[EarPart, ...] = ()  # pairs with receivers whose channels differ over frequency; one part at most
-    shadows: tuple[ShadowPart, ...] = ()  # pairs by scatterers with shadows of outlines; one part or none
+    # Pairs with receivers whose channels differ over frequency, by the sound at each one's centre; one part at most.
+    ears: tuple[PairPart, ...] = ()
+    shadows: tuple[PairPart, ...] = ()  # pairs by scatterers with shadows of outlines; one part at most
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
@@ -452,7 +443,7 @@ class Allocation:
     @property
     def claimed(self) -> frozenset[int]:
         """Indices of the pairs that are not rendered path by path."""
-        parts: list[ChannelPart | EarPart | ShadowPart] = [*self.channels, *self.ears, *self.shadows]
+        parts: tuple[PairPart, ...] = (*self.channels, *self.ears, *self.shadows)
         return self.convolved.union(*(part.pairs for part in parts))
 
     def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
@@ -480,3 +471,18 @@ def chunk_of(
     affordable = _PRESSURE_BUDGET // (4 * segment * rows)
     least = 8 if options.baseband is None else _LONG_CHUNK
     return segment * max(1, min(whole, max(least, wanted), affordable))
+
+
+def plan_of_part(
+    options: RenderOptions,
+    tracks: Tracks,
+    allocation: Allocation,
+    filters: tuple[SourceFilters, ...],
+    samples: int,
+    blocks: tuple[int, ...] = BLOCKS,
+    builders: Sequence[Callable[[Plan], Contribution | None]] = (),
+) -> Plan:
+    """Return the plan of a part at the sampling rate of the recording."""
+    rate = options.sampling_rate
+    chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)
+    return Plan(options, tracks, allocation, filters, rate, samples, chunk, SEGMENT, blocks, builders)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache, partial
 from operator import methodcaller
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -29,16 +28,15 @@ from clsim.render.plan import (
     Allocation,
     ChannelPart,
     NarrowPart,
+    PairPart,
     Plan,
-    ShadowPart,
     chunk_of,
+    plan_of_part,
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
-from clsim.scene.signal.occupied_bandwidth import spectra
 from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
 from clsim.tail.zones import Zones
 from clsim.tracks.pruning import pruned
-from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import track
 
 if TYPE_CHECKING:
@@ -50,6 +48,7 @@ if TYPE_CHECKING:
     from clsim.tracks.tracks import SceneTracks, Tracks
 
 
+_Part = TypeVar("_Part", NarrowPart, ChannelPart, PairPart)
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 
@@ -58,7 +57,7 @@ class FoundTails:
     """The tails of a scene's sources."""
 
     of_sources: tuple[SourceTail | None, ...] = ()  # by source; empty if none was asked for
-    given: tuple[str, ...] = ()  # why some have none
+    notes: tuple[str, ...] = ()  # why some have none
 
     @property
     def duration(self) -> float:
@@ -136,7 +135,7 @@ def plan_tracks(
     carrier = None if options.baseband is None else options.baseband[0]
     segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, receiver_at, carrier)
     chunk = chunk_of(options, samples, receiver_at, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
-    allocation = allocation.with_tails(tails.of_sources, tails.given)
+    allocation = allocation.with_tails(tails.of_sources, tails.notes)
     return Plan(
         options,
         tracks,
@@ -200,9 +199,9 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
     """Return the tails that options ask for."""
     scene = paths.scene
     if options.tail == "off":
-        return FoundTails(given=without_tails(paths, options.sampling_rate))
+        return FoundTails(notes=without_tails(paths, options.sampling_rate))
     found: list[SourceTail | None] = []
-    given: list[str] = []
+    notes: list[str] = []
     until = max(source.end for source in scene.sources) if options.duration is None else options.duration
     receivers = Zones.along(scene.receivers, scene.room, np.inf if options.duration is None else until, beams=False)
     requested = TailOptions(
@@ -212,7 +211,7 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
     for i, source in enumerate(scene.sources):
         low, high = source.emitted.band()
         if low >= ULTRASOUND:
-            given.append(
+            notes.append(
                 f"source {i}: no tail, for its band begins at {low:.0f} Hz and tails end at {ULTRASOUND:.0f} Hz"
             )
             found.append(None)
@@ -220,12 +219,12 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
         own = Zones.along([source], scene.room, until, beams=True)
         tail = find_tail(scene, i, (low, min(high, 0.5 * options.sampling_rate)), (own, receivers), requested, progress)
         faint = tail.left_db < _FAINT_DB
-        given += [f"source {i}: no tail, for images leave {tail.left_db:.0f} dB of the energy"] if faint else []
+        notes += [f"source {i}: no tail, for images leave {tail.left_db:.0f} dB of the energy"] if faint else []
         found.append(None if faint else tail)
     if scene.bodies and any(tail is not None for tail in found):
         names = ", ".join(repr(body.name) for body in scene.bodies)
-        given.append(f"tails are those of the room without its bodies ({names}), which take no sound out of them")
-    return FoundTails(tuple(found), tuple(given))
+        notes.append(f"tails are those of the room without its bodies ({names}), which take no sound out of them")
+    return FoundTails(tuple(found), tuple(notes))
 
 
 def allocate(
@@ -247,11 +246,9 @@ def allocate(
     filters, alone = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - shaded), own, costly=True)
     others = replace(convolved, convolved=convolved.convolved | shaded)
     made, others = _allocated(emissions, tracks, options, samples, others, rest)
-    rate = options.sampling_rate
-    chunk = chunk_of(within, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)
-    plan = Plan(within, tracks, replace(alone, narrow=()), filters, rate, samples, chunk, SEGMENT, BLOCKS, [PER_SAMPLE])
+    plan = plan_of_part(within, tracks, replace(alone, narrow=()), filters, samples, builders=[PER_SAMPLE])
     return made, replace(
-        others, convolved=convolved.convolved, shadows=(ShadowPart(plan, shaded),), narrow=others.narrow + alone.narrow,
+        others, convolved=convolved.convolved, shadows=(PairPart(plan, shaded),), narrow=others.narrow + alone.narrow,
         notes=tuple(dict.fromkeys(others.notes + alone.notes)),
     )  # fmt: skip
 
@@ -271,7 +268,7 @@ def _allocated(
     options: RenderOptions,
     samples: int,
     claimed: Allocation,
-    drawn_from: Tracks | None = None,
+    drawn_from: Tracks,
     costly: bool = False,
 ) -> tuple[tuple[SourceFilters, ...], Allocation]:
     """Return filters and allocation of pairs that are not claimed, by responses on some tracks; by few, if costly."""
@@ -281,14 +278,11 @@ def _allocated(
     channels: list[tuple[int, sampled_channel.ChannelOffer]] = []
     notes: list[str] = []
     with with_blas_threads(1):
-        for i, (emitted, start) in enumerate(emissions):
+        for i, emitted in enumerate(emissions):
             mine = {k for k, pair in enumerate(tracks.pairs) if pair.source == i}
             pairs = sorted(mine - claimed.claimed)
-            signal, until = emitted.at_rate(options.sampling_rate), samples / rate
-            sound, spectrum = spectra(signal)
-            drawn = cache(partial(Draw.of, drawn_from or tracks, i, until, costly))
-            emission = Emission(
-                i, signal, start, sound, tracks, options, until, bool(mine) and not pairs, spectrum, drawn
+            emission = Emission.of(
+                i, emitted, tracks, options, samples / rate, drawn_from, static=bool(mine) and not pairs, costly=costly
             )
             split, why = narrow_part.cheapest_split(emission, pairs)
             notes += [why] if why else []
@@ -342,13 +336,8 @@ def _channel_part(
     """Return the pairs of a source whose impulse responses are sampled, with a plan of their own for their tracks."""
     pairs, tracks = frozenset(offer.pairs), offer.tracks
     alone = Allocation(frozenset(range(len(tracks.pairs))) - pairs)
-    chunk = chunk_of(
-        options, samples, options.sampling_rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay
-    )
-    plan = Plan(
-        options, tracks, alone, filters, options.sampling_rate, samples, chunk, SEGMENT, LONG_BLOCKS, [PER_SAMPLE]
-    )
-    return ChannelPart(plan, source, pairs, offer.spacing, offer.error_db)
+    plan = plan_of_part(options, tracks, alone, filters, samples, LONG_BLOCKS, [PER_SAMPLE])
+    return ChannelPart(plan, pairs, source, offer.spacing, offer.error_db)
 
 
 def on_device(plan: Plan, device: str | None) -> Plan:
@@ -362,14 +351,18 @@ def on_device(plan: Plan, device: str | None) -> Plan:
 def moved_to(allocation: Allocation, device: str) -> Allocation:
     """Return the same allocation with envelopes rendered on a device."""
 
-    def moved(plan: Plan) -> Plan:
-        return replace(plan, options=replace(plan.options, device=device), builders=[PER_SAMPLE])
+    def moved(parts: tuple[_Part, ...]) -> tuple[_Part, ...]:
+        return tuple(
+            replace(
+                part, plan=replace(part.plan, options=replace(part.plan.options, device=device), builders=[PER_SAMPLE])
+            )
+            for part in parts
+        )
 
-    narrow = tuple(replace(part, plan=moved(part.plan)) for part in allocation.narrow)
-    channels = tuple(replace(part, plan=moved(part.plan)) for part in allocation.channels)
-    of_ears = tuple(replace(part, plan=moved(part.plan)) for part in allocation.ears)
-    shadows = tuple(replace(part, plan=moved(part.plan)) for part in allocation.shadows)
-    return replace(allocation, narrow=narrow, channels=channels, ears=of_ears, shadows=shadows)
+    return replace(
+        allocation, narrow=moved(allocation.narrow), channels=moved(allocation.channels), ears=moved(allocation.ears),
+        shadows=moved(allocation.shadows),
+    )  # fmt: skip
 
 
 PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,10 +16,10 @@ from clsim.numerics.resampling import low_pass_between
 from clsim.paths.response import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.render.methods.costs import measured_costs
-from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares
+from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares, spectra
 from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
-from clsim.tracks.sampled import band_of
+from clsim.tracks.sampled import Draw, band_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from clsim.render.options import RenderOptions
     from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
     from clsim.scene.signal.signal import Signal
-    from clsim.tracks.sampled import Draw
     from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
@@ -64,6 +63,17 @@ class Emission:
     # Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first asked.
     spectrum: Callable[[], tuple[Floats, Floats]]
     drawn: Callable[[], Draw]  # returns paths at which responses are looked at; likewise
+
+    @classmethod
+    def of(
+        cls, source: int, emitted: tuple[Signal, float], tracks: Tracks, options: RenderOptions, until: float,
+        drawn_from: Tracks, *, static: bool, costly: bool = False,
+    ) -> Emission:  # fmt: skip
+        """Return that of a signal and its start, s; responses are drawn from some tracks, few if they are costly."""
+        signal = emitted[0].at_rate(options.sampling_rate)
+        sound, spectrum = spectra(signal)
+        drawn = cache(partial(Draw.of, drawn_from, source, until, costly))
+        return cls(source, signal, emitted[1], sound, tracks, options, until, static, spectrum, drawn)
 
     @property
     def field(self) -> str:
@@ -252,16 +262,16 @@ class SourceFilters:
         """
         return filtered(self._read, self.filters, first, last)
 
-    def emitting(self, first: int, last: int) -> Floats:
+    def emitted_samples(self, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of the signal that is rendered path by path."""
         return self.signal.read(first, last)
 
     def _read(self, first: int, last: int) -> Floats:
         """Return samples at `rate` of the signal that is rendered path by path, with zeros between its own samples."""
         if self.oversampling == 1:
-            return self.emitting(first, last)
+            return self.emitted_samples(first, last)
         before, times = first // self.oversampling, self.oversampling
-        own = self.emitting(before, -(-last // times))
+        own = self.emitted_samples(before, -(-last // times))
         return np.kron(own, np.eye(1, times)[0])[first - times * before :][: last - first]
 
     def carrier_phase(self, delay_samples: Floats) -> Floats | Complexes | float:
@@ -364,12 +374,12 @@ def filtered(
     samples = read(first - half, last + half)
     if _sounds_throughout(samples, half + 1):
         return np.arange(last - first), np.asarray(convolved(samples, filters)[:, length : length + last - first])
-    audible = np.flatnonzero(samples)
-    if not len(audible):
-        return audible, np.zeros((len(filters), 0))
-    pause = np.flatnonzero(np.diff(audible) > length + 1)
-    begins = np.maximum(audible[np.concatenate([[0], pause + 1])] - length, 0)
-    lengths = np.minimum(audible[np.concatenate([pause, [-1]])] + 1, last - first) - begins
+    active = np.flatnonzero(samples)
+    if not len(active):
+        return active, np.zeros((len(filters), 0))
+    pause = np.flatnonzero(np.diff(active) > length + 1)
+    begins = np.maximum(active[np.concatenate([[0], pause + 1])] - length, 0)
+    lengths = np.minimum(active[np.concatenate([pause, [-1]])] + 1, last - first) - begins
     places = _ranges(begins, lengths)
     if length == 0:
         return places, samples[places] * filters

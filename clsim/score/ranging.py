@@ -343,11 +343,11 @@ def _noise_density(end: Receiver, sampling_rate: float, frequency: float) -> flo
     electronics, half = end.electronics, 0.5 * sampling_rate
     if electronics is None:
         return 0.0
-    audible = sensitivity = 1.0
+    gain = sensitivity = 1.0
     if end.transducer is not None:
-        audible = float(np.abs(end.transducer.response(np.array([frequency]), sampling_rate)[0]))
+        gain = float(np.abs(end.transducer.response(np.array([frequency]), sampling_rate)[0]))
         sensitivity = end.transducer.sensitivity
-    noise = (electronics.ambient_rms(sampling_rate) * audible) ** 2
+    noise = (electronics.ambient_rms(sampling_rate) * gain) ** 2
     noise += (electronics.self_rms(sampling_rate) * sensitivity) ** 2
     for cut, sign in ((electronics.low_cut, -1), (electronics.high_cut, 1)):
         if cut is not None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from clsim.paths.path_set import PathSet
     from clsim.scene.room.protocol import Room
     from clsim.scene.scene import Scene
-    from clsim.tail.rays import Audible, Emitted
+    from clsim.tail.rays import Emitted, Received
     from clsim.tail.zones import Zones
 
     Damping = Callable[[Floats, int], Floats]
@@ -170,9 +170,9 @@ def find_tail(
         emitted = _emitted(scene, source, of_source.turns[i], centres)
         escapes = escapes or _checked_escapes(scene, tracer, place, emitted)
         first = 0
-        for audible in tracer.audible(place, emitted, spheres, i, options.error_db):
-            rays, error_db = max(rays, audible.rays), max(error_db, audible.error_db)
-            for pair in _converged(audible, decay):
+        for received in tracer.received(place, emitted, spheres, i, options.error_db):
+            rays, error_db = max(rays, received.rays), max(error_db, received.error_db)
+            for pair in _converged(received, decay):
                 pairs[i, first] = pair
                 first += 1
         if progress is not None:
@@ -234,15 +234,15 @@ class _Decay:
         return self._air[:count], self._modal[:count]
 
 
-def _converged(audible: Audible, decay: _Decay) -> list[TailEnergy]:
+def _converged(received: Received, decay: _Decay) -> list[TailEnergy]:
     """Return energies of all zones in air, as modes decay, smoothed and cut at their audible end."""
-    early = audible.early.shape[1]
-    air, modal = decay.over(audible.images.shape[1])
+    early = received.early.shape[1]
+    air, modal = decay.over(received.images.shape[1])
     factor = modal.astype(np.float32)[:, None]
-    own, images = audible.early * factor[:early], audible.images * air
+    own, images = received.early * factor[:early], received.images * air
     lates, lasts = [], []
-    for row, late in enumerate(audible.late):
-        mine = audible.row == row
+    for row, late in enumerate(received.late):
+        mine = received.row == row
         whole = np.concatenate([own[mine].mean(axis=0), late * factor[early:]])
         by_band = whole.sum(axis=1, dtype=np.float64)
         left = np.cumsum(by_band[::-1], axis=0)[::-1]
@@ -251,11 +251,11 @@ def _converged(audible: Audible, decay: _Decay) -> list[TailEnergy]:
         lasts.append(int(loud[-1]) + 1 if len(loud) else 1)
         lates.append(smoothed(whole[: lasts[-1]])[early:])
     found = []
-    for zone, row in enumerate(audible.row):
+    for zone, row in enumerate(received.row):
         # Windows of smoothing about the last early bin reach into the late part.
         beyond = math.ceil(_OF_DIRECTIONS * early) + _LEAST + 1
-        raw = np.concatenate([own[zone], audible.late[row][:beyond] * factor[early : early + beyond]])[: lasts[row]]
-        departed = audible.departed[zone]
+        raw = np.concatenate([own[zone], received.late[row][:beyond] * factor[early : early + beyond]])[: lasts[row]]
+        departed = received.departed[zone]
         shares = departed / departed.sum() if departed.any() else np.full(len(departed), 1.0 / len(departed))
         found.append(TailEnergy(smoothed(raw)[:early], lates[row], shares, images[zone]))
     return found

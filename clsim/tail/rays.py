@@ -43,7 +43,7 @@ _BYTES = 2**28  # of energies on a device at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Audible:
+class Received:
     """Energies in zones, of sources of 1 Pa at 1 m for 1 s, without the absorption of the air."""
 
     early: Floats  # (Z, T0, M, B) by bin of time, direction of arrival and band
@@ -106,7 +106,9 @@ class Tracer:
         octave = np.rint(np.log2(self.speed_of_sound / self.sized / 1000.0))
         return [group[octave[group] == one] for group in alike for one in np.unique(octave[group])]
 
-    def audible(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float) -> list[Audible]:
+    def received(
+        self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float
+    ) -> list[Received]:
         """Return the energies of a source's zone, in parts of as many spheres as fit the memory."""
         pilot = self._pilot(origin, emitted, spheres, zone)
         until = pilot.until(self.energies.air, self.groups, self.speed_of_sound)
@@ -246,7 +248,7 @@ class _Search:
         self._energies = self._layout.empty()
         self._rays = 0
 
-    def found(self, wanted_db: float) -> Audible:
+    def found(self, wanted_db: float) -> Received:
         """Trace until the error is as small as is asked for, or rays are very many."""
         self._trace(max(_FIRST // len(self._until), _LEAST))
         error = self._error_db()
@@ -255,7 +257,7 @@ class _Search:
             missing = min(most, MOST_RAYS) - self._rays
             self._trace(min(max(math.ceil(missing / SLOTS), _LEAST // 4), _LARGEST))
             error = self._error_db()
-        return self._audible(error)
+        return self._received(error)
 
     def _trace(self, each: int) -> None:
         run = self._tracer._run(
@@ -284,7 +286,7 @@ class _Search:
             count += int(np.count_nonzero(loud))
         return 10.0 / math.log(10.0) * math.sqrt(error / count) if count else 0.0
 
-    def _audible(self, error_db: float) -> Audible:
+    def _received(self, error_db: float) -> Received:
         energies, order = self._energies, self._tracer._order
         zones = np.bincount(self._row, minlength=self._layout.rows)
         early, late, images = (
@@ -296,7 +298,7 @@ class _Search:
         late[..., order] = energies.late * (unit / zones)[:, None, None, None]
         images[..., order] = energies.images * unit
         departed = np.asarray(energies.departures * unit, np.float64)
-        return Audible(early, late, np.asarray(images, np.float64), departed, self._row, self._rays, error_db)
+        return Received(early, late, np.asarray(images, np.float64), departed, self._row, self._rays, error_db)
 
 
 def smoothed_windows(energy: Floats, first: int) -> Floats:

@@ -104,21 +104,21 @@ class Streams:
         past = self.longest - 1
         size = next_fast_len(self.block + past, real=True)
         first, last = k * self.block + self.lead - past, (k + 1) * self.block + self.lead
-        audible: list[tuple[_Sending, NDArray[Any]]] = []
+        received: list[tuple[_Sending, NDArray[Any]]] = []
         sending = {}
         for zone in range(self.zones):
             if not self.emissions.sounds(zone, first, last):
                 continue
             sending[zone] = self._sending.get(zone) or _Sending.of(self.make(zone), size)
             signals = self.emissions.read(zone, sending[zone].departures, first, last)
-            audible.append((sending[zone], rfft(signals.astype(np.float32), size)))
+            received.append((sending[zone], rfft(signals.astype(np.float32), size)))
         self._sending = sending  # others are made again when they sound again
-        if not audible:
+        if not received:
             return None
         out = np.empty((self.count, self.block), np.float32)
         for begin in range(0, self.count, _TOGETHER):
             total = np.zeros((min(_TOGETHER, self.count - begin), size // 2 + 1), np.complex64)
-            for zone_sends, spectra in audible:
+            for zone_sends, spectra in received:
                 zone_sends.add(total, begin, spectra)
             out[begin : begin + len(total)] = irfft(total, size)[:, past : past + self.block]
         return out
@@ -172,7 +172,7 @@ class Motion:
 class Waves(Protocol):
     """Interface of sums of streams for moving listeners."""
 
-    def audible(
+    def received(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
     ) -> NDArray[np.float32]:
         """Return the pressure at listeners (R, n), samples `start` to `stop`, of streams (M, L) from sample `first` on.
@@ -213,7 +213,7 @@ class HostWaves:
         rest = np.arange(_PHASES + 1) / _PHASES - 0.5
         self._table = np.polynomial.polynomial.polyval(rest, between.bank.astype(np.float64)).T.astype(np.float32)
 
-    def audible(
+    def received(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
     ) -> NDArray[np.float32]:
         """Return the pressure at listeners (R, n), see `Waves`."""

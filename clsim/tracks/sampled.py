@@ -103,23 +103,23 @@ class Sample:
         return np.asarray(np.add.reduceat(squares, self.first, axis=0))
 
     @cached_property
-    def audible(self) -> Floats:
+    def received(self) -> Floats:
         """Return the received energy (frames, W) of each window and of its neighbourhood."""
         return np.asarray(self.by_frame(self.responses) @ self.band.energy.T + self.band.rest)
 
     def loudness(self) -> Floats:
         """Return the inverse (W,) of the received energy of each window, as a mean over the frames."""
-        return np.asarray(np.mean(1.0 / np.maximum(self.audible, _FAINTEST), axis=0))
+        return np.asarray(np.mean(1.0 / np.maximum(self.received, _FAINTEST), axis=0))
 
     def relative(self, left: Floats | Complexes) -> Floats:
         """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
-        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.audible).max(axis=1)))
+        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.received).max(axis=1)))
 
     def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
         """Return the largest share of each function (K, F) in the received energy, of squared gains (frames, K)."""
         shares = np.abs(shapes) ** 2 @ self.band.energy.T  # (K, W)
-        audible = self.audible
-        return np.sqrt([(np.outer(g, share) / audible).max() for g, share in zip(together.T, shares, strict=True)])
+        received = self.received
+        return np.sqrt([(np.outer(g, share) / received).max() for g, share in zip(together.T, shares, strict=True)])
 
     def left(self, shapes: Floats | Complexes) -> float:
         """Return the error of functions that are wrong by so much (K, F), each with a gain of 1 at every instant."""
@@ -131,8 +131,8 @@ class Sample:
         The error over nodes, by their indices, counts as well: the OpenCL engine measures it as it renders.
         """
         weight = self.importance[nodes]
-        at_nodes, audible = (self.by_frame(r[:, nodes] * weight).sum(axis=1) for r in (left, self.responses))
-        return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(audible, 1e-300))))
+        at_nodes, received = (self.by_frame(r[:, nodes] * weight).sum(axis=1) for r in (left, self.responses))
+        return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(received, 1e-300))))
 
     @property
     def importance(self) -> Floats:
@@ -247,8 +247,8 @@ def picked_paths(
         times = np.sort(rng.uniform(0.0, last, instants))
         times[[0, -1]] = 0.0, last
         found = paths.arrivals(times, tracks.kinematics)
-        audible = (times >= start[:, None]) & (times < end[:, None])
-        level = np.where(audible, np.abs(paths.response(found, times, at_centre)[..., 0]), 0.0)
+        received = (times >= start[:, None]) & (times < end[:, None])
+        level = np.where(received, np.abs(paths.response(found, times, at_centre)[..., 0]), 0.0)
         level[level < _SILENT] = 0.0
         share = -(-count // (len(pairs) * instants))
         drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]

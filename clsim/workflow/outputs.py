@@ -22,7 +22,7 @@ class RunOutputs:
     """Files that a run may write into its folder."""
 
     receivers: list[str]  # names of the receivers, as files are called
-    audible: list[str]  # names of receivers and arrays, as files of sound are called
+    sounds: list[str]  # names of receivers and arrays, as files of sound are called
     sound: list[str]  # files or folders of the sound
     table: str  # the path table; empty if none is wanted
     drawn: list[str]  # receivers whose pictures are drawn, by their names
@@ -31,10 +31,10 @@ class RunOutputs:
     def of(cls, file: SceneFile, store: str, table: str, *, pictures: bool) -> RunOutputs:
         """Return the outputs of a scene file for a kind of store and of table ("none" for no table)."""
         names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
-        audible = file_names(tuple(dict.fromkeys(row for end in file.scene.receivers for row, _ in end.rows)))
+        sounds = file_names(tuple(dict.fromkeys(row for end in file.scene.receivers for row, _ in end.rows)))
         file_of_table = "" if table == "none" else f"paths.{table}"
-        sound, drawn = store_kinds()[store].names(audible), names[:MOST_DRAWN] if pictures else []
-        return cls(names, audible, sound, file_of_table, drawn)
+        sound, drawn = store_kinds()[store].names(sounds), names[:MOST_DRAWN] if pictures else []
+        return cls(names, sounds, sound, file_of_table, drawn)
 
     def beside_sound(self, changing: bool = True) -> list[str]:
         """Return the files made after the sound, the completed scene last; `changing`: paths come and go."""

@@ -41,7 +41,7 @@ __kernel void plane_waves(__global const float* streams,  // [count][stride]
                           __global const float4* motion,  // likewise: the rest of them and its slope, gain and its slope
                           int nodes,                      // NODE samples behind each
                           __global const float* bank,     // [POWERS][TAPS], of places beyond a sample; LANES more
-                          __global float* audible)          // [listeners][nodes * NODE]
+                          __global float* received)          // [listeners][nodes * NODE]
 {
     const int first = get_global_id(0) * LANES, listener = get_global_id(1);
     if (first >= nodes * NODE) return;
@@ -59,5 +59,5 @@ __kernel void plane_waves(__global const float* streams,  // [count][stride]
         const vec value = now.y == 0.0f ? at_rest(sample, bank, ahead - near) : passing(sample, bank, rest);
         sum += (beside * now.w + (now.z + now.w * middle)) * value;
     }
-    *(__global loose_vec*)(audible + listener * (long)nodes * NODE + first) = sum;
+    *(__global loose_vec*)(received + listener * (long)nodes * NODE + first) = sum;
 }

@@ -279,7 +279,7 @@ class Streams:
         gains = np.stack([drawn.uniform(0.5, 1.0, (2, 4)), np.zeros((2, 4)), drawn.uniform(-1.0, 1.0, (2, 4))], -1)
         motion = Motion(drawn.uniform(-3.0, 3.0, (2, 1, 3)) + 0.3 * np.arange(4)[:, None], gains)
         waves = DeviceWaves(Between.up_to(40e3, RATE, 0.3 / NODE), self.device, lanes)
-        return waves.audible(streams, -40, motion, 5, 95)
+        return waves.received(streams, -40, motion, 5, 95)
 
 
 @scene

@@ -197,19 +197,11 @@ __main__.run()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
-def test_an_event_loop_that_an_interrupt_leaves_half_made_is_not_reported() -> None:
+@pytest.mark.parametrize("script", [HALF_MADE, UNAWAITED], ids=["half an event loop", "a coroutine"])
+def test_what_an_interrupt_leaves_of_other_packages_is_not_reported(script: str) -> None:
+    """As of Zarr, which makes a coroutine for each file that it writes, and of Dask's event loops."""
     begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    command = [sys.executable, "-c", begin + HALF_MADE]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
-    assert done.returncode == 130
-    assert [line.startswith(MESSAGE) for line in done.stderr.splitlines()] == [True]
-
-
-@pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
-def test_a_coroutine_that_an_interrupt_leaves_is_not_reported() -> None:
-    """A coroutine like those of Zarr, which makes one for each file that it writes."""
-    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    command = [sys.executable, "-c", begin + UNAWAITED]
+    command = [sys.executable, "-c", begin + script]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
     assert done.returncode == 130
     assert [line.startswith(MESSAGE) for line in done.stderr.splitlines()] == [True]

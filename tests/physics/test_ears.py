@@ -63,3 +63,27 @@ def test_ears_that_turn_hear_each_sample_as_their_pose_says(kind, measured):
     assert np.abs(found[2]).max() > 0.01
     error = 20.0 * np.log10(np.linalg.norm(found[:2] - expected) / np.linalg.norm(expected))
     assert measured(f"ears that turn, {kind}", "the sum over samples", float(error), -86.0) <= -86.0
+
+
+@pytest.mark.parametrize("what", ["a tone", "noise"])
+def test_a_head_beside_an_omni_receives_what_it_does_alone(what):
+    """A tone of 10 kHz for an omni is rendered as an envelope, wide noise is not: the head takes part in neither."""
+    sound = (
+        clsim.Signal.tone(10e3, 0.2, RATE, fade=0.02)
+        if what == "a tone"
+        else clsim.Signal.noise(0.2, RATE, 3, band=(300.0, 9e3), fade=0.02)
+    )
+    way = clsim.Trajectory.line((1.0, 1.0, 1.2), (1.3, 1.2, 1.2), 0.3)
+    head = clsim.Receiver.binaural("head", clsim.Trajectory.fixed((3.0, 2.0, 1.5)))
+    omni = clsim.Receiver("omni", clsim.Trajectory.fixed((2.5, 2.4, 1.4)))
+    room = clsim.Shoebox(size=(4.0, 3.0, 2.5), walls=clsim.Material.from_reflection(0.7))
+    both, alone, plain = (
+        clsim.render(
+            clsim.find_paths(clsim.Scene(room, clsim.Air(), [clsim.Source("s", sound, way)], receivers), 1), RATE,
+            duration=0.2, narrowband=True,
+        )
+        for receivers in ([head, omni], [head], [omni])
+    )  # fmt: skip
+    for got, wanted in ((both.pressure[:2], alone.pressure), (both.pressure[2:], plain.pressure)):
+        assert np.linalg.norm(wanted) > 0.0
+        assert np.linalg.norm(got - wanted) < 10 ** (-86.0 / 20.0) * np.linalg.norm(wanted)

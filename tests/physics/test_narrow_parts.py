@@ -172,7 +172,7 @@ def test_rest_and_narrow_part_add_up_to_the_signal() -> None:
     (rest,), filters = plan.source_filters, plan.allocation.narrow[0].plan.source_filters[0]
     assert isinstance(rest, RestFilters)
     assert isinstance(filters, NarrowFilters)
-    left, upsampler = rest.emitting(-4000, 196_000), plan.allocation.narrow[0].upsampler
+    left, upsampler = rest.emitted_samples(-4000, 196_000), plan.allocation.narrow[0].upsampler
     assert np.mean(left != 0.0) < 0.03  # but for onset and end there is silence
     whole = rest.signal.read(-4000, 196_000)
     narrow = np.zeros(200_000)
@@ -183,7 +183,7 @@ def test_rest_and_narrow_part_add_up_to_the_signal() -> None:
     narrow[begin : begin + len(made)] = made
     inside = slice(begin, begin + len(made))
     assert apart_db((narrow + left)[inside], whole[inside]) < -95.0
-    pieces = np.concatenate([rest.emitting(a, a + 10_000) for a in range(-4000, 196_000, 10_000)])
+    pieces = np.concatenate([rest.emitted_samples(a, a + 10_000) for a in range(-4000, 196_000, 10_000)])
     np.testing.assert_allclose(pieces, left, atol=2e-5)  # cells at the verge of silence may differ
 
 

@@ -276,10 +276,10 @@ def test_streams_that_are_not_kept_are_the_same(monkeypatch: pytest.MonkeyPatch)
     whole, adding = of_contribution(plan), tail_alone(plan).begin()
     adding.add(np.zeros((plan.receiver_count, SEGMENT), np.float32), 0)
     assert isinstance(adding, diffuse_tail._Tail)
-    assert sum(s.held_bytes for zone in adding._audible or [] for s in zone.streams.values()) > 0
+    assert sum(s.held_bytes for zone in adding._received or [] for s in zone.streams.values()) > 0
     monkeypatch.setattr("clsim.tail.streams._MOST_HELD", 0)
     adding.add(np.zeros((plan.receiver_count, SEGMENT), np.float32), SEGMENT)
-    assert sum(s.held_bytes for zone in adding._audible or [] for s in zone.streams.values()) == 0
+    assert sum(s.held_bytes for zone in adding._received or [] for s in zone.streams.values()) == 0
     np.testing.assert_array_equal(of_contribution(plan), whole)
 
 
@@ -299,7 +299,7 @@ def test_cost_of_many_moving_receivers_does_not_grow_with_zones(monkeypatch: pyt
     assert len(heard) > 10
     asked: list[str] = []
     together: list[int] = []
-    weigh, add_up = Zones.weights, HostWaves.audible
+    weigh, add_up = Zones.weights, HostWaves.received
 
     def weighed(zones: Zones, end: Any, times: np.ndarray) -> Any:
         asked.append(end.name)
@@ -310,7 +310,7 @@ def test_cost_of_many_moving_receivers_does_not_grow_with_zones(monkeypatch: pyt
         return add_up(waves, streams, first, motion, start, stop)
 
     monkeypatch.setattr(Zones, "weights", weighed)
-    monkeypatch.setattr(HostWaves, "audible", added_up)
+    monkeypatch.setattr(HostWaves, "received", added_up)
     assert np.any(of_contribution(plan))
     assert [asked.count(end.name) for end in of.receivers] == [1] * 20
     assert sum(together) == heard.sum()

@@ -147,16 +147,16 @@ class BodySearch:
         for source in range(sources):
             pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
             part = partial(report, progress, source / sources, (source + 1) / sources)
-            for receiver, audible in enumerate(self._audible(source, pairs, part)):
-                found.append((*audible, (source, receiver)))
-                count += len(audible[0])
+            for receiver, there in enumerate(self._with_intervals(source, pairs, part)):
+                found.append((*there, (source, receiver)))
+                count += len(there[0])
             if count > self.search.path_limit:
                 raise InputError(
                     "body_order", f"must give at most {self.search.path_limit} paths (path_limit), but gives more"
                 )
         return self._family(found)
 
-    def _audible(
+    def _with_intervals(
         self, source: int, pairs: list[PairQuery], progress: Progress
     ) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
         """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""

@@ -113,8 +113,10 @@ class _GapFinder(EdgePairFinder):
                 found += [(one, other, walls) for walls in self._padded(other, kept, backwards=False)]
         return found
 
-    def _columns(self, ends: tuple[int, int], chains: Any, audible: tuple[Floats, Floats], code: Any) -> dict[str, Any]:
-        columns = EdgePairFinder._columns(self, ends, chains, audible, code)
+    def _columns(
+        self, ends: tuple[int, int], chains: Any, received: tuple[Floats, Floats], code: Any
+    ) -> dict[str, Any]:
+        columns = EdgePairFinder._columns(self, ends, chains, received, code)
         met = columns["order"] - 2
         return columns | {"between": chains.between, "budget": self._order - met.astype(np.int64)}
 

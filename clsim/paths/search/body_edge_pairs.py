@@ -74,9 +74,9 @@ class EdgePairFinder(EdgeFinder):
         return EdgePairs(before, after, edges, none, others, np.concatenate(shared))
 
     def _columns(
-        self, ends: tuple[int, int], chains: EdgePairs, audible: tuple[Floats, Floats], code: Codes
+        self, ends: tuple[int, int], chains: EdgePairs, received: tuple[Floats, Floats], code: Codes
     ) -> dict[str, Any]:
-        columns = self._own_columns(ends, chains, audible, code)
+        columns = self._own_columns(ends, chains, received, code)
         met, bits = columns["order"] - 1, _SECOND << np.arange(TERMS)
         met = met + self.met_between(chains)
         last_lit = np.where(code[:, None] & bits, 1, -1).astype(np.int8)

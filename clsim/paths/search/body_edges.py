@@ -94,12 +94,12 @@ class EdgeFinder:
         return _Evaluation(self._search, self.lines, pair, chains)
 
     def _columns(
-        self, ends: tuple[int, int], chains: Any, audible: tuple[Floats, Floats], code: Codes
+        self, ends: tuple[int, int], chains: Any, received: tuple[Floats, Floats], code: Codes
     ) -> dict[str, Any]:
-        return _with_joined_ends(self._own_columns(ends, chains, audible, code))
+        return _with_joined_ends(self._own_columns(ends, chains, received, code))
 
     def _own_columns(
-        self, ends: tuple[int, int], chains: Any, audible: tuple[Floats, Floats], code: Codes
+        self, ends: tuple[int, int], chains: Any, received: tuple[Floats, Floats], code: Codes
     ) -> dict[str, Any]:
         """Columns of paths over one edge, as they are looked for."""
         count, met = len(code), np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
@@ -108,7 +108,7 @@ class EdgeFinder:
         side = np.where(chains.end < 0, 0, np.where(code & _END, 1, -1))
         return {
             "source": np.full(count, ends[0], dtype=np.int32), "receiver": np.full(count, ends[1], dtype=np.int32),
-            "order": (met + 1).astype(np.int32), "start": audible[0], "end": audible[1], "before": chains.before,
+            "order": (met + 1).astype(np.int32), "start": received[0], "end": received[1], "before": chains.before,
             "after": chains.after, "edge": chains.edge, "over_end": chains.end.astype(np.int8),
             "lit": lit.astype(np.int8), "end_side": side.astype(np.int8),
             "beside": np.column_stack([np.where(code & bit, 1, -1) for bit in HALVES]).astype(np.int8),

@@ -11,7 +11,7 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
-from clsim.paths.search.scatterers import at_receivers, audible_after
+from clsim.paths.search.scatterers import at_receivers, received_after
 from clsim.paths.support import check_support
 from clsim.paths.vertices.edge_scatterer import EdgeBeside, EdgeScattererVertex
 from clsim.scene.scatterer import Scatterer
@@ -125,10 +125,10 @@ class _Half:
         walls = edges.links(slice(None)).surfaces[1 if first else 0]
         return _Half(edges, edges.interactions, edges.objects, end, EdgeBeside(edges.vertex, between, walls))
 
-    def audible(self, scene: Scene, frequency: float, motions: tuple[Any, Any], rows: Rows, events: Floats) -> Floats:
+    def received(self, scene: Scene, frequency: float, motions: tuple[Any, Any], rows: Rows, events: Floats) -> Floats:
         """Find when (n,) the second motion hears what the first one sends at times (n,), s."""
         if self.edge is None:
-            return audible_after(scene, frequency, motions, self.chain, rows, events)
+            return received_after(scene, frequency, motions, self.chain, rows, events)
         return _audible_over(self.chain, rows, motions, events)
 
 
@@ -171,21 +171,21 @@ def _times(scene: Scene, halves: tuple[_Half, _Half], rows: tuple[Rows, Rows], e
             mine = np.flatnonzero(np.all(ends == np.array(met)[:, None], axis=0))
             frequency = scene.sources[met[0]].emitted.centre_frequency
             motions = scene.scatterers[met[1]].trajectory, scene.receivers[met[2]].trajectory
-            times[mine] = second.audible(scene, frequency, motions, j[mine], times[mine])
+            times[mine] = second.received(scene, frequency, motions, j[mine], times[mine])
         found.append(latest(times, getattr(second.chain, name)[j]))
     return found[0], found[1]
 
 
 def _audible_over(edges: Chain, rows: Rows, motions: tuple[Any, Any], events: Floats) -> Floats:
     """Find when (n,) the second motion hears over edges what the first one sends at times (n,), s."""
-    audible, known = np.array(events), np.flatnonzero(np.isfinite(events))
+    received, known = np.array(events), np.flatnonzero(np.isfinite(events))
     if not len(known):
-        return audible
+        return received
     sent, flight, c = motions[0].position(events[known]), np.zeros(len(known)), edges.scene.air.speed_of_sound
     for _ in range(_STEPS):  # each by the Mach number of the receiver
         step = edges.lengths(rows[known], sent, motions[1].position(events[known] + flight)) / c - flight
         flight = flight + step
         if np.abs(step).max() <= _FOUND:
             break
-    audible[known] += flight
-    return audible
+    received[known] += flight
+    return received

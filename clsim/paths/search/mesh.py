@@ -89,7 +89,7 @@ class MeshSearch:
             try:
                 here = query.during(begin, end)
                 search = partial(find_intervals, here) if device is None else DeviceSearch(here, device).find
-                parts.append(self._audible(_InAir(here, air, search).find, finder, source.name, part))
+                parts.append(self._with_intervals(_InAir(here, air, search).find, finder, source.name, part))
                 if isinstance(finder, ShotRays):
                     _report_missed(finder, parts[-1].walls, shoot)
             except TooManyBeamsError as error:
@@ -108,7 +108,7 @@ class MeshSearch:
             return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
         return "" if self.finder == "beam-tree" else "rays are shot, as asked"
 
-    def _audible(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
+    def _with_intervals(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
         parts, count, done = [FoundPaths.none(self.max_order)], 0, 0
         for batch, waiting in _batches(finder.candidates(self.max_order)):

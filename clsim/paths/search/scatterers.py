@@ -144,7 +144,7 @@ def _pairs(scene: Scene, before: Side, after: Side, ends: Ends) -> dict[str, Any
         one, two = one[some], two[some]
     frequency = scene.sources[source].emitted.centre_frequency
     motions = scene.scatterers[which].trajectory, scene.receivers[receiver].trajectory
-    bounds = [audible_after(scene, frequency, motions, after, two, times[one]) for times in (before.start, before.end)]
+    bounds = [received_after(scene, frequency, motions, after, two, times[one]) for times in (before.start, before.end)]
     start, end = np.maximum(bounds[0], after.start[two]), np.minimum(bounds[1], after.end[two])
     met = np.sum(before.surfaces[one] >= 0, axis=1) + np.sum(after.surfaces[two] >= 0, axis=1)
     rank = np.lexsort((met,))
@@ -171,27 +171,27 @@ def at_receivers(leg: StaticLeg) -> StaticLeg:
     return StaticLeg(back, -np.einsum("pij,pj->pi", back, leg.offset))
 
 
-def audible_after(
+def received_after(
     scene: Scene, frequency: float, motions: tuple[Motion, Motion], after: Side, rows: NDArray[np.int64], events: Floats
 ) -> Floats:
     """Find when (n,) the second motion hears what the first one sends at times (n,) by paths of a side, s."""
-    audible, known = np.array(events), np.flatnonzero(np.isfinite(events))
+    received, known = np.array(events), np.flatnonzero(np.isfinite(events))
     if not len(known):
-        return audible
+        return received
     if after.leg is not None:
         sent, leg = motions[0].position(events[known]), after.leg.part(rows[known])
         images = np.einsum("pij,pj->pi", leg.matrix, sent) + leg.offset
-        audible[known] += _flight(medium_of(scene.air, frequency), (sent, images), motions[1], events[known])
-        return audible
-    mirrors, medium, times = Mirrors.of(scene), mean_medium_of(scene.air, frequency), audible[known, None]
+        received[known] += _flight(medium_of(scene.air, frequency), (sent, images), motions[1], events[known])
+        return received
+    mirrors, medium, times = Mirrors.of(scene), mean_medium_of(scene.air, frequency), received[known, None]
     for _ in range(_MOVING_STEPS):
         found = find_events(mirrors, after.surfaces[rows[known]], motions, medium, times)
         step = (times - found.delay - events[known, None]) / (1.0 - found.rate)
         times = times - step
         if np.abs(step).max() <= _MOVING_FOUND:
             break
-    audible[known] = times[:, 0]
-    return audible
+    received[known] = times[:, 0]
+    return received
 
 
 def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:

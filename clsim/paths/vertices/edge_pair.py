@@ -125,15 +125,17 @@ class EdgePairVertex(EdgeVertex):
         """
         (r_s, t_s, z_s), (r_r, t_r, z_r) = source, receiver
         beyond = self.beyond()
-        audible, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
-        edge_paths = path_over_edge(r_s, z_s, *audible), path_over_edge(r_r, z_r, *sent)
+        received, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
+        edge_paths = path_over_edge(r_s, z_s, *received), path_over_edge(r_r, z_r, *sent)
         face = self.shared[:, :, None] * np.pi * np.stack([self.n, self.last.n], axis=1)[:, :, None]
         edges = (
             (self.n, t_s, face[:, 0], self.lit, self.faces),
             (self.last.n, face[:, 1], t_r, self.last.lit, self.last.faces),
         )
         tie = double_tie(
-            edge_paths[0], r_s * edge_paths[0].length / (r_s + audible[0]), r_r * edge_paths[1].length / (r_r + sent[0])
+            edge_paths[0],
+            r_s * edge_paths[0].length / (r_s + received[0]),
+            r_r * edge_paths[1].length / (r_r + sent[0]),
         )
         found = [
             self._terms(edge, edge_path.breadth, by_face, at)

@@ -106,11 +106,11 @@ class EdgePairSolver(EdgeSolver):
         time = self.begun(between, leaving)
         first = self.leg(pairs.before, (self.ends[0], points[0]), time)
         source, doppler, carried = self.source_seen(points[0], time, first)
-        audible, onto = self.receiver_seen(points[1], leaving, last), self.receiver_seen(points[0], time, between)
+        received, onto = self.receiver_seen(points[1], leaving, last), self.receiver_seen(points[0], time, between)
         came = self.seen(points[1], leaving, -between.arrival, between.distance, -1.0)
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = source, audible
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = source, received
         seen = (r_s, t_s, z_s + along[:, 0]), (r_r, t_r, z_r + along[:, 1])
-        courses = [_course(source), _course(onto), _course(came), _course(audible)]
+        courses = [_course(source), _course(onto), _course(came), _course(received)]
         slopes, cosine = [c.slope for c in courses], self._between_axes(pairs, time, leaving, between)
         mixed = -(cosine + slopes[1] * slopes[2]) / np.maximum(between.distance, ON_LINE)
         bend = [[courses[0].bend + courses[1].bend, mixed], [mixed, courses[2].bend + courses[3].bend]]

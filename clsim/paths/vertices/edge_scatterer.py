@@ -186,8 +186,8 @@ class EdgeScattererVertex(ScattererVertex):
         for n, beside in enumerate(self.edges):
             if beside is not None:
                 names = (f"end_{n}", f"seen_{n}") if n == 0 else (f"seen_{n}", f"end_{n}")
-                sent, audible = (np.moveaxis(more[name], -1, 0) for name in names)
-                response *= beside.edge.static_field(sent, audible, wave * more[f"at_edge_{n}"][..., None], at)
+                sent, received = (np.moveaxis(more[name], -1, 0) for name in names)
+                response *= beside.edge.static_field(sent, received, wave * more[f"at_edge_{n}"][..., None], at)
                 response *= at.reflection(beside.walls)[:, None, :]
                 at.apply_angular_walls(response, beside.walls, more[f"towards_{n}"])
         return self._sent_on(response, more, wave)

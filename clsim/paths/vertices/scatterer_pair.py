@@ -17,7 +17,7 @@ from clsim.arrays import read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SCATTERING, SPECULAR, ends_at
-from clsim.paths.search.scatterers import at_receivers, audible_after
+from clsim.paths.search.scatterers import at_receivers, received_after
 from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer import PairEnds, ScattererVertex
 from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, leg_between
@@ -310,6 +310,6 @@ def _known(
     frequency, times = scene.sources[met[0]].emitted.centre_frequency, getattr(sides[0], name)[rows[0]]
     for n in (1, 2):
         motions = places[n - 1], places[n]
-        times = audible_after(scene, frequency, motions, sides[n], rows[n], times)
+        times = received_after(scene, frequency, motions, sides[n], rows[n], times)
         times = latest(times, getattr(sides[n], name)[rows[n]])
     return times

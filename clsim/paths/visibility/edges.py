@@ -153,10 +153,10 @@ class EdgeVisibility:
         if np.all(face < 0):
             leg = path_over_edge(*source, *receiver)
             return Course((leg, leg), (receiver[0], source[0]), None)
-        audible = edges.beyond(one, face, other, other_face, *receiver)
+        received = edges.beyond(one, face, other, other_face, *receiver)
         sent = edges.beyond(other, other_face, one, face, *source)
         return Course(
-            (path_over_edge(*source, *audible), path_over_edge(*receiver, *sent)), (audible[0], sent[0]), None
+            (path_over_edge(*source, *received), path_over_edge(*receiver, *sent)), (received[0], sent[0]), None
         )
 
     def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:

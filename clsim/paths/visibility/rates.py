@@ -180,12 +180,12 @@ class EndRates:
                 jumps[np.searchsorted(peaks.bounds, end, "right")]
                 - jumps[np.searchsorted(peaks.bounds, emitted, "left")]
             ).T
-        audible, source = np.empty(count), self.source.over(emitted, end)[:, 0]
+        received, source = np.empty(count), self.source.over(emitted, end)[:, 0]
         for ear in np.unique(receiver).tolist():
             rows = np.flatnonzero(receiver == ear)
-            audible[rows] = self.receivers[ear].over(emitted[rows], end[rows])[:, 0]
+            received[rows] = self.receivers[ear].over(emitted[rows], end[rows])[:, 0]
         speed, turn, gain, lift, jolt, twist = columns
-        return Pace(half, source, audible, speed, turn, gain, lift, jolt, twist, self.held[receiver])
+        return Pace(half, source, received, speed, turn, gain, lift, jolt, twist, self.held[receiver])
 
 
 @lru_cache(maxsize=16)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,12 +16,10 @@ from clsim.render.memory import with_blas_threads
 from clsim.render.methods.per_sample import PathSum, path_pressures
 from clsim.render.opencl.batches import Fades
 from clsim.render.opencl.engine import OpenclEngine, Run
-from clsim.render.plan import BLOCKS, SEGMENT, Allocation, EarPart, Plan, chunk_of
+from clsim.render.plan import Allocation, PairPart, Plan, plan_of_part
 from clsim.render.source_filters import Emission, design_source_filters
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
-from clsim.scene.signal.occupied_bandwidth import spectra
-from clsim.tracks.sampled import Draw
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,25 +74,20 @@ def parts_of(
     options: RenderOptions,
     samples: int,
     others: frozenset[int],
-) -> tuple[tuple[EarPart, ...], Tracks]:
+) -> tuple[tuple[PairPart, ...], Tracks]:
     """Return pairs with receivers whose channels differ over frequency, with a plan, and the tracks of all others."""
     pairs = [i for i in range(len(tracks.pairs)) if i not in others and can(tracks, options, i) is None]
     if not pairs or tracks.of_scene is None:
         return (), tracks
-    centres, rate = centre_tracks(tracks.of_scene, pairs), options.sampling_rate
-    until = samples / rate
-    made = []
+    centres, until, made = centre_tracks(tracks.of_scene, pairs), samples / options.sampling_rate, []
     with with_blas_threads(1):
-        for i, (emitted, start) in enumerate(emissions):
-            signal = emitted.at_rate(rate)
-            sound, spectrum = spectra(signal)
-            drawn, silent = cache(partial(Draw.of, centres, i, until)), all(pair.source != i for pair in centres.pairs)
-            emission = Emission(i, signal, start, sound, centres, options, until, silent, spectrum, drawn)
+        for i, emitted in enumerate(emissions):
+            silent = all(pair.source != i for pair in centres.pairs)
+            emission = Emission.of(i, emitted, centres, options, until, centres, static=silent)
             made.append(design_source_filters(emission))
-    chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, centres.channels)), centres.longest_delay)
-    plan = Plan(options, centres, Allocation(), tuple(made), rate, samples, chunk, SEGMENT, BLOCKS, [])
+    plan = plan_of_part(options, centres, Allocation(), tuple(made), samples)
     left = sorted(set(range(len(tracks.pairs))) - set(pairs))
-    return (EarPart(plan, frozenset(pairs)),), tracks.of_scene.among(left)
+    return (PairPart(plan, frozenset(pairs)),), tracks.of_scene.among(left)
 
 
 def build(plan: Plan) -> Ears:
@@ -108,7 +100,7 @@ def build(plan: Plan) -> Ears:
 class Ears:
     """Contribution of receivers whose channels differ over frequency."""
 
-    parts: tuple[EarPart, ...]
+    parts: tuple[PairPart, ...]
     scene: Scene
     first_rows: NDArray[np.int32]  # of each receiver in the pressure
 
@@ -178,8 +170,8 @@ def _add_exactly(frames: EarFrames, begin: int, end: int) -> None:
         last = min(first + plan.segment, end)
         for pair, member in enumerate(plan.tracks.pairs):
             signals = np.zeros((len(member), last - first))
-            for row, audible in path_pressures(plan, pair, first, last):
-                signals[row] = audible[0]
+            for row, received in path_pressures(plan, pair, first, last):
+                signals[row] = received[0]
             frames.add(pair, np.arange(len(member)), signals, first)
 
 

@@ -227,7 +227,9 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         return []
     known, rate, error_db = measured_costs(), signal.sampling_rate, options.interpolator.error_db
     samples = min(signal.duration, emission.until) * rate
-    path_samples = max(_audible(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
+    path_samples = max(
+        _active_paths(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0
+    )
     of_band = samples * known.upsampled * len(pairs) / path_samples
     of_all = (known.planned + samples * known.split) / path_samples
     if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
@@ -264,7 +266,7 @@ def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
     return next(filter(None, reasons), None)
 
 
-def _audible(tracks: Tracks, mine: list[int], until: float) -> float:
+def _active_paths(tracks: Tracks, mine: list[int], until: float) -> float:
     """Return the mean number of active paths of some pairs until the end of the run, s."""
     times = (np.clip([tracks.pairs[i].start, tracks.pairs[i].end], 0.0, until) for i in mine)
     return float(sum((end - start).sum() for start, end in times)) / until

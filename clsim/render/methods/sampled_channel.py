@@ -304,8 +304,8 @@ class ChannelEngine(OpenclEngine):
         least = round((min(float(pair.low.min()) for pair in active) + begin) * rate)
         most = round((max(float(pair.high.max()) for pair in active) + begin) * rate)
         branches = Branches(None, 0, start - most, least - _MARGIN, most + _MARGIN, None)
-        audible = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
-        for batch in in_batches(plan, audible, self.kind, self.limits.node_budget, plan.blocks[0], apart=_APART):
+        received = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
+        for batch in in_batches(plan, received, self.kind, self.limits.node_budget, plan.blocks[0], apart=_APART):
             task = ChannelTask(source, batch, branches, None, length, start, 0, -(-length // plan.segment), frames)
             _ChannelRun(self, task).render()
 
@@ -319,7 +319,7 @@ class _ChannelRun(Run):
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
-        wanted = frames.emitting(range(-(-first // spacing), -(-last // spacing)))
+        wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
         size = 4 * len(rows) * self._functions * frames.grid.points
         unit = thread_count() * (_ROWS // math.gcd(_ROWS, len(rows)))
         step = unit * max(1, _AT_ONCE // (unit * size))
@@ -347,10 +347,10 @@ class _ChannelRun(Run):
         )  # fmt: skip
         made: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         parts = np.array_split(np.arange(len(some)), min(thread_count(), len(some)))
-        audible = side_by_side(
-            lambda part: frames.audible([some[i] for i in part], made[part[0] : part[-1] + 1]), parts
+        received = side_by_side(
+            lambda part: frames.received([some[i] for i in part], made[part[0] : part[-1] + 1]), parts
         )
         made.base.release(engine._queue)
-        for part, samples in zip(parts, audible, strict=True):
+        for part, samples in zip(parts, received, strict=True):
             for i, of_node in zip(part, samples, strict=True):
                 frames.add(some[i], rows, of_node)

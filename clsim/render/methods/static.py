@@ -150,16 +150,16 @@ def _band(filters: SourceFilters, *, complex_responses: bool) -> ResponseBand:
 def _convolved(emitted: NDArray[Any], response: ImpulseResponse, count: int) -> NDArray[Any]:
     """Return samples (count,) of a response to what was emitted from as many samples before as it is long."""
     taps = response.taps
-    audible = emitted[: count + len(taps) - 1]
-    out, active = np.zeros(count, dtype=audible.dtype), np.flatnonzero(audible)
+    sent = emitted[: count + len(taps) - 1]
+    out, active = np.zeros(count, dtype=sent.dtype), np.flatnonzero(sent)
     if not len(active):
         return out
     begin, end = int(active[0]), int(active[-1]) + 1
-    short, long = sorted((audible[begin:end], taps), key=len)
+    short, long = sorted((sent[begin:end], taps), key=len)
     whole = convolved(long, short)
     first, last = max(begin - len(taps) + 1, 0), min(end, count)
     out[first:last] = whole[first + len(taps) - 1 - begin : last + len(taps) - 1 - begin]
     # Where nothing sounds there is silence, without the rounding of the transforms.
-    active_before = np.concatenate([[0], np.cumsum(audible != 0.0)])
+    active_before = np.concatenate([[0], np.cumsum(sent != 0.0)])
     out[active_before[len(taps) :] == active_before[:count]] = 0.0
     return out

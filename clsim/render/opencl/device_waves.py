@@ -35,7 +35,7 @@ class DeviceWaves:
         self._kernel = compiler.kernel("plane_waves", constants)
         self._bank = upload(compiler.context, np.pad(between.bank.ravel(), (0, self._lanes)))
 
-    def audible(
+    def received(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
     ) -> NDArray[np.float32]:
         """Return the pressure at listeners (R, n), see `Waves`."""
@@ -49,15 +49,15 @@ class DeviceWaves:
         packed[..., 1] = np.diff(motion.ahead, axis=1) / NODE
         packed[..., 2] = motion.gains[:, :-1]
         packed[..., 3] = np.diff(motion.gains, axis=1) / NODE
-        audible = np.empty((listeners, nodes * NODE), np.float32)
+        received = np.empty((listeners, nodes * NODE), np.float32)
         try:
-            out = self._scratch.take("audible", audible.nbytes)
+            out = self._scratch.take("received", received.nbytes)
             self._kernel(
                 self._queue, work(nodes * NODE // self._lanes, listeners), streams=streams, count=count,
                 stride=streams.shape[1], lead=begin - first, whole=whole.astype(np.int32),
-                motion=packed, nodes=nodes, bank=self._bank, audible=out,
+                motion=packed, nodes=nodes, bank=self._bank, received=out,
             )  # fmt: skip
-            cl.enqueue_copy(self._queue, audible, out)
+            cl.enqueue_copy(self._queue, received, out)
         except cl.Error as error:
             raise DeviceError(f"{self._info.name} ran out of memory or failed ({error}) at a diffuse tail") from error
-        return audible[:, start - begin : stop - begin]
+        return received[:, start - begin : stop - begin]

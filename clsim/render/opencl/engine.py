@@ -158,8 +158,8 @@ class OpenclEngine:
                 begin, end = ((start + at * plan.segment) / plan.sampling_rate for at in (first, last))
                 ramp = 0.5 * plan.tracks.transition
                 here = [pair.during(plan.tracks.pairs[pair.index], ramp, begin, end) for pair in active]
-                audible = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
-                for batch in in_batches(plan, audible, self.kind, self.limits.node_budget, plan.shortest_block):
+                parts = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
+                for batch in in_batches(plan, parts, self.kind, self.limits.node_budget, plan.shortest_block):
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         for residuals in self.residuals:
             residuals.settle((start + length) // plan.segment)

@@ -161,10 +161,10 @@ class Pulses:
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
         out = np.zeros(last - first)
         step, length = self._step(sampling_rate), self.pulse.count(sampling_rate)
-        audible = range(max(0, (first - length) // step + 1), min(self.repetitions - 1, (last - 1) // step) + 1)
+        active = range(max(0, (first - length) // step + 1), min(self.repetitions - 1, (last - 1) // step) + 1)
         # Several pulses: made once, since they are no longer than the block.
-        pulse = self.pulse.read(0, length, sampling_rate) if len(audible) > 2 else None
-        for k in audible:
+        pulse = self.pulse.read(0, length, sampling_rate) if len(active) > 2 else None
+        for k in active:
             a, b = max(first, k * step), min(last, k * step + length)
             part = slice(a - k * step, b - k * step)
             out[a - first : b - first] += (

@@ -25,12 +25,12 @@ def test_moving_listeners_hear_tones_where_they_are(device: None) -> None:
     wanted = np.sum(np.cos(turn * (samples[:, None] + ahead) + phase), axis=2) * (1.0 - samples / 1e4)
     between = Between.up_to(20e3, RATE, 30.0 / C)
     host, there = HostWaves(between), DeviceWaves(between, None)
-    heard = [waves.audible(streams, first, motion, START, STOP) for waves in (host, there)]
+    heard = [waves.received(streams, first, motion, START, STOP) for waves in (host, there)]
     for found in heard:
         assert error_db(found, wanted) < -65.0
     assert error_db(*heard) < -65.0
     later = START // NODE + 7
     part = Motion(motion.ahead[:, 7:], motion.gains[:, 7:])
     for waves, found in zip((host, there), heard, strict=True):
-        again = waves.audible(streams[:, 300:], first + 300, part, later * NODE + 5, STOP)
+        again = waves.received(streams[:, 300:], first + 300, part, later * NODE + 5, STOP)
         np.testing.assert_array_equal(again, found[:, later * NODE + 5 - START :])
