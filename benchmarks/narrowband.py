@@ -4,7 +4,7 @@ Kernels are built by a first call of each that is not counted. `apart` compares 
 first tenth of a second. Of signals for which the default call takes the plain way the ratio shows what looking costs.
 At last the default call is compared with `plain_loop.c`, which needs a C compiler: how many paths times samples a second of
 processor time either does. To the loop branch signals and polynomials of blocks are given, and it sums one function.
-`--bands` compares chirps and noise of bands with the loop in this way, for two receivers, and `--hour` tells the time of an hour
+`--bands` compares chirps and noise of bands with the loop in this way, for two receivers, and `--hour` gives the time of an hour
 of them at order 3, from a minute.
 """
 

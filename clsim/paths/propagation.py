@@ -290,21 +290,20 @@ def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], 
     Shapes: delay (P, T) s.
 
     travel: takes paths p (n,), indices t (n,) of times and times of emission (n,), s; returns the travel times (n,), s,
-    and by how much these fall per second as the source moves on, the Mach number (n,) towards the way. While no delay
-    is settled p and t are slices of all, and times (P, T).
+    and by how much these fall per second as the source moves on, the Mach number (n,) towards the way.
 
     For a source below the speed of sound there is one solution.
     """
     delay = np.array(delay)
     active: NDArray[np.bool_] = np.ones(delay.shape, dtype=bool)
     for _ in range(_NEWTON_LIMIT):
-        which: Any = (slice(None), slice(None)) if active.all() else np.nonzero(active)
-        time, mach = travel(which[0], which[1], times[which[1]] - delay[which])
-        step = (time - delay[which]) / (1.0 - mach)
-        delay[which] += step
-        active[which] = np.abs(step) > _CONVERGED + 4e-16 * np.abs(times[which[1]])
-        if not active.any():
+        p, t = np.nonzero(active)
+        if not len(p):
             break
+        time, mach = travel(p, t, times[t] - delay[p, t])
+        step = (time - delay[p, t]) / (1.0 - mach)
+        delay[p, t] += step
+        active[p, t] = np.abs(step) > _CONVERGED + 4e-16 * np.abs(times[t])
     return delay
 
 
@@ -332,10 +331,9 @@ def arrivals_by(
 
     def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
         """Return the time that sound takes which was emitted at a time (s), and how fast that time grows with it."""
-        flat, shape = emission_time.ravel(), (*emission_time.shape, 3)
-        direction, sound, _ = passage(p, t, source.position(flat).reshape(shape))
+        direction, sound, _ = passage(p, t, source.position(emission_time))
         time = sound.time if noise is None else sound.time + noise[0][p, t]
-        return time, sound.growth(direction, source.velocity(flat).reshape(shape))
+        return time, sound.growth(direction, source.velocity(emission_time))
 
     noise = _noise(mirrored_to, medium, ends, times)
     delay = passage(*whole, source.position(times)[None])[1].time

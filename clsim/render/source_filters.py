@@ -300,7 +300,7 @@ class SourceFilters:
         lead = self.half_length / self.signal.sampling_rate
         return (
             f"filters of {len(self.bank.taps)} branches hold up to {self.band:.0f} Hz within "
-            f"{self.bank.error_db:.1f} dB; share of the signal above, which is removed: {removed}; they sound up to "
+            f"{self.bank.error_db:.1f} dB; share of the signal above, which is removed: {removed}; they ring up to "
             f"{self.half_length} samples ({1e3 * lead:.3g} ms) before an arrival"
             + ("; the signal is taken at twice the sampling rate" if self.oversampling > 1 else "")
         )

@@ -191,7 +191,7 @@ def _checked_escapes(scene: Scene, tracer: Tracer, place: Floats, emitted: Emitt
     if escaped.share > MOST_ESCAPED:
         raise NoTailError(
             "tail", f"must be 'off' in a room from which more than {100.0 * MOST_ESCAPED:.0f} % of the energy escapes, "
-            f"but {given}; the mesh is not watertight (`clsim check` tells where)"
+            f"but {given}; the mesh is not watertight (`clsim check` lists the places)"
         )  # fmt: skip
     return given if escaped.share > LITTLE_ESCAPED else ""
 

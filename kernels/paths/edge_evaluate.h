@@ -60,13 +60,13 @@ static double reach_about(const search* s, double time, double emitted, double w
 
 // Where a path runs at an instant.
 typedef struct {
-    triple emitted_at, heard_at;   // its ends
+    triple emitted_at, received_at;   // its ends
     cylindrical source, receiver;  // their images about the edges
     double delay;
 #if GAP
     crossing way;
 #else
-    cylindrical heard;             // the receiver as the first edge sees it
+    cylindrical received;             // the receiver as the first edge sees it
 #endif
 } stance;
 
@@ -85,8 +85,8 @@ static cylindrical seen_by(const search* s, int edge, cylindrical at)
 
 static double way_over(const search* s, stance* at)
 {
-    at->heard = seen_by(s, 0, at->receiver);
-    if (s->end < 0) return way_length(at->source, at->heard);
+    at->received = seen_by(s, 0, at->receiver);
+    if (s->end < 0) return way_length(at->source, at->received);
     return way_by(s->end * s->edge[0]->length, at->source, at->receiver);
 }
 #endif
@@ -95,13 +95,13 @@ static stance stance_at(const search* s, double time)
 {
     const triple source_perturbation = SOURCE_PERTURBATION, receiver_perturbation = RECEIVER_PERTURBATION;
     stance at;
-    at.heard_at = end_at(&s->receiver, time, receiver_perturbation);
-    at.receiver = about(s->edge[1], image_of(s, 1, at.heard_at));
+    at.received_at = end_at(&s->receiver, time, receiver_perturbation);
+    at.receiver = about(s->edge[1], image_of(s, 1, at.received_at));
     at.delay = 0.0;
     for (int k = 0; k < CONTRACTIONS; k++) {  // each step by the Mach number of the source
         at.emitted_at = end_at(&s->source, time - at.delay, source_perturbation);
         at.source = about(s->edge[0], image_of(s, 0, at.emitted_at));
-        const double later = passage(&s->source.path, way_over(s, &at), at.emitted_at, at.heard_at) - at.delay;
+        const double later = passage(&s->source.path, way_over(s, &at), at.emitted_at, at.received_at) - at.delay;
         at.delay += later;
         if (fabs(later) <= CONTRACTED) break;
     }
@@ -120,19 +120,19 @@ static double sliding(const search* s, double reach, double across, double lengt
 static int evaluate(const search* s, double time, double within, double* clear, double* reach)
 {
     const stance at = stance_at(s, time);
-    const cylindrical source = at.source, receiver = at.receiver, heard = at.heard;
+    const cylindrical source = at.source, receiver = at.receiver, received = at.received;
     *reach = reach_about(s, time, time - at.delay, within);
     const cylindrical sent = seen_by(s, 1, source);
     double places[2] = {s->end * s->edge[0]->length, s->end * s->edge[1]->length}, moves[2] = {0.0, 0.0};
     if (s->end < 0) {
-        const double length = way_length(source, heard);
-        places[0] = way_apex(source, heard);
+        const double length = way_length(source, received);
+        places[0] = way_apex(source, received);
         places[1] = way_apex(receiver, sent);
-        moves[0] = sliding(s, *reach, source.r + heard.r, length);
+        moves[0] = sliding(s, *reach, source.r + received.r, length);
         moves[1] = sliding(s, *reach, receiver.r + sent.r, length);
     }
     const double most = fmax(*reach, fmax(moves[0], moves[1]));
-    const double off = fmin(fmin(in_air(s->edge[0], source), in_air(s->edge[1], receiver)), fmin(heard.r, sent.r));
+    const double off = fmin(fmin(in_air(s->edge[0], source), in_air(s->edge[1], receiver)), fmin(received.r, sent.r));
     double least = off;
     for (int edge = 0; edge < 2 && s->end < 0; edge++) {
         least = fmin(least, fmin(places[edge], s->edge[edge]->length - places[edge]));
@@ -144,7 +144,7 @@ static int evaluate(const search* s, double time, double within, double* clear, 
     const triple apex = sum(at_row(s->edge[mine]->start), times(places[mine], at_row(s->edge[mine]->along)));
     const double4 nowhere = {0.0, 0.0, 0.0, 0.0};
     double apart;
-    const int valid = path_status(&s->walls, s->sequence, mine ? at.heard_at : at.emitted_at, apex, *reach, moves[mine], nowhere,
+    const int valid = path_status(&s->walls, s->sequence, mine ? at.received_at : at.emitted_at, apex, *reach, moves[mine], nowhere,
                                   nowhere, &apart);
     apart = *reach * ratio(apart, fmax(*reach, moves[mine]));
     *clear = valid ? fmin(*clear, apart) : apart;

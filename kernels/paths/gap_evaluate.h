@@ -57,7 +57,7 @@ static int evaluate(const search* s, double time, double within, double* clear, 
         *clear = *reach * ratio(fabs(left), fmax(*reach, most));
         if (off < 0.0) *clear = fmax(*reach * ratio(-off, *reach), *clear);  // wherever the places on the edges slide to
         if (left < 0.0) return 0;
-        const int valid = path_status(&s->walls, s->sequence, s->side ? at.heard_at : at.emitted_at, apex[s->side], *reach,
+        const int valid = path_status(&s->walls, s->sequence, s->side ? at.received_at : at.emitted_at, apex[s->side], *reach,
                                       moves[s->side], nowhere, nowhere, &apart);
         apart = *reach * ratio(apart, fmax(moves[s->side], *reach));
         *clear = valid ? fmin(apart, *clear) : apart;

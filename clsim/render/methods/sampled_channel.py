@@ -228,7 +228,7 @@ def _described(part: ChannelPart) -> list[str]:
     promised_db = 10.0 * math.log10(sum(10.0 ** (db / 10.0) for db in parts_db))
     return [
         f"{here}: impulse responses of {len(part.pairs)} pairs are sampled {rate / part.spacing:.3g} times a second "
-        f"(every {part.spacing} samples), within {part.error_db:.0f} dB between them; they sound up to {reach} samples "
+        f"(every {part.spacing} samples), within {part.error_db:.0f} dB between them; they ring up to {reach} samples "
         f"({1e3 * reach / rate:.3g} ms) before an arrival",
         f"{here}: {filters.describe()}",
         f"{here}: total error at most {promised_db:.0f} dB of the level received within 40 ms",
