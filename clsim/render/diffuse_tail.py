@@ -14,7 +14,7 @@ from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.design import ULTRASOUND, NoTailError, TailOptions, find_tail, searched_order
+from clsim.tail.design import NoTailError, TailOptions, find_tail, searched_order
 from clsim.tail.ears import ears_among
 from clsim.tail.noise import (
     at_one_place,
@@ -26,7 +26,7 @@ from clsim.tail.noise import (
     static_gains,
 )
 from clsim.tail.streams import NODE, Between, HostWaves, Motion, Streams
-from clsim.tail.zones import Crossings, DiffuseField, Zones, fastest, is_static
+from clsim.tail.zones import Crossings, Zones, fastest, is_static
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
-_MUCH_DB = -20.0  # of the reverberation, above which a note tells of it
 _RECEIVERS = 16  # of them, or filters of ears, at a time
 
 
@@ -377,14 +376,3 @@ def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
             return None
         most = max(most, found.left_db)
     return float(most)
-
-
-def without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
-    """Note on the energy that images leave in a diffuse field, where that is much and tails are off."""
-    highest = np.array([min(source.emitted.centre_frequency, 0.5 * sampling_rate) for source in paths.scene.sources])
-    field = DiffuseField.of(paths.scene, highest[highest < ULTRASOUND])
-    if field is None or not np.any(highest < ULTRASOUND):
-        return ()
-    left = float(field.left_db(searched_order(paths)).max())
-    much = f"images leave some {left:.0f} dB of the reverberation: higher orders, and what walls scatter"
-    return (f'{much} (tail="auto" adds it)',) if left > _MUCH_DB else ()

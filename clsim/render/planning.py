@@ -15,7 +15,7 @@ from clsim.numerics.resampling import Upsampler
 from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
-from clsim.render.diffuse_tail import DiffuseTail, without_tails
+from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import NarrowFilters, design_envelope, design_split
 from clsim.render.interpolator import Bandlimited
 from clsim.render.memory import with_blas_threads
@@ -35,7 +35,7 @@ from clsim.render.plan import (
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
 from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
-from clsim.tail.zones import Zones
+from clsim.tail.zones import DiffuseField, Zones
 from clsim.tracks.pruning import pruned
 from clsim.tracks.tracks import track
 
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 
 _Part = TypeVar("_Part", NarrowPart, ChannelPart, PairPart)
+_MUCH_DB = -20.0  # of the reverberation, above which a note gives it
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
 
@@ -199,7 +200,7 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
     """Return the tails that options ask for."""
     scene = paths.scene
     if options.tail == "off":
-        return FoundTails(notes=without_tails(paths, options.sampling_rate))
+        return FoundTails(notes=_without_tails(paths, options.sampling_rate))
     found: list[SourceTail | None] = []
     notes: list[str] = []
     until = max(source.end for source in scene.sources) if options.duration is None else options.duration
@@ -225,6 +226,17 @@ def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float
         names = ", ".join(repr(body.name) for body in scene.bodies)
         notes.append(f"tails are those of the room without its bodies ({names}), which take no sound out of them")
     return FoundTails(tuple(found), tuple(notes))
+
+
+def _without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
+    """Note on the energy that images leave in a diffuse field, where that is much and tails are off."""
+    highest = np.array([min(source.emitted.centre_frequency, 0.5 * sampling_rate) for source in paths.scene.sources])
+    field = DiffuseField.of(paths.scene, highest[highest < ULTRASOUND])
+    if field is None or not np.any(highest < ULTRASOUND):
+        return ()
+    left = float(field.left_db(searched_order(paths)).max())
+    much = f"images leave some {left:.0f} dB of the reverberation: higher orders, and what walls scatter"
+    return (f'{much} (tail="auto" adds it)',) if left > _MUCH_DB else ()
 
 
 def allocate(

@@ -135,7 +135,7 @@ MUTANTS = {
     "the source stands still": ("late * speed_over(&s->source, emitted - late, emitted + late)", "0.0"),
     "margins of ends only": ("ratio(fabs(least), most)", "ratio(fabs(least), *reach)"),
     "valid outside": ("if (least < 0.0) return 0;", "if (least < -1e9) return 0;"),
-    "the other side's end": ("mine ? at.heard_at : at.emitted_at, apex", "mine ? at.emitted_at : at.heard_at, apex"),
+    "the other side's end": ("mine ? at.received_at : at.emitted_at, apex", "mine ? at.emitted_at : at.received_at, apex"),
     "the first edge's place": ("times(places[mine], at_row", "times(places[0], at_row"),
     "the first edge": ("at_row(s->edge[mine]->start)", "at_row(s->edge[0]->start)"),
     "clearance of walls as of ends": ("ratio(apart, fmax(*reach, moves[mine]))", "ratio(apart, *reach)"),
