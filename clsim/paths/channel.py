@@ -264,6 +264,6 @@ def _series(scene: Scene, pair: PairPaths, found: Arrivals, times: Floats, band:
         if count >= _MOST:
             if size[-2:].max() > _LOUD_TAIL * size.max():
                 held = 20.0 * math.log10(float(size[-2:].max() / size.max()))
-                warn(f"responses over the band are held within some {held:.0f} dB only, by {_MOST} terms")
+                warn(f"responses over the band are approximated to about {held:.0f} dB only, with {_MOST} terms")
             return series
         count *= 2

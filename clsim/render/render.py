@@ -393,7 +393,7 @@ def _check_finite(start: int, samples: NDArray[Any], names: tuple[str, ...]) -> 
     for i, k in np.argwhere(~np.isfinite(samples))[:1]:
         raise InputError(
             "receivers",
-            f"must hear what float32 holds, but of {names[i]!r} sample {start + k} is {samples[i, k]}: lower "
+            f"must receive what float32 holds, but of {names[i]!r} sample {start + k} is {samples[i, k]}: lower "
             "amplitudes, sensitivities or gain_db; if all are moderate, please report this scene as a defect",
         )
 

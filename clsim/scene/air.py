@@ -425,8 +425,8 @@ def _layers(air: Air) -> tuple[Air, ...]:
         terms = 2 * terms - 1
     if wrong[0] > _TIME_WRONG:
         warn(
-            f"temperature_celsius changes so suddenly with the height that travel times are held within "
-            f"{1e9 * 10.0 * wrong[0] * exact[:, 0].max():.3g} ns over 10 m only; make it smoother"
+            f"temperature_celsius changes so suddenly with the height that travel times have an error of up to "
+            f"{1e9 * 10.0 * wrong[0] * exact[:, 0].max():.3g} ns over 10 m; make the profile smoother"
         )
     return layers
 

@@ -170,7 +170,8 @@ def _bvh(text: str) -> Joints:
     rows = np.array([_numbers(i, " ".join(words), width) for i, words in head[2:]]).reshape(-1, width)
     if len(rows) != count or count < _FEWEST_FRAMES:
         raise InputError(
-            f"line {begin + 2}", f"must tell of {len(rows)} frames, {_FEWEST_FRAMES} at least, but tells {count}"
+            f"line {begin + 2}",
+            f"must be the number of frames that follow, {len(rows)}, and at least {_FEWEST_FRAMES}, but is {count}",
         )
     names, times = tuple(bone.name for bone in bones), read_only(period * np.arange(count))
     return Joints(names, times, read_only(_posed(bones, rows)), "y")

@@ -206,7 +206,9 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     if not inside.any():
         warn(f"{field}.trajectory: no source or receiver is inside the room: {where}")
     elif closed:
-        raise InputError(f"{field}.trajectory", f"must be where other ends are audible, but {where}")
+        raise InputError(
+            f"{field}.trajectory", f"must lie in the same air as the other sources and receivers, but {where}"
+        )
     else:
         warn(f"{field}.trajectory: {where}")
 
@@ -322,8 +324,8 @@ def warn_of_roles(sources: Sequence[Source], receivers: Sequence[Receiver]) -> N
     """Warn of the first source that has a receiver's transducer, and of the first receiver that has a transmitter's."""
     sender, ear = TRANSDUCER_NAMES
     roles: tuple[tuple[str, Sequence[Source | Receiver], str, str], ...] = (
-        ("sources", sources, ear, f"is a receiver, told in V/Pa; the transmitter is {sender}"),
-        ("receivers", receivers, sender, f"is a transmitter, told in Pa/V; the receiver is {ear}"),
+        ("sources", sources, ear, f"is a receiving transducer, given in V/Pa; the transmitter is {sender}"),
+        ("receivers", receivers, sender, f"is a transmitting transducer, given in Pa/V; the receiver is {ear}"),
     )
     for field, ends, wrong, what in roles:
         known = Transducer.named(wrong)

@@ -281,8 +281,8 @@ class Held:
         requested = f", not the {requested_db:g} dB asked for" if not self.at_centre else ""
         less = f", or ask for response_error_db={math.ceil(reached)}" if not self.at_centre else ""
         warn(
-            f"source {self.source}: air, walls and directivities are held within {reached:.0f} dB {where}{requested}: "
-            f"{cause}; {remedy}{less}"
+            f"source {self.source}: air, walls and directivities are approximated to {reached:.0f} dB {where}"
+            f"{requested}: {cause}; {remedy}{less}"
         )
         return reached
 

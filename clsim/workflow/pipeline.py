@@ -98,7 +98,7 @@ def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathS
         raise InputError("paths.max_order", "must be smaller: there is not enough memory for so many paths") from error
     for i in np.setdiff1d(np.arange(len(file.scene.receivers)), paths.receiver):
         name = file.scene.receivers[i].name
-        warn(f"receivers[{i}]: no path reaches {name!r}; it will hear nothing")
+        warn(f"receivers[{i}]: no path reaches {name!r}; its output is silent")
     return paths
 
 

@@ -134,5 +134,5 @@ def test_what_a_worker_finds_wrong_is_said_as_by_one_process(scene: Path, cluste
         assert main(command(loud, scene.parent / out, "zarr", *more)) == 2
         said.append(capfd.readouterr().err.splitlines()[-1])  # after warnings of the amplitude
         assert not (scene.parent / out).exists()
-    assert said[0].startswith("clsim: error: receivers: must hear what float32 holds, but of 'über/left' sample ")
+    assert said[0].startswith("clsim: error: receivers: must receive what float32 holds, but of 'über/left' sample ")
     assert said[1] == said[0]

@@ -214,7 +214,7 @@ def test_responses_that_nothing_holds_are_told() -> None:
     late = made.samples // made.segment + 5  # nothing else sounds about it
     engine.residuals[0].add(late, np.array([0]), np.array([1e-6, 1.0]).reshape(2, 1, 1))
     with pytest.warns(
-        clsim.ClsimWarning, match=r"source 0: air, walls and directivities were held within -60.0 dB, not the -90 dB"
+        clsim.ClsimWarning, match=r"source 0: air, walls and directivities are approximated to -60.0 dB, not the -90 dB"
     ):
         engine.warn()
 

@@ -77,7 +77,7 @@ def noise(rate: float = 16e3) -> clsim.Signal:
 
 
 @pytest.mark.usefixtures("device")
-@pytest.mark.filterwarnings(*QUIET, "ignore:source 0. air, walls and directivities were held within -7.[.]. dB")
+@pytest.mark.filterwarnings(*QUIET, "ignore:source 0. air, walls and directivities are approximated to -7.[.]. dB")
 def test_abrupt_noise_from_a_complex_beam_is_rendered_as_asked() -> None:
     """Noise that is switched on sounds down to 0 Hz, where no filter has a phase."""
     rate = 16e3

@@ -136,7 +136,7 @@ def test_what_float32_does_not_hold_is_refused_when_it_arises(engine: str, reque
     )
     paths = clsim.find_paths(made, 0)
     with pytest.raises(
-        InputError, match=r"^receivers: must hear what float32 holds, but of 'r' sample \d+ is -?(inf|nan)"
+        InputError, match=r"^receivers: must receive what float32 holds, but of 'r' sample \d+ is -?(inf|nan)"
     ):
         clsim.render(paths, 192e3, engine=engine, responses="centre", duration=0.01)
 

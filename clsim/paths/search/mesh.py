@@ -244,8 +244,8 @@ def _report_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> Non
     """Warn that rays have been shot, and of how many paths they are likely to have missed besides those by `walls`."""
     met = np.unique(walls, axis=0)
     warn(
-        f"{reason}: paths by small walls can be missed, at least about {rays.missed(met):.2g} besides {len(met)} that "
-        "were met, as two halves of the rays tell; lower max_order for a search that misses none"
+        f"{reason}: paths by small walls can be missed. Two halves of the rays, compared, give {rays.missed(met):.2g} "
+        f"missed sequences of walls at least, besides {len(met)} found; a lower max_order misses none"
     )
 
 

@@ -91,15 +91,16 @@ class OpenclEngine:
             reached = self.residuals[i].level_db
             if reached > filters.residual_db > -math.inf:
                 warn(
-                    f"source {i}: air, walls and directivities were held within {reached:.1f} dB, not the "
+                    f"source {i}: air, walls and directivities are approximated to {reached:.1f} dB, not the "
                     f"{filters.basis.requested_db:g} dB asked for; ask for a smaller response_error_db"
                 )
             wrong, time = self._coarse[i]
             wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
             if wrong_db > self._plan.motion_error_db + 6.0:  # that of the delay filters
                 warn(
-                    f"source {i}: at about {time:.3f} s ends are so near and fast, or turn so sharply, that even the "
-                    f"shortest blocks are wrong by {wrong_db:.0f} dB of the received level; sample faster, or keep off"
+                    f"source {i}: at about {time:.3f} s it passes a receiver so near and fast, or turns so sharply, "
+                    f"that even the shortest blocks have an error of {wrong_db:.0f} dB re the received level; "
+                    "raise the sampling rate or the distance"
                 )
 
     def note_coarse(self, source: int, wrong: float, time: float) -> None:

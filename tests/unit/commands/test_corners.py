@@ -66,7 +66,7 @@ def test_a_receiver_that_no_path_reaches_is_told(corner_scene: Path, capsys) -> 
     assert main(["check", str(corner_scene)]) == 0
     printed = capsys.readouterr()
     assert "receivers[0]: 'corner' is inside at 0 s" in printed.out
-    assert printed.err.endswith("clsim: warning: receivers[0]: no path reaches 'corner'; it will hear nothing\n")
+    assert printed.err.endswith("clsim: warning: receivers[0]: no path reaches 'corner'; its output is silent\n")
     assert "reaches 0 dB of the strongest path (diffraction = 1 adds it)" in printed.err
 
 
@@ -78,7 +78,7 @@ def test_a_receiver_outside_is_refused_by_name_by_every_command(
     assert main([door, str(corner_scene), *(["-o", str(tmp_path / "out")] if door == "run" else [])]) == 2
     error = capsys.readouterr().err
     assert error.startswith(
-        f"clsim: error: {corner_scene}: receivers[0].trajectory: must be where other ends are audible, but 'corner'"
+        f"clsim: error: {corner_scene}: receivers[0].trajectory: must lie in the same air as the other sources and receivers, but 'corner'"
     )
     assert error.count("\n") == 1
 

@@ -134,7 +134,7 @@ def test_who_stands_starts_and_turns_is_heard(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "given", "message"),
     [
-        (BVH.replace("Frames: 5", "Frames: 4") + "0 " * 12, {}, "a.txt, line 21: must tell of 1 frames"),
+        (BVH.replace("Frames: 5", "Frames: 4") + "0 " * 12, {}, "a.txt, line 21: must be the number of frames that follow, 1,"),
         (BVH + "0 0 0", {}, r"a.txt, line 23: must hold 12 numbers, but is '0 0 0'"),
         (BVH.replace("CHANNELS 3 Y", "CHANNELS 2 Y"), {}, "line 12: must be CHANNELS, their number and their names"),
         (BVH.replace("Frame Time: 0.01", "Frame Time: 0"), {}, "must be Frames: N and Frame Time"),

@@ -89,7 +89,9 @@ def test_a_room_whose_walls_are_solids_is_a_room() -> None:
     assert house.shape.watertight
     scene(house)
     for places, name in ((((1, 1, 1), (3, 2, 3.1)), "sources"), (((1, 1, 3.1), (3, 2, 1)), "receivers")):
-        with pytest.raises(clsim.InputError, match="must be where other ends are audible") as error:
+        with pytest.raises(
+            clsim.InputError, match="must lie in the same air as the other sources and receivers"
+        ) as error:
             scene(house, places)
         assert error.value.field == f"{name}[0].trajectory"
     two = [clsim.Receiver(n, clsim.Trajectory.fixed(p)) for n, p in (("a", (3, 2, 1)), ("b", (4, 2, 3.1)))]
@@ -186,7 +188,7 @@ def test_a_transmitter_that_hears_and_a_receiver_that_sounds_are_told() -> None:
     with pytest.warns(clsim.ClsimWarning) as caught:
         built(ear, sender)
     assert [str(w.message) for w in caught] == [
-        "sources[0].transducer: MA40S4R is a receiver, told in V/Pa; the transmitter is MA40S4S",
-        "receivers[0].transducer: MA40S4S is a transmitter, told in Pa/V; the receiver is MA40S4R",
+        "sources[0].transducer: MA40S4R is a receiving transducer, given in V/Pa; the transmitter is MA40S4S",
+        "receivers[0].transducer: MA40S4S is a transmitting transducer, given in Pa/V; the receiver is MA40S4R",
     ]
     built(clsim.Transducer.resonance(40e3, 2.4e3, 0.01, "MA40S4R"), ear)  # a measured one, by the same name
