@@ -34,6 +34,7 @@ from clsim.files.sound import read_sound_file
 from clsim.impulse_responses import ImpulseResponses, as_response_band
 from clsim.numerics.convolution import band_taper
 from clsim.paths.path_table import labelled_dataset
+from clsim.scene.directivity.ambisonic import Ambisonic
 from clsim.scene.directivity.head_related import EARS
 from clsim.tail.zones import DiffuseField
 
@@ -476,13 +477,17 @@ def lateral_measures(
         if pair is None:
             continue
         rows = _rows(field, pair, responses.receiver_names)
+        factors = _factors(responses.scene)[rows]
         first = np.nanmin(
             np.append(responses.first_arrivals[:, rows], np.full((len(found["lf"]), 1), np.inf), axis=1), axis=1
         )
         for s in np.flatnonzero(np.isfinite(first)).tolist():
             begin = responses.lead + math.floor(first[s] * rate)
             for b, centre in enumerate(centres.tolist()):
-                one, other = (cut_to_band(responses.samples[s, r], rate, centre, share) for r in rows)
+                one, other = (
+                    cut_to_band(responses.samples[s, r] / factor, rate, centre, share)
+                    for r, factor in zip(rows, factors, strict=True)
+                )
                 if field == "microphones":
                     found["lf"][s, b], found["lfc"][s, b] = lateral_fractions(one, other, rate, begin)
                 else:
@@ -492,6 +497,12 @@ def lateral_measures(
                     found["iacc_late"][s, b] = interaural_correlation(one[early:], other[early:], rate)
     values = {name: read_only(one) for name, one in found.items()}
     return LateralMeasures(read_only(centres), **values, source_names=responses.source_names)
+
+
+def _factors(scene: Scene) -> Floats:
+    """Factors of all rows of receivers over microphones of gain 1 along their axes: ambisonic ones can be of N3D."""
+    kinds = (end.directivity for end in scene.receivers)
+    return np.concatenate([d.scale if isinstance(d, Ambisonic) else np.ones(len(d.channels)) for d in kinds])
 
 
 def _rows(field: str, pair: Any, names: tuple[str, ...]) -> list[int]:

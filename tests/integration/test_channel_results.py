@@ -136,8 +136,8 @@ def damaged(kind, path):
     ("kind", "message"),
     [
         ("header", "must be a SOFA file"), ("truncated", "must be a SOFA file"), ("text", "must be a SOFA file"),
-        ("huge", "must hold at most 512 MiB, but unpacks to"), ("unfilled", "must hold finite numbers"),
-        ("unknown", "must be of the convention SimpleFreeFieldHRIR, "), ("numbers", "must hold finite numbers"),
+        ("huge", "must unpack to at most 512 MiB, but to"), ("unfilled", "must hold finite real numbers"),
+        ("unknown", "must be of the convention SimpleFreeFieldHRIR, "), ("numbers", "must hold finite real numbers"),
         ("folder", "cannot be read"),
     ],
 )  # fmt: skip

@@ -190,3 +190,48 @@ def test_damaged_files_are_refused(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(clsim.InputError, match=r"head\.sofa"):
         clsim.Receiver.binaural("head", clsim.Trajectory.fixed((1.0, 1.0, 1.0)), path)
+
+
+@pytest.mark.parametrize(
+    ("field", "dtype", "message"),
+    [
+        ("Data.IR", ">f8", ""),
+        ("Data.IR", "f2", "finite real numbers"),  # netCDF's library reads these as addresses of text
+        ("Data.IR", "c16", "finite real numbers"),
+        ("Data.Delay", "S2", "finite real numbers"),
+        ("Data.SamplingRate", "S5", "one sampling rate above 0 Hz"),
+        ("SourcePosition", "S5", "three finite numbers in each row of SourcePosition"),
+    ],
+)
+def test_numbers_of_other_types_are_read_or_refused(tmp_path, field, dtype, message):
+    """What HDF5 can hold, written over a whole file."""
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "head.sofa"
+    sofa_file(path, "SimpleFreeFieldHRIR")
+    whole = clsim.HeadRelated.from_sofa(path)
+    with h5py.File(path, "a") as file:
+        values, attributes = file[field][...], dict(file[field].attrs)
+        del file[field]
+        for name, value in attributes.items():
+            if name in ("Type", "Units"):
+                file.require_dataset(field, values.shape, dtype).attrs[name] = value
+        file.require_dataset(field, values.shape, dtype)[...] = values.astype(dtype)
+    if message:
+        with pytest.raises(clsim.InputError, match=rf"path: must .*{message}.*head\.sofa"):
+            clsim.HeadRelated.from_sofa(path)
+    else:
+        np.testing.assert_array_equal(clsim.HeadRelated.from_sofa(path).responses, whole.responses)
+
+
+def test_one_rate_in_hertz(tmp_path):
+    """Rates that differ by measurement, and other units, are refused rather than misread."""
+    netcdf = pytest.importorskip("netCDF4")
+    path = tmp_path / "head.sofa"
+    sofa_file(path, "SimpleFreeFieldHRIR")
+    with netcdf.Dataset(path, "a") as file:
+        file["Data.SamplingRate"].Units = "kilohertz"
+    with pytest.raises(clsim.InputError, match="sampling rate in hertz, but it is in 'kilohertz'"):
+        clsim.HeadRelated.from_sofa(path)
+    sofa_file(path, "SimpleFreeFieldHRIR", Data_SamplingRate=np.linspace(44.1e3, RATE, 200))
+    with pytest.raises(clsim.InputError, match="must have one sampling rate"):
+        clsim.HeadRelated.from_sofa(path)

@@ -196,11 +196,12 @@ def test_a_decoded_recording_is_what_ears_hear():
     sound = clsim.Signal.noise(0.2, RATE, 1, band=(200.0, 1.2e3), fade=0.02)
     receivers = [
         clsim.Receiver.ambisonic("seven", clsim.Trajectory.fixed(PLACE), order=7),
+        clsim.Receiver.ambisonic("N3D", clsim.Trajectory.fixed(PLACE), order=7, normalization="N3D"),
         clsim.Receiver.ambisonic("one", clsim.Trajectory.fixed(PLACE), order=1),
         clsim.Receiver.binaural("head", clsim.Trajectory.fixed(PLACE)),
     ]
     source = clsim.Source("s", sound, clsim.Trajectory.fixed((25.0, 23.0, 21.0)))
-    scene = clsim.Scene(room, clsim.Air(speed_of_sound=343.0), [source], receivers)
+    scene = clsim.Scene(room, clsim.Air(), [source], receivers)
     found = clsim.render(clsim.find_paths(scene, max_order=0), RATE, duration=0.25)
     ears = found.samples[found.rows_of("head")]
 
@@ -210,9 +211,14 @@ def test_a_decoded_recording_is_what_ears_hear():
         return np.linalg.norm(decoded.pressure - ears) / np.linalg.norm(ears)
 
     assert error("seven") <= 10 ** (-80.0 / 20.0)
+    assert error("N3D") <= 10 ** (-80.0 / 20.0)
     assert error("one") > 0.1
     with pytest.raises(clsim.InputError, match="ambisonic"):
         clsim.decode_binaural(found, receiver="head")
+    with pytest.raises(clsim.InputError, match="normalization: must be SN3D of 'seven', but is 'N3D'"):
+        clsim.decode_binaural(found, receiver="seven", normalization="N3D")
+    with pytest.raises(clsim.InputError, match="hrtf: must be a SOFA file or a directivity of two ears"):
+        clsim.decode_binaural(found, clsim.Omni())
 
 
 def test_lateral_measures_take_heads_and_components():
@@ -222,6 +228,7 @@ def test_lateral_measures_take_heads_and_components():
     receivers = [
         clsim.Receiver.binaural("head", facing),
         clsim.Receiver.ambisonic("hoa", facing, 1),
+        clsim.Receiver.ambisonic("N3D", facing, 1, "N3D"),
         clsim.Receiver("omni", clsim.Trajectory.fixed((4.5, 2.1, 1.4))),
         clsim.Receiver("eight", clsim.Trajectory.fixed((4.5, 2.1, 1.4)), clsim.FirstOrder(0.0), aim=(0.0, 1.0, 0.0)),
     ]
@@ -230,6 +237,8 @@ def test_lateral_measures_take_heads_and_components():
     responses = clsim.impulse_responses(paths, 16e3, band=(200.0, 6e3), tail="off", lead="keep")
     made = clsim.lateral_measures(responses, "hoa", "head")
     apart = clsim.lateral_measures(responses, ("omni", "eight"), ("head left", "head right"))
-    np.testing.assert_allclose(made.lf, apart.lf, rtol=1e-6)
+    for one in (made, clsim.lateral_measures(responses, "N3D")):
+        np.testing.assert_allclose(one.lf, apart.lf, rtol=1e-6)
+        np.testing.assert_allclose(one.lfc, apart.lfc, rtol=1e-6)
     np.testing.assert_array_equal(made.iacc, apart.iacc)
     assert np.all((made.iacc > 0.0) & (made.iacc <= 1.0))

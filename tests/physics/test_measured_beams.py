@@ -93,7 +93,9 @@ def test_abrupt_noise_from_a_complex_beam_is_rendered_as_asked() -> None:
 def test_one_frequency_of_a_complex_beam_tells_what_it_cannot_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsim.numerics.band_filters.LONGEST", 513)
     scene = world(noise(), loudspeaker(), OCTAVES)
-    with pytest.warns(clsim.ClsimWarning, match=r"source 0: .* approximated to -\d\d dB from .* phase at \d+ Hz, .*fade the"):
+    with pytest.warns(
+        clsim.ClsimWarning, match=r"source 0: .* approximated to -\d\d dB from .* phase at \d+ Hz, .*fade the"
+    ):
         plan = clsim.plan_render(clsim.find_paths(scene, 0), 16e3, responses="centre")
     assert len(plan.source_filters[0].basis) == 2
 

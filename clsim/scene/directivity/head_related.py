@@ -156,7 +156,7 @@ class HeadRelated(ChannelDirectivity):
 
     @classmethod
     def from_sofa(cls, path: str | PathLike[str], **options: Any) -> HeadRelated:
-        """Return the responses of a SOFA file (AES69), through the package ``sofar`` (``pip install 'clsim[sofa]'``).
+        """Return the responses of a SOFA file (AES69), through the package ``netCDF4`` (``pip install 'clsim[sofa]'``).
 
         Parameters
         ----------

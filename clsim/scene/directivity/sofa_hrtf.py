@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.errors import InputError
-from clsim.scene.directivity.sofa_files import axes_of, cartesian, opened_sofa
+from clsim.scene.directivity.sofa_files import axes_of, cartesian, opened_sofa, sampling_rate_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,16 +27,14 @@ def read_hrtf(path: Path) -> tuple[Floats, Floats, float]:
     except (AttributeError, ValueError, TypeError, IndexError, KeyError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError("path", f"must be a whole SOFA file, but has no readable field for: {error}") from error
+        raise InputError("path", f"must be a whole SOFA file, but {error}") from error
 
 
 def _read(sofa: Any) -> tuple[Floats, Floats, float]:
-    convention = getattr(sofa, "GLOBAL_SOFAConventions", "none")
+    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
     if convention not in _CONVENTIONS:
         raise InputError("path", f"must be of the convention {', '.join(_CONVENTIONS)}, but is of {convention!r:.80}")
     responses, rate = _impulses(sofa) if "IR" in convention else _transformed(sofa)  # (M, 2, n, E)
-    if responses.shape[1] != 2 or 0 in responses.shape:
-        raise InputError("path", f"must have two receivers, ears, but holds data of the shape {responses.shape}")
     measurements, emitters = responses.shape[0], responses.shape[3]
     # A single emitter is what its source is, whatever type the convention gives by default.
     if emitters > 1 and str(getattr(sofa, "EmitterPosition_Type", "cartesian")) == "spherical harmonics":
@@ -47,15 +45,18 @@ def _read(sofa: Any) -> tuple[Floats, Floats, float]:
 
 def _impulses(sofa: Any) -> tuple[Floats, float]:
     """Return impulse responses (M, R, n, E), delays included, and their rate, Hz."""
-    samples, rate = _filled(sofa.Data_IR, 4), float(np.ravel(sofa.Data_SamplingRate)[0])
-    if not rate > 0.0:
-        raise InputError("path", f"must have a sampling rate above 0 Hz, but has {rate:g} Hz")
-    late = _filled(getattr(sofa, "Data_Delay", np.zeros((1, 2))), 3)
+    samples, rate = _filled(sofa.Data_IR, 4), sampling_rate_of(sofa)
+    late = _filled(getattr(sofa, "Data_Delay", np.zeros((1, 2))), 3, ears=1)
+    if late.shape[0] not in (1, samples.shape[0]) or late.shape[2] not in (1, samples.shape[3]):
+        raise InputError("path", f"must have a delay per measurement or per ear, but has {late.shape[0]}")
     late = np.broadcast_to(late, (*samples.shape[:2], samples.shape[3]))
     if not np.any(late):
         return samples, rate
     if not 0.0 <= late.min() <= late.max() <= _MOST_DELAY * rate:
-        raise InputError("path", f"must have delays from 0 to {_MOST_DELAY:g} s, but has {late.max() / rate:.3g} s")
+        raise InputError(
+            "path",
+            f"must have delays of 0 to {_MOST_DELAY:g} s, but has {late.min() / rate:.3g} to {late.max() / rate:.3g} s",
+        )
     size = samples.shape[2] + 2 * int(np.ceil(late.max())) + 64
     turn = np.exp(-2j * np.pi * late[:, :, None] * np.fft.rfftfreq(size)[:, None])
     return np.fft.irfft(np.fft.rfft(samples, size, axis=2) * turn, size, axis=2), rate
@@ -75,12 +76,13 @@ def _transformed(sofa: Any) -> tuple[Floats, float]:
     return np.fft.irfft(values, axis=2), float(2.0 * frequencies[-1])
 
 
-def _filled(data: Any, axes: int) -> Floats:
-    """Return data with so many axes, of which sofar drops the last where their length is 1; finite."""
-    array = np.ma.filled(np.asanyarray(data, dtype=np.float64), np.nan)
-    array = array.reshape(array.shape + (1,) * (axes - array.ndim))
-    if array.ndim != axes or not np.isfinite(array).all():
-        raise InputError("path", f"must hold finite numbers with {axes} axes, but does not")
+def _filled(data: Floats, axes: int, ears: int = 2) -> Floats:
+    """Give finite data (M, R, ...) so many axes, of which files may leave out the last."""
+    array: Any = data.reshape(data.shape + (1,) * (axes - data.ndim))
+    if array.ndim != axes or 0 in array.shape or array.shape[1] not in (2, ears):
+        raise InputError("path", f"must have responses of two ears in {axes} axes, but has the shape {data.shape}")
+    if not np.isfinite(array).all():
+        raise InputError("path", "must hold finite real numbers, but does not")
     return np.asarray(array)
 
 

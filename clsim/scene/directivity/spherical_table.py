@@ -24,7 +24,7 @@ from clsim.scene.directivity.directivity import (
     over_axis,
     table_band,
 )
-from clsim.scene.directivity.sofa_files import axes_of, cartesian, opened_sofa
+from clsim.scene.directivity.sofa_files import axes_of, cartesian, opened_sofa, sampling_rate_of
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -151,7 +151,7 @@ class SphericalDirectivity(Directivity):
 
     @classmethod
     def from_sofa(cls, path: str | PathLike[str], measurement: int = 0, **options: Any) -> SphericalDirectivity:
-        """Return the directivity in a SOFA file (AES69), through the package ``sofar`` (``pip install 'clsim[sofa]'``).
+        """Return the directivity in a SOFA file (AES69), through ``netCDF4`` (``pip install 'clsim[sofa]'``).
 
         Parameters
         ----------
@@ -206,13 +206,11 @@ def _read_sofa_table(path: str | PathLike[str], measurement: int) -> tuple[Float
     except InputError as error:
         raise InputError(error.field, f"{error.problem}: {path}") from error
     except (AttributeError, ValueError, TypeError, IndexError) as error:
-        raise InputError(
-            "path", f"must be a whole SOFA file, but has no readable field for: {error}: {path}"
-        ) from error
+        raise InputError("path", f"must be a whole SOFA file, but {error}: {path}") from error
 
 
 def _read(sofa: Any, measurement: int) -> tuple[Floats, Floats, NDArray[np.complex128]]:
-    convention = getattr(sofa, "GLOBAL_SOFAConventions", "none")
+    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
     if convention not in _CONVENTIONS:
         raise InputError("path", f"must be of the convention {', '.join(_CONVENTIONS)}, but is of {convention!r:.80}")
     if sofa.GLOBAL_DataType not in ("TF", "FIR"):
@@ -233,8 +231,8 @@ def _read(sofa: Any, measurement: int) -> tuple[Floats, Floats, NDArray[np.compl
 
 
 def _of(data: Any, measurement: int) -> Floats:
-    """Return one measurement (R, N) of data (M, R, N), whose last axes are dropped by sofar where their length is 1."""
-    array: Any = np.ma.filled(np.asanyarray(data, dtype=np.float64), np.nan)
+    """Return one measurement (R, N) of data (M, R, N), of which files may leave out the last axis."""
+    array: Any = data
     array = array.reshape(array.shape + (1,) * (3 - array.ndim))
     as_count("measurement", measurement, at_least=0, at_most=array.shape[0] - 1)
     return np.asarray(array[measurement])
@@ -245,7 +243,7 @@ def _transformed(sofa: Any, measurement: int) -> tuple[Floats, NDArray[np.comple
     from scipy.fft import next_fast_len, rfft, rfftfreq
 
     samples = _of(sofa.Data_IR, measurement)
-    rate = float(np.ravel(sofa.Data_SamplingRate)[0])
+    rate = sampling_rate_of(sofa)
     size = next_fast_len(_PADDING * samples.shape[1], real=True)
     frequencies = np.asarray(rfftfreq(size, 1.0 / rate), dtype=np.float64)
     delay = np.atleast_2d(np.asarray(sofa.Data_Delay, dtype=np.float64))

@@ -45,7 +45,7 @@ def test_named_pipes_and_devices_are_no_files(name: str, tmp_path: Path) -> None
 def test_what_is_no_file_is_named_without_the_package_that_would_read_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "sofar", None)
+    monkeypatch.setitem(sys.modules, "netCDF4", None)
     with pytest.raises(InputError, match="No such file"):
         READERS["beam.sofa"](tmp_path / "beam.sofa")
 

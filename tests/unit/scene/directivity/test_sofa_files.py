@@ -185,6 +185,6 @@ def test_other_conventions_and_odd_geometry(tmp_path: Path) -> None:
 
 def test_without_the_package_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = transfer_functions(tmp_path / "a.sofa")
-    monkeypatch.setitem(sys.modules, "sofar", None)
+    monkeypatch.setitem(sys.modules, "netCDF4", None)
     with pytest.raises(clsim.InputError, match=r"pip install 'clsim\[sofa\]'"):
         SphericalDirectivity.from_sofa(path)
