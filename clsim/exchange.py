@@ -18,7 +18,7 @@ from clsim.files.sound import as_frames
 from clsim.packages import check_packages
 from clsim.paths.ground_truth import direct_path
 from clsim.recording import as_recording
-from clsim.scene.receiver_array import array_elements
+from clsim.scene.receiver_array import array_elements, row_receivers
 from clsim.version import __version__
 
 if TYPE_CHECKING:
@@ -220,7 +220,7 @@ def write_mat(recording: Recording, path: str | PathLike[str], *, rate: float = 
     ``receiver_names`` and ``units``; ``carrier``, Hz, in baseband; ``clsim_version``. With paths: ``source_names``,
     ``times`` (1, T), s, and at these ``delay``, ``doppler_factor``, ``line_of_sight`` and ``radial_speed`` (sources,
     receivers, T), as in `DirectPath`, ``source_positions`` (sources, T, 3) and ``receiver_positions`` (receivers, T,
-    3), m.
+    3), m. ``samples`` has a row for each channel; ``receivers`` is the receiver of each row, from 1.
     """
     rate = as_number("rate", rate, above=0.0, at_most=10e3, unit="Hz")
     content: dict[str, Any] = {
@@ -233,6 +233,7 @@ def write_mat(recording: Recording, path: str | PathLike[str], *, rate: float = 
     if recording.carrier is not None:
         content["carrier"] = float(recording.carrier)
     if recording.paths is not None:
+        content["receivers"] = 1 + row_receivers(recording.paths.scene.receivers)
         content |= _ground_truth(recording.paths, truth_times(recording, recording.paths.scene, rate))
     for name, values in content.items():
         if isinstance(values, np.ndarray) and values.nbytes > _LARGEST:

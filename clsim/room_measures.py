@@ -172,10 +172,8 @@ class _Given:
         if not peak > 0.0:
             raise InputError("responses", f"must hold a response, but {path} is silent")
         if len(samples) < _SHORTEST * rate:
-            length = 1e3 * len(samples) / rate
-            raise InputError(
-                "responses", f"must last {1e3 * _SHORTEST:g} ms at least, but {path} lasts {length:.3g} ms"
-            )
+            lasts = f"{1e3 * len(samples) / rate:.3g} ms"
+            raise InputError("responses", f"must last {1e3 * _SHORTEST:g} ms at least, but {path} lasts {lasts}")
         if is_clipped(samples):
             warn(f"{path} is clipped: several samples in a row are at full scale, so early energies are wrong")
         begin = int(np.argmax(np.abs(samples) >= peak * 10.0 ** (_ONSET_DB / 20.0)))
@@ -469,25 +467,18 @@ def lateral_measures(
         raise InputError("responses", f"must be ImpulseResponses, but are {responses!r:.80}")
     centres = band_centres(responses.band, bands)
     share, rate = 2.0 ** (0.5 / BANDS[bands]), responses.sampling_rate
-    found = {
-        name: np.full((len(responses.source_names), len(centres)), math.nan)
-        for name in ("lf", "lfc", "iacc", "iacc_early", "iacc_late")
-    }
+    samples = responses.samples / _factors(responses.scene)[:, None]
+    shape, names = (len(samples), len(centres)), ("lf", "lfc", "iacc", "iacc_early", "iacc_late")
+    found = {name: np.full(shape, math.nan) for name in names}
     for field, pair in (("microphones", microphones), ("ears", ears)):
         if pair is None:
             continue
         rows = _rows(field, pair, responses.receiver_names)
-        factors = _factors(responses.scene)[rows]
-        first = np.nanmin(
-            np.append(responses.first_arrivals[:, rows], np.full((len(found["lf"]), 1), np.inf), axis=1), axis=1
-        )
+        first = np.fmin.reduce(responses.first_arrivals[:, rows], axis=1)  # NaN where neither has a path
         for s in np.flatnonzero(np.isfinite(first)).tolist():
             begin = responses.lead + math.floor(first[s] * rate)
             for b, centre in enumerate(centres.tolist()):
-                one, other = (
-                    cut_to_band(responses.samples[s, r] / factor, rate, centre, share)
-                    for r, factor in zip(rows, factors, strict=True)
-                )
+                one, other = (cut_to_band(samples[s, r], rate, centre, share) for r in rows)
                 if field == "microphones":
                     found["lf"][s, b], found["lfc"][s, b] = lateral_fractions(one, other, rate, begin)
                 else:
@@ -495,8 +486,8 @@ def lateral_measures(
                     found["iacc"][s, b] = interaural_correlation(one, other, rate)
                     found["iacc_early"][s, b] = interaural_correlation(one[:early], other[:early], rate)
                     found["iacc_late"][s, b] = interaural_correlation(one[early:], other[early:], rate)
-    values = {name: read_only(one) for name, one in found.items()}
-    return LateralMeasures(read_only(centres), **values, source_names=responses.source_names)
+    values = (read_only(found[name]) for name in names)
+    return LateralMeasures(read_only(centres), *values, responses.source_names)
 
 
 def _factors(scene: Scene) -> Floats:

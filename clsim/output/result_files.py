@@ -17,6 +17,7 @@ from clsim.files.sound import WavWriter
 from clsim.numerics.quaternions import rotate
 from clsim.packages import check_packages
 from clsim.paths.path_table import PathTable, long_columns
+from clsim.scene.receiver_array import row_receivers
 from clsim.version import __version__
 
 if TYPE_CHECKING:
@@ -131,7 +132,7 @@ def write_responses(responses: ImpulseResponses, path: str | os.PathLike[str]) -
 
     path: of the file; its suffix says which it is. An ``.npz`` holds the fields of `ImpulseResponses`, names, positions
     and orientations. A ``.sofa`` is a SingleRoomSRIR (AES69) with a measurement for every source and receiver,
-    receivers fastest.
+    receivers fastest. Each channel of a receiver is a row, at the receiver's place.
     """
     suffix = Path(path).suffix
     if suffix == ".npz":
@@ -157,9 +158,9 @@ def _columns(responses: ImpulseResponses) -> dict[str, Any]:
         "source_names": np.array(responses.source_names),
         "receiver_names": np.array(responses.receiver_names),
         "source_positions": _positions(scene.sources, at),
-        "receiver_positions": _positions(scene.receivers, at),
+        "receiver_positions": _positions(scene.receivers, at)[row_receivers(scene.receivers)],
         "source_orientations": _orientations(scene.sources, at),
-        "receiver_orientations": _orientations(scene.receivers, at),
+        "receiver_orientations": _orientations(scene.receivers, at)[row_receivers(scene.receivers)],
     }
 
 
@@ -189,7 +190,7 @@ def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> No
     )
     pairs: tuple[tuple[str, Sequence[Source | Receiver], Any], ...] = (
         ("Source", responses.scene.sources, np.repeat(np.arange(sources), receivers)),
-        ("Listener", responses.scene.receivers, np.tile(np.arange(receivers), sources)),
+        ("Listener", responses.scene.receivers, np.tile(row_receivers(responses.scene.receivers), sources)),
     )
     for name, ends, rows in pairs:
         turned = _orientations(ends, responses.at)[rows]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
 
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from clsim.scene.directivity.directivity import Directivity
 
@@ -113,6 +113,11 @@ def _of_each(arguments: dict[str, Any], count: int, directivities: Any, aims: An
         for one, value in zip(each, values, strict=True):
             one[key] = value
     return each
+
+
+def row_receivers(receivers: Sequence[Receiver]) -> NDArray[np.int64]:
+    """Return the index of the receiver of each row of recordings (rows,)."""
+    return np.repeat(np.arange(len(receivers)), [len(receiver.rows) for receiver in receivers])
 
 
 def array_elements(receivers: Sequence[Receiver], array: str | None) -> list[int]:

@@ -105,6 +105,24 @@ def test_an_array_is_one_file_of_as_many_channels(scene, tmp_path, store, more):
             assert opened["channel"].values.tolist()[-3:] == ["0", "1", "2"]
 
 
+def test_rows_of_channels_lie_where_their_receiver_does(scene, tmp_path):
+    """Impulse responses and MATLAB files name a place for each row: seven of three receivers."""
+    sofar, loadmat = pytest.importorskip("sofar"), pytest.importorskip("scipy.io").loadmat
+    file = clsim.load_scene(scene)
+    paths = clsim.find_paths(file.scene, max_order=1)
+    places = np.array([end.trajectory.position(0.0) for end in file.scene.receivers])[[0, 0, 0, 0, 1, 2, 2]]
+    for kind in ("npz", "sofa"):
+        assert main(["rir", str(scene), "-o", str(tmp_path / f"a.{kind}"), "--tail", "off"]) == 0
+    with np.load(tmp_path / "a.npz") as found:
+        np.testing.assert_array_equal(found["receiver_positions"], places)
+        samples = found["samples"]
+    sofa = sofar.read_sofa(str(tmp_path / "a.sofa"), verbose=False)
+    np.testing.assert_array_equal(sofa.ListenerPosition, np.tile(places, (samples.shape[0], 1)))
+    np.testing.assert_array_equal(sofa.Data_IR[:, 0], samples.reshape(-1, samples.shape[2]))
+    clsim.write_mat(clsim.render(paths, 16e3, duration=0.05), tmp_path / "a.mat")
+    assert loadmat(tmp_path / "a.mat")["receivers"].ravel().tolist() == [1, 1, 1, 1, 2, 3, 3]
+
+
 def damaged(kind, path):
     """Write a file of head-related responses that is not what it should be."""
     if kind in ("huge", "unfilled"):
