@@ -486,8 +486,8 @@ def lateral_measures(
                     found["iacc"][s, b] = interaural_correlation(one, other, rate)
                     found["iacc_early"][s, b] = interaural_correlation(one[:early], other[:early], rate)
                     found["iacc_late"][s, b] = interaural_correlation(one[early:], other[early:], rate)
-    values = (read_only(found[name]) for name in names)
-    return LateralMeasures(read_only(centres), *values, responses.source_names)
+    values = {name: read_only(one) for name, one in found.items()}
+    return LateralMeasures(read_only(centres), **values, source_names=responses.source_names)
 
 
 def _factors(scene: Scene) -> Floats:
