@@ -61,8 +61,8 @@ class Passage:
 
         Shapes: direction (..., 3); velocity (..., 3) m/s.
         """
-        growth = np.sum(direction * velocity, axis=-1) / self.speed
-        return np.asarray(growth if self.carried is None else growth + np.sum(self.carried * velocity, axis=-1))
+        growth = _dot(direction, velocity) / self.speed
+        return np.asarray(growth if self.carried is None else growth + _dot(self.carried, velocity))
 
     def slowness(self, direction: Floats) -> Floats:
         """Gradient of the travel time by the receiver's position (..., 3), s/m, for paths that run in a direction."""
@@ -81,6 +81,11 @@ class Passage:
             return direction
         slowness = self.slowness(direction)
         return np.asarray(slowness / np.linalg.norm(slowness, axis=-1, keepdims=True))
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Return the products (...) of vectors (..., 3), summed as `numpy.sum` does, without what it costs for three."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 class LegTable(Protocol):
@@ -122,6 +127,11 @@ class Medium(Protocol):
     @property
     def fluctuation(self) -> Fluctuation | None:
         """Noise of delays."""
+        ...
+
+    @property
+    def wind(self) -> tuple[float, float, float] | None:
+        """Velocity of the air, m/s; None where it rests."""
         ...
 
     def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> Floats | None:
@@ -290,20 +300,23 @@ def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], 
     Shapes: delay (P, T) s.
 
     travel: takes paths p (n,), indices t (n,) of times and times of emission (n,), s; returns the travel times (n,), s,
-    and by how much these fall per second as the source moves on, the Mach number (n,) towards the way.
+    and by how much these fall per second as the source moves on, the Mach number (n,) towards the way. At first p and t
+    are slices of all, and n is (P, T).
 
     For a source below the speed of sound there is one solution.
     """
     delay = np.array(delay)
-    active: NDArray[np.bool_] = np.ones(delay.shape, dtype=bool)
+    p: Any = slice(None)  # all at first
+    t: Any = slice(None)
+    active: NDArray[np.bool_] = np.empty(delay.shape, dtype=bool)
     for _ in range(_NEWTON_LIMIT):
-        p, t = np.nonzero(active)
-        if not len(p):
-            break
         time, mach = travel(p, t, times[t] - delay[p, t])
         step = (time - delay[p, t]) / (1.0 - mach)
         delay[p, t] += step
         active[p, t] = np.abs(step) > _CONVERGED + 4e-16 * np.abs(times[t])
+        p, t = np.nonzero(active)
+        if not len(p):
+            break
     return delay
 
 
@@ -327,7 +340,8 @@ def arrivals_by(
         """Departure of sound from `start` (m): direction, effect of the medium on the path, its means along it."""
         length, direction = leg_table.leave(p, t, start)
         means = medium.means(leg_table, p, t, start)
-        return direction, medium.passage(length, receiver_at[t] - start, means), means
+        apart = start if medium.wind is None else receiver_at[t] - start  # of no matter without wind
+        return direction, medium.passage(length, apart, means), means
 
     def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
         """Return the time that sound takes which was emitted at a time (s), and how fast that time grows with it."""

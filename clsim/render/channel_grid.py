@@ -134,6 +134,7 @@ def nodes_of(start: int, stop: int, spacing: int) -> range:
     return range(start // spacing - NODES + 1, (stop - 1) // spacing + NODES + 1)
 
 
+_LEFT_OUT_DB = -100.0  # of all functions at any frequency: ends of their filters that are left out
 _STOPPED_DB = 100.0  # by which responses fall from the band's end to half the sampling rate: without it they ring long
 
 
@@ -141,7 +142,7 @@ _STOPPED_DB = 100.0  # by which responses fall from the band's end to half the s
 class ChannelFilters:
     """Filters of a source's functions of frequency in a sampled channel."""
 
-    filters: Floats  # (K, L), each through the low-pass beyond the band
+    filters: Floats  # (K, L), each through the low-pass beyond the band, without ends that add nothing
     source: SourceFilters
 
     @classmethod
@@ -149,7 +150,12 @@ class ChannelFilters:
         """Return the filters of a source."""
         rate = source.signal.sampling_rate
         taper = low_pass_between(source.band, 0.5 * rate, rate, _STOPPED_DB)
-        return cls(np.stack([np.convolve(taps, taper) for taps in source.filters]), source)
+        filters = np.stack([np.convolve(taps, taper) for taps in source.filters])
+        half = filters.shape[1] // 2
+        both = np.abs(filters[:, half:]) + np.abs(filters[:, half::-1])
+        beyond = np.linalg.norm(np.cumsum(both[:, ::-1], axis=1)[:, ::-1], axis=0)  # bounds what taps from there on add
+        kept = max(int(np.count_nonzero(beyond > 10 ** (_LEFT_OUT_DB / 20))), 1) - 1
+        return cls(filters[:, half - kept : half + kept + 1], source)
 
     @property
     def ringing(self) -> int:

@@ -282,6 +282,7 @@ class SourceSignals:
         self.crossings = Crossings(tail.receiver_zones, of_scene.paths.scene.receivers, self._rate, plan.samples + NODE)
         self._waves: Waves | None = None
         self._sent_before: dict[int, tuple[int, NDArray[Any]]] = {}
+        self._read_before: tuple[int, NDArray[Any]] = (0, np.empty(0))
 
     @property
     def waves(self) -> Waves:
@@ -355,8 +356,12 @@ class SourceSignals:
         return math.ceil(zones.reach / self._air.speed_of_sound * self._rate) + self.between.half + 2 * NODE
 
     def _emitted(self, first: int, last: int) -> NDArray[Any]:
-        begin = round(self._filters.start * self._rate)
-        return self._filters.signal.read(first - begin, last - begin)
+        """Return samples of the signal; the last stretch is kept, of which all zones read parts."""
+        begin, known = self._read_before
+        if not begin <= first <= last <= begin + len(known):
+            at = round(self._filters.start * self._rate)
+            begin, known = self._read_before = first, self._filters.signal.read(first - at, last - at)
+        return known[first - begin : last - begin]
 
 
 def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:

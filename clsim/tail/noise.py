@@ -173,13 +173,13 @@ def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.
     times, streams, _ = energy.shape
     length = math.ceil(times * tail.time_step * rate)
     size = _SLOWEST * next_fast_len(-(-(length + _RINGING) // _SLOWEST), real=True)
-    centres, joined = joined_bands(tail.centres, energy)
+    centres, parts = joined_bands(tail.centres, energy)
     shares = band_shares(np.arange(size // 2 + 1) * (rate / size), centres).astype(np.float32)
     slowness = _slowness(centres, rate)
     groups = [(n, *_envelope_places(length, n, tail.time_step * rate, times)) for n in np.unique(slowness).tolist()]
     taps = np.empty((streams, length), np.float32)
-    for some in (slice(k, min(k + TOGETHER, streams)) for k in range(0, streams, TOGETHER)):
-        level = np.sqrt(joined(energy[:, some]) / (tail.time_step * rate)).astype(np.float32)
+    for first, joined in zip(range(0, streams, TOGETHER), parts, strict=True):
+        level = np.sqrt(joined / (tail.time_step * rate)).astype(np.float32)
         level = np.ascontiguousarray(np.moveaxis(level, 0, 2))  # (k, J, T)
         rise = np.diff(level, axis=2, append=level[..., -1:])
         spectra = rfft(rng.standard_normal((len(level), size), np.float32))
@@ -194,7 +194,7 @@ def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.
                 envelope *= irfft(spectra[:, :bins] * shares[b, :bins], size // slow)[:, : len(part)]
                 made[:, : len(part)] += envelope
             total[:, :bins] += rfft(made) * _fade(bins, slow)
-        taps[some] = irfft(total, size)[:, :length]
+        taps[first : first + TOGETHER] = irfft(total, size)[:, :length]
     return taps
 
 

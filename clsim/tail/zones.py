@@ -13,7 +13,7 @@ from clsim.scene.directivity.patterns import Omni
 from clsim.scene.room.shoebox import enclosure_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -92,11 +92,11 @@ def at_middles(energy: NDArray[Any]) -> Floats:
     return np.asarray(np.exp(out))
 
 
-def joined_bands(centres: Floats, energy: NDArray[Any]) -> tuple[Floats, Callable[[NDArray[Any]], NDArray[Any]]]:
-    """Return the bands (J,) in Hz in which noise is shaped, and a function that makes their energies (T, k, J).
+def joined_bands(centres: Floats, energy: NDArray[Any]) -> tuple[Floats, Iterator[NDArray[Any]]]:
+    """Return the bands (J,) in Hz in which noise is shaped, and the energies (T, k, J) of `TOGETHER` streams at a time.
 
-    It is given energies (T, k, B) of some streams. The bands are those of rays, the middles between thirds, and those
-    between sixths in which all streams together, `energy` (T, K, B), decay differently.
+    The bands are those of rays, the middles between thirds, and those between sixths in which all streams together,
+    `energy` (T, K, B), decay differently.
     """
     is_third = np.isclose(3.0 * np.log2(centres / 1000.0) % 1.0, [[0.0], [1.0]], atol=1e-6).any(axis=0)
     sixths = with_middles(centres[is_third])
@@ -107,17 +107,13 @@ def joined_bands(centres: Floats, energy: NDArray[Any]) -> tuple[Floats, Callabl
         found[..., traced] = energy
         return found
 
-    steep = _steep(sum(in_sixths(part).sum(axis=1) for part in _parts(energy)))
+    parts = [in_sixths(energy[:, k : k + TOGETHER]) for k in range(0, energy.shape[1], TOGETHER)]
+    steep = _steep(sum(part.sum(axis=1) for part in parts))
     if not steep.any():
-        return sixths, in_sixths
+        return sixths, iter(parts)
     kept = np.ones(2 * len(sixths) - 1, np.bool_)
     kept[1::2] = steep
-    return with_middles(sixths)[kept], lambda energy: at_middles(in_sixths(energy))[..., kept]
-
-
-def _parts(energy: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return the energies (T, K, B) of some streams after another: few enough that they stay in cache."""
-    return [energy[:, k : k + TOGETHER] for k in range(0, energy.shape[1], TOGETHER)]
+    return with_middles(sixths)[kept], (at_middles(part)[..., kept] for part in parts)
 
 
 def _steep(energy: Floats) -> NDArray[np.bool_]:
@@ -241,8 +237,11 @@ class Zones:
             nearest = np.arange(len(self)) == np.linalg.norm(self.poses - pose, axis=1).argmin()
             return np.asarray(np.repeat(nearest[:, None].astype(np.float64), len(times), axis=1))
         poses = _poses(end, times, self.radius, turning=turning, beams=self.beams)
-        apart = np.linalg.norm(poses - self.poses[:, None], axis=2)
-        share = np.maximum(1.0 - apart / _REACH, 0.0)
+        square = np.zeros((len(self), len(times)))
+        for place, middle in zip(poses.T, self.poses.T, strict=True):
+            if place.any() or middle.any():  # axes are all 0 where nothing turns
+                square += np.square(place - middle[:, None])
+        share = np.maximum(1.0 - np.sqrt(square) / _REACH, 0.0)
         return np.asarray(share / np.sqrt(np.maximum(np.sum(share**2, axis=0), 1e-12)))
 
 

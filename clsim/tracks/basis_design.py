@@ -73,7 +73,7 @@ def scene_basis(drawn: Draw, band_at: Callable[[int], Band], sampling_rate: floa
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):
         found = _Functions.of(rows, count, allowed)
-        while found.error(rows).max() > allowed and count < MOST_FUNCTIONS:
+        while found.worst > allowed and count < MOST_FUNCTIONS:
             count += 1
             found = _Functions.of(rows, count, allowed)
         wrong = held_out.wrong(found.left(held_out.responses), found.nodes)
@@ -178,6 +178,7 @@ class _Functions:
     shapes: Floats | Complexes
     nodes: NDArray[np.int64]
     projection: Floats
+    worst: float = math.inf  # largest error over all windows and frames of the rows
 
     @staticmethod
     def of(rows: _Rows, count: int, allowed: float) -> _Functions:
@@ -199,10 +200,11 @@ class _Functions:
                 shapes = shapes + 1j * (found[:, frequencies:] / weight)
             functions = _Functions(shapes, nodes, _projection(shapes, nodes, weight))
             wrong = functions.error(rows)
-            if not allowed < wrong.max() < _HOPELESS * allowed:
+            worst = float(wrong.max())
+            if not allowed < worst < _HOPELESS * allowed:
                 break
-            emphasis *= 1.0 + 3.0 * wrong / wrong.max()
-        return functions
+            emphasis *= 1.0 + 3.0 * wrong / worst
+        return replace(functions, worst=worst)
 
     @property
     def parts(self) -> int:

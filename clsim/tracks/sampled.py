@@ -44,6 +44,7 @@ _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at leas
 _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
 _TOGETHER = 512  # responses that are worked on together
+_IN_CACHE = 8192  # arrivals that are worked on together: larger arrays are fresh memory at every step
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 4096  # of each
 _QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
@@ -134,7 +135,7 @@ class Sample:
         at_nodes, received = (self.by_frame(r[:, nodes] * weight).sum(axis=1) for r in (left, self.responses))
         return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(received, 1e-300))))
 
-    @property
+    @cached_property
     def importance(self) -> Floats:
         """Weight (F,) of errors at each frequency: largest energy in any window, relative to its received energy."""
         energy, count = self.band.energy, len(self.band.frequencies)
@@ -246,23 +247,33 @@ def picked_paths(
             paths, start, end = paths.part(some), start[some], end[some]
         times = np.sort(rng.uniform(0.0, last, instants))
         times[[0, -1]] = 0.0, last
-        found = paths.arrivals(times, tracks.kinematics)
-        received = (times >= start[:, None]) & (times < end[:, None])
-        level = np.where(received, np.abs(paths.response(found, times, at_centre)[..., 0]), 0.0)
-        level[level < _SILENT] = 0.0
         share = -(-count // (len(pairs) * instants))
-        drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]
-        most = max((len(rows) for _, rows, _ in drawn), default=1)
-        each = max(_TOGETHER // most, 1) if paths.family.one_by_one else 1
-        for begin in range(0, len(drawn), each):
-            part = drawn[begin : begin + each]
-            counts = [len(rows) for _, rows, _ in part]
-            scale = np.concatenate([np.sqrt(standing) / np.linalg.norm(level[:, t]) for t, _, standing in part])
-            rows = np.concatenate([rows for _, rows, _ in part])
-            at = np.repeat([t for t, _, _ in part], counts)[:, None]
-            when = times[at] if paths.family.one_by_one else times[at[0]]
-            first = tuple(np.cumsum([0, *counts]).tolist())
-            yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale[:, None], first)
+        together = instants if paths.family.one_by_one else max(_IN_CACHE // max(len(start), 1), 1)
+        for part in (times[i : i + together] for i in range(0, instants, together)):
+            found = paths.arrivals(part, tracks.kinematics)
+            received = (part >= start[:, None]) & (part < end[:, None])
+            level = np.where(received, np.abs(paths.response(found, part, at_centre)[..., 0]), 0.0)
+            level[level < _SILENT] = 0.0
+            yield from _drawn(paths, (found, part, level), share, rng)
+
+
+def _drawn(
+    paths: PairPaths, at: tuple[Arrivals, Floats, Floats], share: int, rng: np.random.Generator
+) -> Iterator[Picked]:
+    """Yield `share` paths of each instant (T,), of their arrivals and levels (P, T) there."""
+    found, times, level = at
+    drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]
+    most = max((len(rows) for _, rows, _ in drawn), default=1)
+    each = max(_TOGETHER // most, 1) if paths.family.one_by_one else 1
+    for begin in range(0, len(drawn), each):
+        part = drawn[begin : begin + each]
+        counts = [len(rows) for _, rows, _ in part]
+        scale = np.concatenate([np.sqrt(standing) / np.linalg.norm(level[:, t]) for t, _, standing in part])
+        rows = np.concatenate([rows for _, rows, _ in part])
+        instant = np.repeat([t for t, _, _ in part], counts)[:, None]
+        when = times[instant] if paths.family.one_by_one else times[instant[0]]
+        first = tuple(np.cumsum([0, *counts]).tolist())
+        yield Picked(paths.part(rows), found.part(rows[:, None], instant), when, scale[:, None], first)
 
 
 def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:

@@ -97,8 +97,7 @@ def test_bands_join_without_lengthening_decays(table: Table, measured: Callable[
     bands = traced_bands(scene_of(table), 250.0, 16e3)
     f = np.geomspace(100.0, 16e3, 800)
     traced = box_decays.energy(by_order, table, bands)[:, None]
-    centres, energies = joined_bands(bands, traced)
-    energy = energies(traced)
+    centres, (energy,) = joined_bands(bands, traced)
     joined = (np.sqrt(energy[:, 0]) @ band_shares(f, centres)) ** 2
     exact, off = box_decays.energy(by_order, table, f), []
     for parts, count in ((1, 4), (3, 10)):

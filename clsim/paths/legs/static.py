@@ -156,15 +156,23 @@ class _Images:
 
     def __init__(self, leg: StaticLeg, folds: Folds | None, receiver_at: Floats) -> None:
         self._matrix, self._receiver_at, self._folds = leg.matrix, receiver_at, folds
-        self._mirrored = np.einsum("pji,ptj->pti", leg.matrix, receiver_at[None] - leg.offset[:, None, :])
+        at = receiver_at[:1] if np.all(receiver_at == receiver_at[:1]) else receiver_at  # one place if it rests
+        mirrored = np.einsum("pji,ptj->pti", leg.matrix, at[None] - leg.offset[:, None, :])
+        self._mirrored = np.broadcast_to(mirrored, (len(leg), len(receiver_at), 3))
+        self._left: tuple[Floats, Floats] | None = None  # places of which all left last, and in which directions
 
     def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
         """Return lengths (m) and directions of the straight paths from `start` to the mirrored receivers."""
-        return straight(start, self._mirrored[p, t])
+        length, direction = straight(start, self._mirrored[p, t])
+        if direction.shape == start.shape == self._mirrored.shape:
+            self._left = start, direction
+        return length, direction
 
     def arrive(self, start: Floats) -> Floats:
         """Return the directions in which sound arrives, turned by each image's matrix, `(paths, times, 3)`."""
-        return np.asarray(np.einsum("pij,ptj->pti", self._matrix, straight(start, self._mirrored)[1]))
+        left = self._left
+        direction = left[1] if left is not None and left[0] is start else straight(start, self._mirrored)[1]
+        return np.asarray(np.einsum("pij,ptj->pti", self._matrix, direction))
 
     def seen(self) -> Floats:
         """Return the receivers as they are seen from the source, mirrored, `(paths, times, 3)` m."""

@@ -76,7 +76,7 @@ def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple
     for margin in _MARGINS:
         shift = emission.max_rate * filters.band
         spacing = math.floor(rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
-        if spacing < _LEAST_SPACING or not _is_cheaper(emission, filters, mine, spacing):
+        if spacing < _LEAST_SPACING or not _is_cheaper(emission, filters, mine, spacing, longest):
             return None, ""
         tracks = continued(of_scene, 2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate)
         why = _obstacle(emission, mine, shift, margin)
@@ -115,13 +115,12 @@ def _allowed_db(options: RenderOptions) -> float:
     return options.interpolator.error_db
 
 
-def _is_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int], spacing: int) -> bool:
+def _is_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int], spacing: int, longest: float) -> bool:
     """Test whether the processor time of sampled channels is below that of the sum over paths, or is requested."""
     if emission.options.channels:
         return True
     tracks, known = emission.tracks, measured_costs()
     paths = sum(len(tracks.pairs[pair]) for pair in pairs)
-    longest = tracks.longest_delay(0.0, emission.until, emission.source)
     work = _work(filters, (paths, len(pairs)), spacing, longest, emission.until)
     costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
     samples = min(emission.signal.duration + longest, emission.until) * emission.signal.sampling_rate
