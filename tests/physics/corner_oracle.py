@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _PANELS, _POINTS = 1000, 8  # of Gauss and Legendre, over u of z = apex + w sinh(u)
+_BOTH_PANELS = 160  # of each of two edges
 _SHARPEST = 2e-3  # m, the width w: of an edge whose boundary is nearer than that the pole is integrated apart
 
 
@@ -134,3 +135,46 @@ def box(size: tuple[float, float, float]) -> tuple[list[Edge], list[Face]]:
                 out = unit[one] * (1.0 if a == 0.0 else -1.0)
                 edges.append(Edge(start, start - lengths[axis] * unit[axis], across, out, 1.5 * np.pi))
     return edges, faces
+
+
+def field_of_both(
+    edges: tuple[Edge, Edge], ends: tuple[np.ndarray, np.ndarray], k: float, near: tuple[float, float], within: float
+) -> complex:
+    """Return the field over two edges that see each other, by one integral along both of them.
+
+    Places farther than `within` from those given on either edge fade out, as if edges went on for ever. Each end must
+    be in the shadow of the edge that is not next to it: elsewhere the integrand has a pole.
+    """
+    x, w = np.polynomial.legendre.leggauss(_POINTS)
+    borders = np.linspace(-1.0, 1.0, _BOTH_PANELS + 1)
+    share = (borders[:-1, None] + (x + 1.0) / _BOTH_PANELS).ravel()
+    off = np.clip(2.0 * np.abs(share) - 1.0, 0.002, 0.998)
+    weight = within * np.tile(w, _BOTH_PANELS) / _BOTH_PANELS / (1.0 + np.exp(1.0 / (1.0 - off) - 1.0 / off))
+    seen = [edge.cylindrical(end) for edge, end in zip(edges, ends, strict=True)]
+    units = [(edge.stop - edge.start) / np.linalg.norm(edge.stop - edge.start) for edge in edges]
+    along = [place + within * share for place in near]
+    places = [edge.start + z[:, None] * unit for edge, z, unit in zip(edges, along, units, strict=True)]
+    total = 0.0j
+    for z, place, scale in zip(along[0], places[0], weight, strict=True):
+        apart = np.linalg.norm(places[1] - place, axis=1)
+        product, way = scale * weight / apart, apart.copy()
+        for i, (at, away) in enumerate(((np.full(len(share), z), places[1]), (along[1], place))):
+            (r, angle, height), edge = seen[i], edges[i]
+            x_y = np.moveaxis(away - edge.start, -1, 0)
+            across, out, up = (np.tensordot(axis, x_y, 1) for axis in (edge.across, edge.out, units[i]))
+            turned = np.arctan2(out, across)
+            turned = turned + 2.0 * np.pi * (turned < 0.5 * (edge.wedge - 2.0 * np.pi))
+            eta = np.arcsinh((at - height) / r) + np.arcsinh((at - up) / np.hypot(across, out))
+            product = product * _directivity(edge.wedge, angle, turned, eta)
+            leg = np.hypot(r, at - height)
+            product, way = product / leg, way + leg
+        total += np.sum(product * np.exp(-1j * k * way))
+    return complex(total)
+
+
+def _directivity(wedge: float, one: float, other: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """Return ``-ν β / 4π`` of equation 27 for ends at two angles about an edge."""
+    nu = np.pi / wedge
+    angles = [nu * (np.pi + sign * other + turn * one) for sign, turn in ((1, -1), (-1, 1), (-1, -1), (1, 1))]
+    beta = sum(np.sin(a) / (2.0 * np.sinh(0.5 * nu * eta) ** 2 + 2.0 * np.sin(0.5 * a) ** 2) for a in angles)
+    return np.asarray(-nu / (4.0 * np.pi) * beta)

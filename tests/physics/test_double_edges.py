@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edge_fields import jumps
+from corner_oracle import Edge, field_of_both
+from edge_fields import field, jumps
 from pillar_bem import HEIGHT, PILLAR, RECEIVERS, SIDE, SOURCE, WALLS, C, field_behind
 from scipy.special import hankel2
 
@@ -201,6 +202,40 @@ def test_no_jump_where_the_second_edge_takes_over(measured: Callable[..., float]
     )
     without = PathSet(paths.scene, tuple(f for f in paths.families if f.kind != "static edge pair"))
     assert 20.0 * np.log10(jumps(without, events, TONE).max()) > -10.0
+
+
+@pytest.mark.parametrize("ends", [((-1.0, 0.1, -0.4), (1.1, -0.1, -0.5)), ((-0.6, 0.3, -0.5), (1.3, -0.3, -0.2))])
+def test_over_the_top_of_a_wedge_shaped_block(ends: Any, measured: Callable[..., float]) -> None:
+    """Edges of one face at 15 degrees to each other, against one integral along both."""
+    slope = np.tan(np.radians(15.0))
+    foot = [(-0.2, -0.4 / slope), (0.2 + TALL * slope, TALL), (-0.2, TALL)]
+    corners = [(*place, z) for z in (-TALL, 0.0) for place in foot]
+    sides = [(i, (i + 1) % 3, 3 + (i + 1) % 3) for i in range(3)] + [(i, 3 + (i + 1) % 3, 3 + i) for i in range(3)]
+    block = clsim.MeshRoom(corners, [*sides, (3, 4, 5)], clsim.Material.from_reflection(1.0))
+    source, ear = (clsim.Trajectory.fixed(end) for end in ends)
+    scene = clsim.Scene(
+        block, clsim.Air(absorption=False, speed_of_sound=C),
+        [clsim.Source("s", clsim.Signal.tone(TONE, 0.01, RATE), source)], [clsim.Receiver("r", ear)],
+    )  # fmt: skip
+    double = of_kind(clsim.find_paths(scene, 2, diffraction=2), "static edge pair")
+    [pair] = double.pairs()
+    rows = np.flatnonzero((double.order == 2) & (pair.arrivals(np.zeros(1)).length[:, 0] < 4.0))
+    assert len(rows) == 1
+    found = field(PathSet(scene, (double.part(rows),)), np.zeros(1), TONE)[0]
+    edges, up = [], np.array([0.0, 0.0, 1.0])
+    for along, place, turn in (((0.0, 1.0), (-0.2, 0.0), 1.0), ((slope, 1.0), (0.2, 0.0), -1.0)):
+        unit = np.append(along, 0.0) / np.hypot(*along)
+        edges.append(
+            Edge(np.append(place, 0.0), np.append(place, 0.0) + unit, turn * np.cross(unit, up), up, 1.5 * np.pi)
+        )
+    near = [float((met[:2] - edge.start[:2]) @ (edge.stop - edge.start)[:2])
+            for met, edge in zip(double.vertices(rows, 0.0)[0, 1:3], edges, strict=True)]  # fmt: skip
+    both = field_of_both(
+        (edges[0], edges[1]), (np.array(ends[0]), np.array(ends[1])), 2.0 * np.pi * TONE / C, (near[0], near[1]), 0.5
+    )
+    # Along the face either edge sends twice as much as off it.
+    error = 20.0 * np.log10(abs(found - 0.5 * both) * np.linalg.norm(np.subtract(*ends)))
+    assert measured("over two edges of a face at 15 degrees", "an integral along both", error, -103.0) < -103.0
 
 
 @pytest.mark.parametrize("standing", [0.0005, 0.002, 0.5])

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from corner_oracle import Edge, field_of_both
 from edge_fields import field, jumps
 from pillar_bem import C, field_about
 from scipy.optimize import minimize
@@ -179,6 +180,34 @@ def test_no_jump_behind_two_screens(measured: Callable[..., float]) -> None:
         assert len(events) >= 2
         worst.append(decibels(jumps(paths, events, TONE)))
     assert measured("walks behind two screens", "no jump", max(worst), -66.0) < -66.0
+
+
+@pytest.mark.parametrize("slope", [0.2, -0.5, 1.0])
+def test_behind_skew_edges(slope: float, measured: Callable[..., float]) -> None:
+    """Edges at up to 45 degrees to each other, from the shadow of either into that of the other."""
+    lean = np.array([0.0, slope, 1.0]) / np.hypot(slope, 1.0)
+    start = np.array([0.3, 0.1 - 0.9 * slope, 0.0]) - TALL * lean
+    stop = start + 2.0 * TALL * lean
+    corners = [start, stop, stop - [0.0, 5.0 * TALL, 0.0], start - [0.0, 5.0 * TALL, 0.0]]
+    leaning = clsim.MeshRoom(np.array(corners), [(0, 1, 2), (0, 2, 3)], HARD, labels=["leaning"] * 2)
+    room = clsim.MeshRoom.joined([screen(-0.3, (-5.0 * TALL, 0.0), (-TALL, TALL)), leaning])
+    source, ear = (-1.0, -0.6, 0.8), (1.2, -0.9 - 0.3 * abs(slope), 1.2)
+    scene = scene_of(room, source, [ear])
+    paths = clsim.find_paths(scene, 2, diffraction=2)  # with the terms by faces of both
+    family = next(f for f in paths.families if f.kind == "static edge gap")
+    rows = np.flatnonzero(short(family) & (family.order == 2))
+    assert len(rows) == 1
+    found = field(PathSet(scene, (family.part(rows),)), np.array([1.0]), TONE)[0]
+    met = family.vertices(rows, 1.0)[0, 1:3]
+    ends = [np.array(end) for end in (source, ear)]
+    edges, zero = [], np.array([1.0, 0.0, 0.0])
+    for along, place in zip((np.array([0.0, 0.0, 1.0]), lean), met, strict=True):
+        across = np.cross(along, zero) * -np.sign(np.cross(along, zero)[1])
+        edges.append(Edge(place, place + along, across, np.cross(along, across), 2.0 * np.pi))
+    exact = field_of_both((edges[0], edges[1]), (ends[0], ends[1]), 2.0 * np.pi * TONE / C, (0.0, 0.0), 0.6)
+    error = decibels((found - exact) * np.linalg.norm(ends[1] - ends[0]))
+    assert decibels(exact * np.linalg.norm(ends[1] - ends[0])) > -63.0
+    assert measured("behind two skew edges", "an integral along both", error, -105.0) < -105.0
 
 
 def short(family: Any) -> np.ndarray:
