@@ -145,7 +145,7 @@ def test_both_find_the_same(name: str, wanted) -> None:
 # Not here, since these scenes do not see them: an end before the other edge (`fmin(heard.r, sent.r)`), which takes edges
 # that are not parallel; and the place on the edge standing still for the legs (`moves[mine]` given to `path_status`), whose
 # clearance is by the move of the place all the same.
-MUTANTS = {
+FOLD_MUTANTS = {
     "the place on an edge does not slide": ("reach * (length + 2.0 * reach) / left", "0.0"),
     "no bound of the slide is none": ("/ left : s->far", "/ left : 0.0"),
     "as far in the air as off the edge": ("at.r * sin(beside)", "at.r"),
@@ -200,19 +200,18 @@ GAP_MUTANTS = {
     "the other end's leg": ("s->side ? at.received_at : at.emitted_at, apex[s->side]", "s->side ? at.emitted_at : at.received_at, apex[s->side]"),
     "across the last leg": ("legs[2] * (legs[0] + legs[1]))", "legs[2] * (legs[1] - legs[0]))"),
 }  # fmt: skip
+MUTANTS = FOLD_MUTANTS | GAP_MUTANTS
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "rooms"),
-    [(["valid outside"], ["into the fold"]), exhaustive((MUTANTS, FOLDS)), exhaustive((GAP_MUTANTS, [BOARDS]))],
+    [(["valid outside"], ["into the fold"]), exhaustive((FOLD_MUTANTS, FOLDS)), exhaustive((GAP_MUTANTS, [BOARDS]))],
     ids=["one", "all", "across air"],
 )
 def test_mutants_are_caught(names, rooms, wanted, monkeypatch: pytest.MonkeyPatch) -> None:
     found = {room: wanted(room) for room in rooms}
-    mutants = Mutants(
-        "edge_intervals", {name: (MUTANTS | GAP_MUTANTS)[name] for name in names}, optimised=len(names) > 1
-    )
+    mutants = Mutants("edge_intervals", {name: MUTANTS[name] for name in names}, optimised=len(names) > 1)
     mutants.play(monkeypatch)
     assert agree(found), "none of them is chosen"
     assert mutants.unseen(lambda: agree(found)) == []
