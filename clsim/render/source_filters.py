@@ -85,7 +85,7 @@ class Emission:
         """Bound on how fast its delays change, s/s."""
         return self.tracks.max_rate(self.source)
 
-    def basis(self, band: tuple[float, float], rate: float) -> Basis:
+    def basis(self, band: tuple[float, float], rate: float, envelope: bool = False) -> Basis:
         """Return the functions of frequency that its paths need, within a band at most, both in Hz."""
         (least, high), sound, options, of_scene = band, self.sound, self.options, self.tracks.of_scene
         flat = flat_basis(self.signal.centre_frequency)
@@ -102,7 +102,8 @@ class Emission:
         band_at = partial(band_of, low, high, sound)
         if not at_centre:
             requested_db = min(floor_db, options.response_error_db)
-            return scene_basis(self.drawn(), band_at, rate, requested_db)
+            drawn = self.drawn()
+            return scene_basis(drawn, band_at, rate, requested_db, envelope and drawn.tracks.paths.turns_phases)
         if of_scene.paths.is_complex:
             return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)
         return flat
