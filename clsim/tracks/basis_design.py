@@ -175,7 +175,7 @@ class _Rows:
         return 1 + int(np.iscomplexobj(self.sample.responses))
 
     def shapes(self, vectors: Floats | Complexes, count: int) -> Floats | Complexes:
-        """Return functions (K, F) by the first vectors along the axes: one for each, or for each two that are paired."""
+        """Return functions (K, F) by the first vectors along the axes: one for each, or two that are paired."""
         frequencies = len(self.weight)
         if self.paired:
             one = vectors[: count // 2] @ self.axes / self.weight
