@@ -181,8 +181,8 @@ class _Rows:
             one = vectors[: count // 2] @ self.axes / self.weight
             return np.stack([one, 1j * one], axis=1).reshape(-1, frequencies)
         found = vectors[:count] @ self.axes
-        shapes: Floats | Complexes = found[:, :frequencies] / self.weight
-        return shapes + 1j * (found[:, frequencies:] / self.weight) if self.parts == 2 else shapes
+        shapes: Any = found[:, :frequencies] / self.weight
+        return np.asarray(shapes + 1j * (found[:, frequencies:] / self.weight) if self.parts == 2 else shapes)
 
     def least(self, allowed: float) -> int:
         """Return a number of functions below which the mean error of all rows is above what is allowed, at least 1."""
@@ -241,7 +241,7 @@ class _Functions:
         return rows.sample.wrong(self.left(rows.sample.responses), self.nodes)
 
 
-def _square(rows: Floats) -> Floats:
+def _square(rows: Any) -> Any:
     """Return a matrix with the same singular values and vectors along rows, of no more rows than columns."""
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > 2 * rows.shape[1] else rows
 

@@ -387,7 +387,7 @@ class Run:
         )  # fmt: skip
 
 
-def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(values: Sequence[int] | NDArray[np.int64]) -> list[tuple[int, int]]:
     """Return the maximal ranges of equal values."""
     changes = (np.flatnonzero(np.diff(values)) + 1).tolist()
     return list(zip([0, *changes], [*changes, len(values)], strict=True))
