@@ -46,7 +46,7 @@ def measured(function: Any, *arguments: Any, repeat: int = 1, **options: Any) ->
 
 
 def rendered(paths: PathSet, duration: float, repeat: int) -> tuple[float, float, float]:
-    """Return how long paths are received, all together, and the processor's seconds of planning and of rendering."""
+    """Return the time in which paths are received, summed, and processor times of planning and of rendering, s."""
     last = [np.minimum(family.end, duration) - np.maximum(family.start, 0.0) for family in paths.families]
     plan, planning = measured(clsim.plan_render, paths, RATE, repeat=repeat, duration=duration)
     _, seconds = measured(lambda: list(clsim.Rendering(plan).pieces()), repeat=repeat + 1)

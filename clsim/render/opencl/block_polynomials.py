@@ -207,7 +207,7 @@ class Residual:
             here = self._squares.setdefault(first + i, np.zeros((2, self._receivers)))
             here[:, receiver] += squares[:, i]
 
-    def heard(self, segment: int, receiver: NDArray[np.int32]) -> Floats:
+    def level(self, segment: int, receiver: NDArray[np.int32]) -> Floats:
         """Squared level (n,) at some receivers of the paths that were added to a segment."""
         known = self._squares.get(segment)
         return np.zeros(len(receiver)) if known is None else known[1, receiver]

@@ -262,8 +262,8 @@ class Run:
         own = nodes.residual[1]
         if not self._beside:
             return np.ones(len(own))
-        heard = self._engine.residuals[self._source].heard
-        before = np.stack([heard(first + i, self._batch.receiver) for i in range(len(own))])
+        level = self._engine.residuals[self._source].level
+        before = np.stack([level(first + i, self._batch.receiver) for i in range(len(own))])
         return np.asarray(np.sqrt(own / np.maximum(own + before, 1e-30)).max(axis=1))
 
     def _levels(self, error: Floats, level: int) -> NDArray[np.int64]:
