@@ -276,7 +276,7 @@ PROGRAMS = {
             "envelope_row": taken("int", "receivers"),
             **ENVELOPE,
         },
-        frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"}),
+        frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK", "PAIRED"}),
     ),
     "baseband_fades": Program(
         (

@@ -145,6 +145,12 @@ class PathSet:
         """Whether responses of any path have phases."""
         return any(family.is_complex for family in self.families)
 
+    @property
+    def turns_phases(self) -> bool:
+        """Whether fields at edges or scatterers turn phases by any angle."""
+        vertices = (getattr(family, "vertex", None) for family in self.families)
+        return any(vertex is not None and vertex.is_complex for vertex in vertices)
+
     def pairs(self) -> Iterator[tuple[NDArray[np.int64], PairPaths]]:
         """Yield the paths of every kind, source and receiver that has any: their rows here, and what they are."""
         first = 0

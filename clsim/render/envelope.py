@@ -195,7 +195,7 @@ def envelope_filters(emission: Emission, half: float, low_pass: Floats, removed_
     baseband, interpolator = Baseband(*options.baseband), options.interpolator
     assert isinstance(interpolator, Bandlimited)  # as the options have checked
     sampling_rate, max_rate = emission.signal.sampling_rate, emission.max_rate
-    basis = emission.basis((baseband.carrier - half, baseband.carrier + half), sampling_rate)
+    basis = emission.basis((baseband.carrier - half, baseband.carrier + half), sampling_rate, envelope=True)
     rate = baseband.sampling_rate or 0.0
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64

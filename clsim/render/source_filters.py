@@ -85,7 +85,7 @@ class Emission:
         """Bound on how fast its delays change, s/s."""
         return self.tracks.max_rate(self.source)
 
-    def basis(self, band: tuple[float, float], rate: float) -> Basis:
+    def basis(self, band: tuple[float, float], rate: float, envelope: bool = False) -> Basis:
         """Return the functions of frequency that its paths need, within a band at most, both in Hz."""
         (least, high), sound, options, of_scene = band, self.sound, self.options, self.tracks.of_scene
         flat = flat_basis(self.signal.centre_frequency)
@@ -102,7 +102,8 @@ class Emission:
         band_at = partial(band_of, low, high, sound)
         if not at_centre:
             requested_db = min(floor_db, options.response_error_db)
-            return scene_basis(self.drawn(), band_at, rate, requested_db)
+            drawn = self.drawn()
+            return scene_basis(drawn, band_at, rate, requested_db, envelope and drawn.tracks.paths.turns_phases)
         if of_scene.paths.is_complex:
             return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)
         return flat
@@ -112,7 +113,13 @@ class Emission:
         assert isinstance(self.options.interpolator, Bandlimited)
         low, high = self.sound.bounds(10 ** ((self.options.interpolator.error_db - 6.0) / 10))
         known = measured_costs()
-        return known.plain + known.wide * (high - low) / (0.5 * self.signal.sampling_rate)
+        return self._numbers * (known.plain + known.wide * (high - low) / (0.5 * self.signal.sampling_rate))
+
+    @property
+    def _numbers(self) -> int:
+        """Real gains in place of one: two where fields turn phases. Those of envelopes are complex and cost as one."""
+        of_scene = self.tracks.of_scene
+        return 1 + int(of_scene is not None and of_scene.paths.turns_phases)
 
     def cost_of_rest(self, loud: float) -> float:
         """Processor time, ns, of what narrow bands leave, by the share of time in which that is not silent.
@@ -121,7 +128,8 @@ class Emission:
         spectra.
         """
         known = measured_costs()
-        return (self.cost_of_whole() - known.plain + _OF_A_WINDOW * known.rest) * loud
+        of_functions = self.cost_of_whole() - self._numbers * known.plain
+        return (of_functions + self._numbers * _OF_A_WINDOW * known.rest) * loud
 
     def band_limited(self, times: int) -> tuple[float, float, Floats]:
         """End of the band that matters, Hz, the share of the energy above it, dB, and the band limit."""

@@ -32,6 +32,8 @@ class Basis:
     # within 40 ms, relative to that sum, dB. Where the request was not given, both are the reached one.
     requested_db: float
     error_db: float
+    # Whether the second of every two functions is the first one times j, so that envelopes have complex gains.
+    paired: bool = False
 
     def __len__(self) -> int:
         return len(self.projection)

@@ -45,7 +45,9 @@ def turning_basis(source: int, frequency: float, band: Band, sampling_rate: floa
     )  # fmt: skip
 
 
-def scene_basis(drawn: Draw, band_at: Callable[[int], Band], sampling_rate: float, error_db: float) -> Basis:
+def scene_basis(
+    drawn: Draw, band_at: Callable[[int], Band], sampling_rate: float, error_db: float, paired: bool = False
+) -> Basis:
     """Return the fewest functions that hold the responses of a source's paths within an error.
 
     Phases of paths are as good as random, so that what a receiver hears, and the error of it, are the roots of sums of
@@ -54,7 +56,7 @@ def scene_basis(drawn: Draw, band_at: Callable[[int], Band], sampling_rate: floa
     singular vectors, real and imaginary parts side by side, weighted by what sounds at any moment: the best for the
     sum. Instants held worst are given more weight. They are then checked at other responses, and those of the instants
     held worst are added until all are within the error. A delay that all responses have about in common is taken out,
-    and given to the filters.
+    and given to the filters. `Basis.paired` functions are singular vectors of complex responses, each also times j.
     """
     allowed = 10 ** ((error_db - _MARGIN_DB) / 20)
     late = drawn.common_delay(band_at(drawn.grids[0]), sampling_rate)
@@ -69,21 +71,21 @@ def scene_basis(drawn: Draw, band_at: Callable[[int], Band], sampling_rate: floa
         held.within(error_db)
     held_out = drawn.responses(band, held_out=True)
     sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
-    rows = _Rows.of(sampled)
+    rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):
         found = _Functions.of(rows, count, allowed)
         while found.worst > allowed and count < MOST_FUNCTIONS:
-            count += 1
+            count += step
             found = _Functions.of(rows, count, allowed)
         wrong = held_out.wrong(found.left(held_out.responses), found.nodes)
         if wrong.max() <= allowed or count == MOST_FUNCTIONS:
             break
         # What is held worst joins the rows; if that does not do, one more function is needed.
-        rows = _Rows.of(rows.sample.with_frames(held_out, np.argsort(-wrong)[:3]))
-        count += int(attempt % 2 == 0)
+        rows = _Rows.of(rows.sample.with_frames(held_out, np.argsort(-wrong)[:3]), paired)
+        count += step * int(attempt % 2 == 0)
     held = replace(held, functions=count, functions_db=_in_db(float(wrong.max())))
-    return _designed(found, rows.sample, error_db, held)
+    return _designed(found, rows.sample, error_db, held, paired)
 
 
 def _in_db(ratio: float) -> float:
@@ -101,7 +103,7 @@ def _unresolved(responses: Floats | Complexes) -> Floats | Complexes:
     return left
 
 
-def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) -> Basis:
+def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, paired: bool) -> Basis:
     """Return functions as filters, scaled so that at no instant the gains of all paths add up to more than 1."""
     band, loudness = sample.band, sample.loudness()
     flat = np.ptp(found.shapes.real) <= 10 ** (error_db / 20) * np.abs(found.shapes).max()
@@ -112,6 +114,8 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) ->
             np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), loudness, error_db, reached
         )
     together = sample.by_frame(found.gains(sample.responses))
+    if paired:
+        together = np.maximum(together[:, ::2], together[:, 1::2]).repeat(2, axis=1)
     scale = np.sqrt(together.max(axis=0))[:, None]
     sizes = sample.sizes(found.shapes * scale, together / scale[:, 0] ** 2)
     order = np.argsort(-sizes, kind="stable")  # weak ones need fewer branches
@@ -130,7 +134,7 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held) ->
     requested_db = max(error_db, reached)  # what is told already needs no other warning
     return Basis(
         band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, strengths, loudness, requested_db,
-        reached,
+        reached, paired,
     )  # fmt: skip
 
 
@@ -143,32 +147,49 @@ def _projection(shapes: Floats | Complexes, nodes: NDArray[np.int64], weight: Fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """A sample, and its weighted responses as places (n, r) along axes (r, parts F) that hold them all."""
+    """A sample, and its weighted responses as places (n, r) along axes that hold them all.
+
+    Axes (r, parts F) are those of real and imaginary parts side by side, or complex ones (r, F) of `paired` functions.
+    """
 
     sample: Sample
     weight: Floats
-    places: Floats
-    axes: Floats
+    places: Floats | Complexes
+    axes: Floats | Complexes
+    paired: bool
 
     @staticmethod
-    def of(sample: Sample) -> _Rows:
+    def of(sample: Sample, paired: bool) -> _Rows:
         """Return rows of responses; axes along which there is nothing but rounding are left out."""
         weight = sample.importance
-        weighted = in_parts(sample.responses * weight, 1 + int(np.iscomplexobj(sample.responses)))
+        weighted: Any = sample.responses * weight
+        if not paired:
+            weighted = in_parts(weighted, 1 + int(np.iscomplexobj(sample.responses)))
         _, sizes, axes = np.linalg.svd(_square(weighted), full_matrices=False)
         axes = axes[: max(int(np.count_nonzero(sizes > 1e-9 * sizes[0])), 1)]
-        return _Rows(sample, weight, weighted @ axes.T, axes)
+        return _Rows(sample, weight, weighted @ axes.conj().T, axes, paired)
 
     @property
     def parts(self) -> int:
         """Return 2 if responses are complex, else 1."""
         return 1 + int(np.iscomplexobj(self.sample.responses))
 
+    def shapes(self, vectors: Floats | Complexes, count: int) -> Floats | Complexes:
+        """Return functions (K, F) by the first vectors along the axes: one for each, or two that are paired."""
+        frequencies = len(self.weight)
+        if self.paired:
+            one = vectors[: count // 2] @ self.axes / self.weight
+            return np.stack([one, 1j * one], axis=1).reshape(-1, frequencies)
+        found = vectors[:count] @ self.axes
+        shapes: Any = found[:, :frequencies] / self.weight
+        return np.asarray(shapes + 1j * (found[:, frequencies:] / self.weight) if self.parts == 2 else shapes)
+
     def least(self, allowed: float) -> int:
         """Return a number of functions below which the mean error of all rows is above what is allowed, at least 1."""
         sizes = np.linalg.norm(self.places, axis=0)  # along singular vectors, falling
         left = np.sqrt(np.cumsum(sizes[::-1] ** 2))[::-1] / max(float(np.linalg.norm(sizes)), 1e-300)
-        return int(np.clip(np.count_nonzero(left > allowed), 1, MOST_FUNCTIONS))
+        count = np.count_nonzero(left > allowed) * (1 + int(self.paired))
+        return int(np.clip(count, 1 + int(self.paired), MOST_FUNCTIONS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,10 +215,7 @@ class _Functions:
         for _ in range(_EMPHASES):
             each = np.repeat(emphasis, lengths)[:, None]
             _, _, vectors = np.linalg.svd(_square(each * rows.places), full_matrices=False)
-            found = vectors[:count] @ rows.axes
-            shapes: Floats | Complexes = found[:, :frequencies] / weight
-            if rows.parts == 2:
-                shapes = shapes + 1j * (found[:, frequencies:] / weight)
+            shapes = rows.shapes(vectors, count)
             functions = _Functions(shapes, nodes, _projection(shapes, nodes, weight))
             wrong = functions.error(rows)
             worst = float(wrong.max())
@@ -225,7 +243,7 @@ class _Functions:
         return rows.sample.wrong(self.left(rows.sample.responses), self.nodes)
 
 
-def _square(rows: Floats) -> Floats:
+def _square(rows: Any) -> Any:
     """Return a matrix with the same singular values and vectors along rows, of no more rows than columns."""
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > 2 * rows.shape[1] else rows
 

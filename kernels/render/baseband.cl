@@ -1,7 +1,8 @@
 // Sum of all paths of one receiver as a complex envelope: each path's envelope, delayed, and turned by the carrier's
 // phase of the exact delay. Work-item: dimension 0 counts spans of GROUPS groups of LANES samples, dimension 1 receivers,
 // dimension 2 the receivers' CHANNELS channels, whose gains of a function stand side by side. Samples of a group share the
-// whole part of a path's delay, which is found for BATCH paths together.
+// whole part of a path's delay, which is found for BATCH paths together. Where functions are PAIRED, the second of two is the first
+// one times j: both are one complex gain of the same envelope.
 
 typedef struct {
     int whole[BATCH];   // samples of the delay
@@ -32,7 +33,7 @@ static void add_path(__global const float* branches, int stride, __constant int*
 #if FUNCTIONS <= 8
 #pragma unroll
 #endif
-    for (int k = 0; k < FUNCTIONS; k++) {
+    for (int k = 0; k < FUNCTIONS; k += 1 + PAIRED) {
         const int count = first_row[k + 1] - first_row[k], power = FUNCTIONS * CHANNELS * BESIDE;
         __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride - whole;
         __global const float* y = x + count * (long)stride;
@@ -47,6 +48,12 @@ static void add_path(__global const float* branches, int stride, __constant int*
         const vec gain = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
         real += gain * a;
         imaginary += gain * b;
+#if PAIRED
+        g += CHANNELS * BESIDE;  // of the same function times j
+        const vec turned = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
+        real -= turned * b;
+        imaginary += turned * a;
+#endif
     }
     half_turns(mu * half_turns_per_sample + whole_turn(whole, turn_per_sample), &cosine, &sine);
     *real_sum += real * cosine + imaginary * sine;

@@ -4,6 +4,12 @@
 // are walked in tiles, so that the branch signals in play stay in cache. Where paths are to be kept APART, each slot has a
 // row of the pressure.
 
+#if FINE
+#define SILENT(p) && paths.bend[0][p] == 0.0f && paths.flex[0][p] == 0.0f
+#else
+#define SILENT(p)
+#endif
+
 static void clear(vec sum[FUNCTIONS][VECTORS])
 {
     for (int k = 0; k < FUNCTIONS; k++) {
@@ -87,8 +93,8 @@ void render(__global const float* branches,     // [rows][stride], those of one 
                        first_gain, t, per_sample, worker, &paths);
                 SYNCHRONISE;
                 for (int p = 0; p < BATCH; p++) {
-#if APART
-                    if (paths.gain[0][p] == 0.0f && paths.slope[0][p] == 0.0f) continue;  // silent, or fills up the batch
+#if FUNCTIONS == 1 || APART
+                    if (paths.gain[0][p] == 0.0f && paths.slope[0][p] == 0.0f SILENT(p)) continue;  // or fills up the batch
 #endif
                     add_path(rows + g * SUBBLOCK, stride, first_row + first_function, 1, &paths, p, worker, subblock_sum);
 #if APART

@@ -314,3 +314,18 @@ def test_a_plan_for_another_device_takes_its_narrow_parts_along() -> None:
     there = on_device(plan, "0:0")
     assert [part.plan.options.device for part in there.allocation.narrow] == ["0:0"]
     np.testing.assert_array_equal(sound(pickle.loads(pickle.dumps(there))), sound(plan))
+
+
+def test_envelopes_round_edges_have_one_complex_gain_for_two_functions() -> None:
+    """Fields of edges turn phases: of two functions the second is the first one times j, and its filter is not used."""
+    room = clsim.MeshRoom(PILLAR.vertices + np.array([1.3, 2.0, 2.0]), PILLAR.triangles, PILLAR.faces.materials[0])
+    ear = clsim.Trajectory.line((1.7, 2.1, 2.0), (1.7, 2.12, 2.0), 0.1)
+    sweep = clsim.Signal.chirp(35e3, 45e3, 0.1, RATE, window="tukey")
+    sources = [clsim.Source("s", sweep, clsim.Trajectory.fixed((1.0, 1.95, 2.0)))]
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), sources, [clsim.Receiver("r", ear)]), 0, diffraction=1)
+    plan = clsim.plan_render(paths, RATE, duration=0.05, **NARROW)
+    functions = plan.allocation.narrow[0].plan.source_filters[0].basis
+    assert functions.paired
+    assert len(functions) % 2 == 0
+    exact = clsim.render(paths, RATE, duration=0.05, engine="reference").pressure
+    assert apart_db(sound(plan), exact) < PROMISED_DB

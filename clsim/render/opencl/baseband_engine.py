@@ -82,6 +82,7 @@ class _BasebandRun(Run):
             "SUBBLOCK": filters.bank.subblock,
             "FUNCTIONS": self._functions,
             "CHANNELS": self._channels,
+            "PAIRED": int(filters.basis.paired),
         }
         kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
         kernel(

@@ -207,6 +207,11 @@ class Residual:
             here = self._squares.setdefault(first + i, np.zeros((2, self._receivers)))
             here[:, receiver] += squares[:, i]
 
+    def level(self, segment: int, receiver: NDArray[np.int32]) -> Floats:
+        """Squared level (n,) at some receivers of the paths that were added to a segment."""
+        known = self._squares.get(segment)
+        return np.zeros(len(receiver)) if known is None else known[1, receiver]
+
     def settle(self, before: int) -> None:
         """Close the segments before one: take their maximum and drop their sums."""
         self._worst = max(self._worst, self._largest([s for s in self._squares if s < before - 1]))

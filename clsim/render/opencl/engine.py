@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.arrays import Floats
     from clsim.opencl.launch import WorkItems
     from clsim.paths.family import PathFamily
     from clsim.render.opencl.batches import Fades
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
+_FALLING = 5.0  # power of a block's length with which errors of gains fall at most
 _CHANNELS = 16  # of a receiver that are summed at a time
 
 
@@ -210,6 +212,9 @@ class Run:
             task.source, task.batch, self._bounds, task.start + begin, end - begin, task.branches.activity,
             task.branches.first,
         )  # fmt: skip
+        family = engine.kind(task.batch.pairs[0])
+        self._skips_levels = getattr(family, "vertex", None) is not None
+        self._beside = family is not None and (self._skips_levels or (family.moves and not family.is_specular))
         self._tolerance = 10 ** (self._plan.motion_error_db / 20)
         self._functions = len(self._plan.source_filters[task.source].basis)
         self._gains = self._functions * self._channels  # of a path
@@ -234,19 +239,48 @@ class Run:
                 lambda: self._engine.branch_signals.prefetch(self._source, self._start),
             )  # fmt: skip
             self._check(nodes.shortest, nodes.longest)
-            coarse = nodes.error > self._tolerance
+            error = nodes.error * self._beside_others(nodes, self._start // segment + at)
+            wanted = self._levels(error, level)
             if level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1]):
-                for i in np.flatnonzero(coarse).tolist():
+                for i in np.flatnonzero(wanted > level).tolist():
                     middle = self._start + (at + i + 0.5) * segment
-                    self._engine.note_coarse(self._source, float(nodes.error[i]), middle / plan.sampling_rate)
-                coarse[:] = False
-            for a, b in _runs(coarse):
-                if coarse[a]:
-                    self._cover(at + a, at + b, level + 1)
+                    self._engine.note_coarse(self._source, float(error[i]), middle / plan.sampling_rate)
+                wanted[:] = level
+            for a, b in _runs(wanted):
+                if wanted[a] > level:
+                    self._cover(at + a, at + b, int(wanted[a]))
                 else:
                     number = self._start // segment + at + a
                     self._engine.residuals[self._source].add(number, self._batch.receiver, nodes.residual[:, a:b])
                     self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
+
+    def _beside_others(self, nodes: Any, first: int) -> Floats:
+        """Ratios (segments,) of the level of these paths to that with all that were rendered before.
+
+        Reflections come first. At edges, by scatterers and by bodies errors are relative to all of it, of the receiver
+        where they are most.
+        """
+        own = nodes.residual[1]
+        if not self._beside:
+            return np.ones(len(own))
+        level = self._engine.residuals[self._source].level
+        before = np.stack([level(first + i, self._batch.receiver) for i in range(len(own))])
+        return np.asarray(np.sqrt(own / np.maximum(own + before, 1e-30)).max(axis=1))
+
+    def _levels(self, error: Floats, level: int) -> NDArray[np.int64]:
+        """Return the levels of blocks to try next for segments with errors (segments,): the same where they will do.
+
+        Gains at edges and by scatterers bend so much that many levels would be made in vain: those are left out that an
+        error falling with the power `_FALLING` of the block's length does not allow. A segment's levels depend on
+        nothing but its own errors, so that chunks do not matter.
+        """
+        wanted = level + (error > self._tolerance)
+        if self._skips_levels:
+            blocks = np.array([b for b in self._plan.blocks if self._fits(b)])
+            length = blocks[level] * (self._tolerance / np.maximum(error, 1e-30)) ** (1.0 / _FALLING)
+            near = np.minimum(np.searchsorted(-blocks, -length), len(blocks) - 1)
+            wanted = np.where(wanted > level, np.maximum(wanted, near), level)
+        return np.asarray(wanted)
 
     def _fits(self, block: int) -> bool:
         """Test whether the polynomials of one segment in blocks of a length fit into memory."""
@@ -354,7 +388,7 @@ class Run:
         )  # fmt: skip
 
 
-def _runs(values: Sequence[int] | NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(values: Sequence[int] | NDArray[np.int64]) -> list[tuple[int, int]]:
     """Return the maximal ranges of equal values."""
     changes = (np.flatnonzero(np.diff(values)) + 1).tolist()
     return list(zip([0, *changes], [*changes, len(values)], strict=True))

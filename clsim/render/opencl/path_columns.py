@@ -156,8 +156,9 @@ class EdgeColumns(StaticColumns):
         """Tables of the transition functions of edges and of their ends at the frequencies of a basis."""
         waves = basis.nodes / self._of.tracks.paths.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
-        both = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
-        return self._of.uploaded(field_tables=field_tables(waves, both)) | {"middle": middle, "modes": None}
+        if np.any(self._family.vertex.end_side):  # costly, and read at ends of edges only
+            table = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
+        return self._of.uploaded(field_tables=field_tables(waves, table)) | {"middle": middle, "modes": None}
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Edges as both ends are seen from them."""
