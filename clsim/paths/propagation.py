@@ -85,7 +85,7 @@ class Passage:
 
 def _dot(a: Floats, b: Floats) -> Floats:
     """Return the products (...) of vectors (..., 3), summed as `numpy.sum` does, without what it costs for three."""
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2] + 0.0)  # never -0
 
 
 class LegTable(Protocol):
