@@ -12,6 +12,7 @@ import numpy as np
 
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
+from clsim.render.memory import with_blas_threads
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.design import NoTailError, TailOptions, find_tail, searched_order
@@ -120,7 +121,8 @@ class _ZoneTail:
         first = plan.first_rows.tolist()
         self._rows = {r: range(first[r], first[r + 1]) for r in there}
         self.streams: dict[bool, Streams] = {}
-        self._ears = ears_among(self._scene, self._moving, self._rate, self.signals.highest)
+        with with_blas_threads(1):  # as workers have: bits depend on it
+            self._ears = ears_among(self._scene, self._moving, self._rate, self.signals.highest)
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add it from sample `start` on to the pressure (receivers, n)."""
@@ -192,7 +194,8 @@ class _ZoneTail:
         ahead = np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None]
         if receiver in self._ears:
             own = partial(self._own_directions, end)
-            motions = self._ears[receiver].motions(own, grid, self._rate)
+            with with_blas_threads(1):
+                motions = self._ears[receiver].motions(own, grid, self._rate)
             return [((ahead - late) * self._rate, gains * weight[:, None]) for late, gains in motions]
         by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
         return [(ahead * self._rate, gains * weight[:, None]) for gains in by_row]

@@ -345,6 +345,7 @@ class Receiver:
                     raise InputError(field_name, "must be left out of what is fixed to the room's axes")
             if isinstance(trajectory, Trajectory):
                 trajectory = replace(trajectory, turning=None)
+            options["aim"] = (1.0, 0.0, 0.0)
         return Receiver(name, trajectory, Ambisonic(order, normalization), **options)
 
     @staticmethod

@@ -64,7 +64,9 @@ class EarFilters:
         directions = own(few)
         before, part = np.divmod(grid - few[0], wide)
         part = (part / wide)[:, None]
-        late, weights = self.lateness(directions), np.moveaxis(self.weights(directions), -1, 1)
+        # Products of one size, so that no bit depends on how many nodes are asked for.
+        each = np.stack([self.weights(one) for one in directions], axis=1)
+        late, weights = self.lateness(directions), np.moveaxis(each, -1, 1)
         late, weights = ((1.0 - part) * v[..., before, :] + part * v[..., before + 1, :] for v in (late, weights))
         return [(of_ear, weight) for of_ear, all_of_it in zip(late, weights, strict=True) for weight in all_of_it]
 

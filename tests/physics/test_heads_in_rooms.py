@@ -58,6 +58,15 @@ def test_the_tail_at_a_head_that_hardly_turns_is_that_at_rest(measured):
     assert measured("tail at a head that turns", "the same head at rest", float(error), -28.0) <= -28.0
 
 
+@pytest.mark.parametrize("tail", ["off", "auto"])
+def test_chunks_change_no_bit_of_what_ears_hear(tail):
+    head = clsim.Receiver.binaural("head", turning(2.0, end=(3.1, 2.4, 2.2)))
+    fixed = clsim.Receiver.ambisonic("fixed", turning(0.0, end=(3.1, 2.4, 2.2)), fixed=True)  # without a warning
+    paths = cube([head, fixed], direct=True)
+    whole, cut = (clsim.render(paths, 16e3, duration=0.6, tail=tail, chunk=chunk).pressure for chunk in (10**6, 4608))
+    np.testing.assert_array_equal(cut, whole)
+
+
 def test_a_turn_acts_on_the_tail_as_on_its_waves():
     """After a turn by 90 degrees the tail is that of a head which faced there all the time, and not that of before."""
     poses = [turning(5.0 * np.pi, seconds=0.1), *(clsim.Trajectory.fixed((2.9, 2.4, 2.2), q) for q in QUARTERS)]

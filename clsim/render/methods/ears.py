@@ -149,7 +149,9 @@ class _Adding(Stateless):
             plan = part.plan
             frames = EarFrames(plan, self._ears.scene, (self._ears.first_rows, pressure), start)
             begin = max(start - frames.after, 0) // plan.segment * plan.segment
-            end = start + pressure.shape[1] + frames.before
+            # Whole segments but for the plan's last one, so that no bit depends on the chunks.
+            end = -(-(start + pressure.shape[1] + frames.before) // plan.segment) * plan.segment
+            end = min(end, plan.samples + frames.before)
             if plan.options.engine == "reference":
                 _add_exactly(frames, begin, end)
                 continue
