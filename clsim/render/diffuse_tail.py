@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.blas import with_blas_threads
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
 from clsim.render.memory import with_blas_threads

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.blas import with_blas_threads
 from clsim.paths.response import to_transducer_frame
-from clsim.render.memory import with_blas_threads
 from clsim.render.opencl.host_nodes import side_by_side
 
 if TYPE_CHECKING:

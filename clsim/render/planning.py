@@ -11,6 +11,7 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.keywords import keywords_of
+from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.resampling import Upsampler
 from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
@@ -18,7 +19,6 @@ from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, s
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import NarrowFilters, design_envelope, design_split
 from clsim.render.interpolator import Bandlimited
-from clsim.render.memory import with_blas_threads
 from clsim.render.methods import ears, narrow_part, per_sample, sampled_channel, static
 from clsim.render.options import RenderOptions
 from clsim.render.plan import (

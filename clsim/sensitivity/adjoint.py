@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.render.memory import with_blas_threads
+from clsim.numerics.blas import with_blas_threads
 from clsim.render.methods.per_sample import delayed_streams
 from clsim.render.plan import Allocation
 from clsim.sensitivity.images import has_beams

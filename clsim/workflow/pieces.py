@@ -25,8 +25,9 @@ import numpy as np
 
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import atomic_path, safe_path, temporary_path
+from clsim.numerics.blas import blas_threads, with_blas_threads
 from clsim.opencl.device import find_device
-from clsim.render.memory import blas_threads, with_blas_threads, within_memory
+from clsim.render.memory import within_memory
 from clsim.render.planning import on_device
 from clsim.render.render import PressureSum, ReceiverChain, receivers_with_ends
 from clsim.version import __version__

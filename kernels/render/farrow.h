@@ -68,3 +68,63 @@ static void add_path(__global const float* branches, int stride, __global const 
     ADD(0, first_row[1] - first_row[0]);
 #endif
 }
+
+#if CHANNELS > 1 && LANES == 8 && VECTORS == 4 && !SPARSE && !FINE
+#define MANY_CHANNELS 1
+#define WIDE 2  // vectors of 16 samples in a subblock
+typedef float16 wide;
+typedef float16 __attribute__((aligned(4))) loose_wide;  // may start at any float
+
+// One product and sum; vectors as arguments let compilers use registers as wide as these.
+static wide plus(wide sum, float factor, wide value) { return sum + factor * value; }
+
+// Add a batch of paths to channels from c to c + `count`, whose sums stay in registers; `value` and `tilted` are the paths' signals,
+// and the same times the sample.
+static void add_channels(const wide value[BATCH][WIDE], const wide tilted[BATCH][WIDE], const batch* paths, int c, const int count,
+                         vec sum[CHANNELS][VECTORS])
+{
+    wide total[4][WIDE];
+#pragma unroll
+    for (int k = 0; k < count; k++) total[k][0] = total[k][1] = 0.0f;
+    for (int p = 0; p < BATCH; p++) {
+#pragma unroll
+        for (int k = 0; k < count; k++) {
+            const float gain = paths->gain[c + k][p], slope = paths->slope[c + k][p];
+#pragma unroll
+            for (int j = 0; j < WIDE; j++) total[k][j] = plus(plus(total[k][j], gain, value[p][j]), slope, tilted[p][j]);
+        }
+    }
+#pragma unroll
+    for (int k = 0; k < count; k++) {
+        loose_wide* at = (loose_wide*)sum[c + k];
+        at[0] += total[k][0];
+        at[1] += total[k][1];
+    }
+}
+
+// Add a batch of expanded paths; `branches` points at the subblock's first sample in the first of `rows` rows.
+static void add_paths(__global const float* branches, int stride, const int rows, const batch* paths, vec sum[CHANNELS][VECTORS])
+{
+    wide value[BATCH][WIDE], tilted[BATCH][WIDE];
+    for (int p = 0; p < BATCH; p++) {
+#pragma unroll
+        for (int j = 0; j < WIDE; j++) {
+            const wide sample = (wide)(RAMP, RAMP + 8.0f) + (16.0f * j - 0.5f * (SUBBLOCK - 1));
+            const wide mu = (sample * paths->curve[p] + paths->rate[p]) * sample + paths->fraction[p];
+            __global const float* row = branches + PLACE(-paths->whole[p], stride) + 16 * j + (rows - 1) * (long)stride;
+            wide sound = *(__global const loose_wide*)row;
+            for (int q = 1; q < rows; q++) {
+                row -= stride;
+                sound = sound * mu + *(__global const loose_wide*)row;
+            }
+            value[p][j] = sound;
+            tilted[p][j] = sample * sound;
+        }
+    }
+    int c = 0;
+    for (; c + 4 <= CHANNELS; c += 4) add_channels(value, tilted, paths, c, 4, sum);
+    for (; c < CHANNELS; c++) add_channels(value, tilted, paths, c, 1, sum);
+}
+#else
+#define MANY_CHANNELS 0
+#endif

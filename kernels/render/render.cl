@@ -92,6 +92,10 @@ void render(__global const float* branches,     // [rows][stride], those of one 
                 expand(delay + row * (long)slots + slot, polynomials + place_of(row, slot, functions, slots), functions,
                        first_gain, t, per_sample, worker, &paths);
                 SYNCHRONISE;
+#if MANY_CHANNELS
+                add_paths(rows + g * SUBBLOCK + first_row[first_function] * (long)stride, stride,
+                          first_row[first_function + 1] - first_row[first_function], &paths, subblock_sum);
+#else
                 for (int p = 0; p < BATCH; p++) {
 #if FUNCTIONS == 1 || APART
                     if (paths.gain[0][p] == 0.0f && paths.slope[0][p] == 0.0f SILENT(p)) continue;  // or fills up the batch
@@ -102,6 +106,7 @@ void render(__global const float* branches,     // [rows][stride], those of one 
                     clear(subblock_sum);
 #endif
                 }
+#endif
                 SYNCHRONISE;
             }
 #endif

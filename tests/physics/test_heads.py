@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
+from threadpoolctl import threadpool_limits
 
 import clsim
 from clsim.acoustics.sphere import sphere_surface_field
@@ -235,3 +236,15 @@ def test_one_rate_in_hertz(tmp_path):
     sofa_file(path, "SimpleFreeFieldHRIR", Data_SamplingRate=np.linspace(44.1e3, RATE, 200))
     with pytest.raises(clsim.InputError, match="must have one sampling rate"):
         clsim.HeadRelated.from_sofa(path)
+
+
+def test_the_number_of_threads_changes_no_bit():
+    """Workers may multiply matrices by other numbers of threads."""
+    directions = fibonacci_sphere(500)
+    responses = np.random.default_rng(1).standard_normal((500, 2, 128))
+    found = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, "blas"):
+            head = clsim.HeadRelated(directions, responses, RATE)
+            found.append(head.aligned(directions[:3], np.arange(1.0, 2e4, 100.0), 343.0, range(2)))
+    np.testing.assert_array_equal(*found)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.blas import with_blas_threads
 from clsim.paths.path_set import PathSet
 from clsim.render.contributions import Stateless
 from clsim.render.ear_frames import EarFrames
-from clsim.render.memory import with_blas_threads
 from clsim.render.methods.per_sample import PathSum, path_pressures
 from clsim.render.opencl.batches import Fades
 from clsim.render.opencl.engine import OpenclEngine, Run

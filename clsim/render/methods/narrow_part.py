@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.blas import with_blas_threads
 from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.contributions import Stateless
 from clsim.render.envelope import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
 from clsim.render.interpolator import Bandlimited
-from clsim.render.memory import with_blas_threads
 from clsim.render.methods.costs import is_passed, measured_costs, on_gpu, passes
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.baseband_engine import BasebandEngine

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from clsim.numerics.blas import with_blas_threads
 from clsim.opencl.launch import upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
-from clsim.render.memory import with_blas_threads
 from clsim.render.opencl.block_polynomials import SMOOTH_SHARE, between, block_error, block_polynomials
 from clsim.render.opencl.nodes import NodeMaker, Nodes
 from clsim.render.plan import Plan, node_times

@@ -13,6 +13,7 @@ import numpy as np
 from clsim.acoustics.sphere import sphere_surface_field
 from clsim.arrays import Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
+from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.convolution import advanced, arrival_times
 from clsim.numerics.sphere import RadialOnSphere, fibonacci_sphere, largest_hole, merged, real_harmonics
 from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage
@@ -107,7 +108,8 @@ class HeadRelated(ChannelDirectivity):
         times = _fitted_times(directions, arrival_times(responses) / rate)
         aligned = advanced(responses, rate * _late(times, directions)).reshape(len(directions), -1)
         beside = _gaps(directions)
-        weights, components = _components(np.concatenate([aligned, _coarse(directions, aligned, beside)]))
+        with with_blas_threads(1):  # as many in each process, for the same bits
+            weights, components = _components(np.concatenate([aligned, _coarse(directions, aligned, beside)]))
         kept = read_only(weights), read_only(components.reshape(len(components), 2, -1))
         values = {"directions": read_only(directions), "responses": read_only(responses), "sampling_rate": rate}
         for key, value in (values | {"parts": kept, "beside": read_only(beside), "times": read_only(times)}).items():
@@ -328,7 +330,8 @@ _WOODWORTH = _woodworth()
 @lru_cache(maxsize=8)
 def _weights(head: HeadRelated) -> Any:
     """Return the function of direction (m, 3) whose values are the weights of a head's components (m, R)."""
-    return RadialOnSphere.through(np.concatenate([head.directions, head.beside]), head.parts[0])
+    with with_blas_threads(1):
+        return RadialOnSphere.through(np.concatenate([head.directions, head.beside]), head.parts[0])
 
 
 def _gaps(directions: Floats) -> Floats:
@@ -379,5 +382,6 @@ def _spectra(head: HeadRelated, frequencies: bytes) -> Complexes:
     times = (np.arange(count) + count // 2) % count - count // 2  # the second half is before time 0
     turn = np.exp(-2j * np.pi / head.sampling_rate * np.outer(times, f))
     # One product of real matrices: of stacks of complex ones each has its own.
-    made = components.reshape(-1, count) @ np.ascontiguousarray(turn).view(np.float64)
+    with with_blas_threads(1):
+        made = components.reshape(-1, count) @ np.ascontiguousarray(turn).view(np.float64)
     return np.asarray(made.view(np.complex128).reshape(*components.shape[:2], len(f)))

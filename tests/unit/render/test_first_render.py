@@ -6,7 +6,7 @@ import sys
 SCRIPT = """
 import sys
 import clsim
-from clsim.render.memory import with_blas_threads
+from clsim.numerics.blas import with_blas_threads
 
 assert "scipy.linalg" not in sys.modules
 with with_blas_threads(1):

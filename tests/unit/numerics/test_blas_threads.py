@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from clsim.render.memory import blas_threads, with_blas_threads
+from clsim.numerics.blas import blas_threads, with_blas_threads
 
 
 def told() -> list[int]:
@@ -30,7 +30,7 @@ def test_threads_are_bounded_within_only() -> None:
 
 
 def test_libraries_are_looked_for_again_when_modules_were_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
-    from clsim.render import memory as module
+    from clsim.numerics import blas as module
 
     first = module._libraries()
     assert module._libraries() is first

@@ -1,0 +1,42 @@
+"""Threads of linear algebra: how many there are can change the rounding of results."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from threadpoolctl import ThreadpoolController
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def blas_threads() -> int:
+    """Return the number of threads that multiply matrices; it can change the rounding of results."""
+    return max((int(pool["num_threads"]) for pool in _libraries().info() if pool["user_api"] == "blas"), default=1)
+
+
+@contextmanager
+def with_blas_threads(count: int) -> Iterator[None]:
+    """Have matrices multiplied by so many threads within a ``with``.
+
+    Where they are small, threads would wait for each other, the longer the busier the machine. SciPy has a library of
+    its own: one that is loaded within the ``with`` would have as many threads as it likes, and a process's first
+    rendering other bits than its second.
+    """
+    import scipy.linalg  # noqa: F401
+
+    with _libraries().limit(limits=count, user_api="blas"):
+        yield
+
+
+def _libraries() -> ThreadpoolController:
+    """Return the libraries of this process; the search takes milliseconds and is repeated after new imports."""
+    return _found(len(sys.modules))
+
+
+@lru_cache(maxsize=1)
+def _found(modules: int) -> ThreadpoolController:
+    return ThreadpoolController()
