@@ -265,7 +265,8 @@ PROGRAMS = {
         frozenset({"LANES", "NODE", "POWERS", "TAPS"}),
     ),
     "baseband": Program(
-        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/baseband.cl"),
+        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/group.h",
+         "render/baseband.cl"),
         {
             **BRANCHES,
             "first_row": taken("int", "FUNCTIONS + 1"),
@@ -276,7 +277,9 @@ PROGRAMS = {
             "envelope_row": taken("int", "receivers"),
             **ENVELOPE,
         },
-        frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"}),
+        frozenset(
+            {"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK", "FINE", "COUNTS"}
+        ),
     ),
     "baseband_fades": Program(
         (

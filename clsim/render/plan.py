@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.arrays import row_name, short_repr
 from clsim.errors import counted
-from clsim.render.baseband import Baseband
+from clsim.render.baseband import LONG_ENVELOPE_BLOCK, WIDEST_SUBBLOCK, Baseband
 from clsim.render.interpolator import SMALL_SUBBLOCK
 
 if TYPE_CHECKING:
@@ -151,6 +151,25 @@ class Plan:
         """
         subblock = self.source_filters[source].bank.subblock
         return min(subblock, SMALL_SUBBLOCK) if self.is_fine(block) else subblock
+
+    def left_out_over(self, source: int, block: int) -> float:
+        """Return the share of a block of the samples that take few terms of its polynomials; 0 where they take all.
+
+        Parameters
+        ----------
+        source : int
+            Index of the source.
+        block : int
+            Samples in a block.
+
+        Returns
+        -------
+        float
+            Of the source's subblocks, and of envelopes' widest vectors where blocks are long.
+        """
+        if self.baseband is not None:
+            return WIDEST_SUBBLOCK / block if block >= LONG_ENVELOPE_BLOCK else 0.0
+        return 0.0 if self.is_fine(block) else self.subblock(source, block) / block
 
     def where_claimed(self, claim: str, build: Callable[[Plan], Contribution]) -> Contribution | None:
         """Build a contribution if its method claims something.

@@ -150,12 +150,7 @@ __kernel void tracks(const motion_numbers motion, __global const double* knots, 
         const float residual_here = residual_where_active(largest_residual, block * run.block_samples, GROUP * run.block_samples, from, until);
         f.residual = residual_here > f.residual ? residual_here : f.residual;
         const double time = motion.start + (double)(block + 2) * block_time;
-#if DELAY_TERMS == 8
-        const double heard = time - block_time - w.delay[2], begins = time - 2.0 * block_time - w.delay[1];
-#else
-        const double heard = time - w.delay[3], begins = time - 3.0 * block_time - w.delay[0];
-#endif
-        if (heard >= run.emitted_first && begins <= run.emitted_last) {
+        if (emitted_by(&w, time, block_time) >= run.emitted_first && emitted_from(&w, time, block_time) <= run.emitted_last) {
             const float squared = delay_error_squared(&w, run.angular_frequency, block_time, run.subblock_share) +
                                   left_out_squared(powers, env.sizes, run.subblock_share) + gain_error;
             f.error = squared > f.error ? squared : f.error;

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.launch import work
-from clsim.render.baseband import WIDEST_SUBBLOCK
+from clsim.render.baseband import LONG_ENVELOPE_BLOCK, WIDEST_SUBBLOCK
 from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.plan import BATCH
@@ -16,6 +16,7 @@ from clsim.render.plan import BATCH
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from clsim.render.opencl.batches import Layout
     from clsim.render.plan import Plan
 
 _GROUPS = 8  # of samples with one whole delay, for which a batch of paths is summed together
@@ -29,8 +30,8 @@ class BasebandEngine(OpenclEngine):
 
     parts = 2
 
-    def __init__(self, plan: Plan) -> None:
-        super().__init__(plan)
+    def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
+        super().__init__(plan, layout)
         # By source: the longest blocks in which any batch of a chunk was rendered, with which the next ones begin.
         self.levels: dict[int, int] = {}
 
@@ -100,6 +101,8 @@ class _BasebandRun(Run):
             "LANES": lanes,
             "GROUPS": together,
             "BATCH": BATCH if on_cpu else 1,
+            "FINE": int(block < LONG_ENVELOPE_BLOCK or not on_cpu),
+            "COUNTS": filters.counts,
             "SUBBLOCK": filters.bank.subblock,
             "FUNCTIONS": self._functions,
             "CHANNELS": self._channels,

@@ -138,7 +138,7 @@ class HostNodeMaker:
             delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, terms
         )
         sized = gain * _strengths(filters.basis, len(gain))[:, None, None]
-        part = 0.0 if plan.is_fine(block) else plan.subblock(run.source, block) / block
+        part = plan.left_out_over(run.source, block)
         wrong = block_error(delay, change, sized, 2.0 * math.pi * filters.swiftness, block / rate, part, terms)
         first, last = (edge[slots, None] for edge in run.audible)
         begins = block * np.arange(run.blocks)
