@@ -271,15 +271,11 @@ PROGRAMS = {
             **BRANCHES,
             "first_row": taken("int", "FUNCTIONS + 1"),
             **BLOCKS,
-            "first_slot": taken("int", "receivers + 1"),
-            "block_samples": INT,
-            "groups": INT,
-            "envelope_row": taken("int", "receivers"),
-            **ENVELOPE,
+            "first_slot": taken("int", "receivers + 1"), "block_samples": INT, "groups": INT,
+            "envelope_row": taken("int", "receivers"), **ENVELOPE,
         },
-        frozenset(
-            {"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK", "FINE", "COUNTS"}
-        ),
+        frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"})
+        | {"FINE", "COUNTS"},
     ),
     "baseband_fades": Program(
         (
