@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.arrays import row_name, short_repr
 from clsim.errors import counted
-from clsim.render.baseband import LONG_ENVELOPE_BLOCK, WIDEST_SUBBLOCK, Baseband
+from clsim.render.baseband import LONG_ENVELOPE_BLOCK, SLOW_CHANGE, WIDEST_SUBBLOCK, Baseband
 from clsim.render.interpolator import SMALL_SUBBLOCK
 
 if TYPE_CHECKING:
@@ -165,10 +165,11 @@ class Plan:
         Returns
         -------
         float
-            Of the source's subblocks, and of envelopes' widest vectors where blocks are long.
+            Of the source's subblocks; of envelopes' widest vectors, if blocks are long and motion is slow for these.
         """
         if self.baseband is not None:
-            return WIDEST_SUBBLOCK / block if block >= LONG_ENVELOPE_BLOCK else 0.0
+            change = WIDEST_SUBBLOCK / self.sampling_rate * self.tracks.max_rate(source)
+            return WIDEST_SUBBLOCK / block if block >= LONG_ENVELOPE_BLOCK and change <= SLOW_CHANGE else 0.0
         return 0.0 if self.is_fine(block) else self.subblock(source, block) / block
 
     def where_claimed(self, claim: str, build: Callable[[Plan], Contribution]) -> Contribution | None:

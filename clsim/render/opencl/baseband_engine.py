@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.opencl.launch import work
-from clsim.render.baseband import LONG_ENVELOPE_BLOCK, WIDEST_SUBBLOCK
+from clsim.render.baseband import WIDEST_SUBBLOCK
 from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.plan import BATCH
@@ -101,7 +101,7 @@ class _BasebandRun(Run):
             "LANES": lanes,
             "GROUPS": together,
             "BATCH": BATCH if on_cpu else 1,
-            "FINE": int(block < LONG_ENVELOPE_BLOCK or not on_cpu),
+            "FINE": int(not (on_cpu and self._plan.left_out_over(self._source, block))),
             "COUNTS": filters.counts,
             "SUBBLOCK": filters.bank.subblock,
             "FUNCTIONS": self._functions,
