@@ -1,6 +1,7 @@
 """The OpenCL engine for complex envelopes against the reference engine, and kernels with one thing wrong."""
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
@@ -154,6 +155,9 @@ MUTANTS = {
 
 @pytest.mark.parametrize("program", ["tracks", "baseband"])
 def test_mutants_are_caught(program: str, made: Plan, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        sys.modules[Plan.__module__], "SLOW_CHANGE", 1.0
+    )  # few terms in long blocks, however quick the motion
     mutants = Mutants(program, {name: (old, new) for name, (of, old, new) in MUTANTS.items() if of == program})
     mutants.play(monkeypatch)
     engine = BasebandEngine(made)
