@@ -76,7 +76,8 @@ def measured() -> dict[str, float]:
     envelope = (quick - slow) / (rates[1] - rates[0])
     nodes = max(slow - envelope * rates[0], 0.0)
     part = slow_plan.allocation.narrow[0]
-    received = np.ones(part.plan.samples, dtype=np.complex64)
+    received, reach = np.ones((1, part.plan.samples), dtype=np.complex64), part.upsampler.reach
+    sound = np.zeros((1, (part.plan.samples - 2 * reach + 1) * part.upsampler.every), dtype=np.float32)
     samples = slow_plan.samples
     split = loud_plan.source_filters[0]
     paths = clsim.find_paths(scene(chirp, hard), 2)
@@ -87,7 +88,7 @@ def measured() -> dict[str, float]:
         "rest": loud - nodes - envelope * rates[2],
         "nodes": nodes,
         "envelope": envelope,
-        "upsampled": 1e9 * seconds(lambda: part.upsampler(received, 0)) / samples,
+        "upsampled": 1e9 * seconds(lambda: part.upsampler.add(received, 0, sound, 0)) / samples,
         "split": 1e9 * seconds(lambda: split.emitted_samples(0, samples)) / samples,
         "planned": 1e9 * max(planned[1] - planned[0], 0.0),
         **of_dense_scenes(),

@@ -163,18 +163,24 @@ class Upsampler:
         turn = Fraction(carrier) * every / Fraction(rate) % 1
         return cls(every, turn, reach, np.stack([taps.real, -taps.imag], axis=1).astype(np.float32))
 
-    def __call__(self, envelope: Complexes, first: int) -> NDArray[np.float32]:
-        """Return samples of the sound from ``first every`` on, (n every,) float32; envelope (n + 2 reach - 1,)."""
-        count = len(envelope) - 2 * self.reach + 1
-        out = np.zeros((count, self.every), dtype=np.float32)
+    def add(self, envelopes: Complexes, first: int, sound: NDArray[Any], skipped: int) -> None:
+        """Add the sound of envelopes (rows, m) to samples (rows, n), from its sample ``first every + skipped`` on.
+
+        The envelopes begin with their sample ``first + 1 - reach``.
+        """
+        count = envelopes.shape[1] - 2 * self.reach + 1
         begin = first + 1 - self.reach
         whole = begin * self.turn % 1  # exact, however late
-        cycles = float(whole) + float(self.turn) * np.arange(len(envelope))
-        turned = (envelope * np.exp(2j * math.pi * cycles)).astype(np.complex64).view(np.float32)
-        windows = sliding_window_view(turned, 4 * self.reach)[::2]
-        taps = self.taps.reshape(-1, self.every)
-        for at in range(0, count, _ROWS):
-            some = windows[at : at + _ROWS]
-            if np.any(turned[2 * at : 2 * (at + len(some)) + 4 * self.reach - 2]):  # silence stays exact silence
-                np.matmul(np.ascontiguousarray(some), taps, out=out[at : at + _ROWS])
-        return out.reshape(-1)
+        cycles = float(whole) + float(self.turn) * np.arange(envelopes.shape[1])
+        turns = np.exp(2j * math.pi * cycles).astype(np.complex64)
+        taps, out = self.taps.reshape(-1, self.every), np.empty((count, self.every), dtype=np.float32)
+        for row, envelope in zip(sound, envelopes, strict=True):
+            turned = (envelope.astype(np.complex64, copy=False) * turns).view(np.float32)
+            windows = sliding_window_view(turned, 4 * self.reach)[::2]
+            for at in range(0, count, _ROWS):
+                some = windows[at : at + _ROWS]
+                if np.any(turned[2 * at : 2 * (at + len(some)) + 4 * self.reach - 2]):
+                    np.matmul(np.ascontiguousarray(some), taps, out=out[at : at + _ROWS])
+                else:  # silence stays exact silence
+                    out[at : at + _ROWS] = 0.0
+            row += out.reshape(-1)[skipped : skipped + len(row)]

@@ -265,18 +265,17 @@ PROGRAMS = {
         frozenset({"LANES", "NODE", "POWERS", "TAPS"}),
     ),
     "baseband": Program(
-        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/baseband.cl"),
+        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/group.h",
+         "render/baseband.cl"),
         {
             **BRANCHES,
             "first_row": taken("int", "FUNCTIONS + 1"),
             **BLOCKS,
-            "first_slot": taken("int", "receivers + 1"),
-            "block_samples": INT,
-            "groups": INT,
-            "envelope_row": taken("int", "receivers"),
-            **ENVELOPE,
+            "first_slot": taken("int", "receivers + 1"), "block_samples": INT, "groups": INT,
+            "envelope_row": taken("int", "receivers"), **ENVELOPE,
         },
-        frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK", "PAIRED"}),
+        frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"})
+        | {"FINE", "COUNTS", "PAIRED"},
     ),
     "baseband_fades": Program(
         (

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _BLOCKS_IN_SEGMENT = 12  # of the longest; all others go into it a whole number of times, too
 SUBBLOCK = 8  # samples, the unit of blocks and of what is silent
 WIDEST_SUBBLOCK = 16  # samples that share the whole part of a delay at most
+LONG_ENVELOPE_BLOCK = 64  # samples, blocks from which on these are summed with few terms of the polynomials
+SLOW_CHANGE = 3.5e-5  # s, of a delay over a vector of the envelope, up to which few terms ask for no shorter blocks
 WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
 CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
 _LONGEST, _SHORTEST = 50e-3, 0.5e-3  # s, of blocks

@@ -13,7 +13,6 @@ import numpy as np
 from clsim.numerics.blas import with_blas_threads
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
-from clsim.render.memory import with_blas_threads
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.design import NoTailError, TailOptions, find_tail, searched_order

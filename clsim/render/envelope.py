@@ -115,6 +115,12 @@ class EnvelopeFilters(SourceFilters):
     plain: Mixer  # applies none
 
     @property
+    def counts(self) -> int:
+        """Branches of each function, four bits each from the lowest; 0 where they are too many for that."""
+        counts = [len(bank.taps) for bank in self.banks]
+        return sum(n << 4 * k for k, n in enumerate(counts)) if len(counts) < 8 and max(counts) < 16 else 0
+
+    @property
     def cycles(self) -> float:
         """Phase of the carrier over one sample of the envelope."""
         return self.carrier * self.mixer.every / self.signal.sampling_rate

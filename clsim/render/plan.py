@@ -10,7 +10,7 @@ import numpy as np
 
 from clsim.arrays import row_name, short_repr
 from clsim.errors import counted
-from clsim.render.baseband import Baseband
+from clsim.render.baseband import LONG_ENVELOPE_BLOCK, SLOW_CHANGE, WIDEST_SUBBLOCK, Baseband
 from clsim.render.interpolator import SMALL_SUBBLOCK
 
 if TYPE_CHECKING:
@@ -70,6 +70,8 @@ class Plan:
         Contributions to the pressure at the receivers, in this order.
     receivers : tuple of Receiver
         The scene's receivers; none for tracks computed elsewhere.
+    first_rows : ndarray (receivers + 1,)
+        First row of each receiver's channels, and the number of all rows at the end.
     """
 
     options: RenderOptions
@@ -85,11 +87,14 @@ class Plan:
     left_out: str = ""
     contributions: tuple[Contribution, ...] = field(init=False)
     receivers: tuple[Receiver, ...] = field(init=False)
+    first_rows: NDArray[np.int32] = field(init=False)
 
     __repr__ = short_repr
 
     def __post_init__(self, builders: Sequence[Callable[[Plan], Contribution | None]]) -> None:
         of_scene = self.tracks.of_scene
+        first = np.cumsum([0, *map(len, self.tracks.channels)], dtype=np.int32)
+        object.__setattr__(self, "first_rows", first)
         object.__setattr__(self, "receivers", () if of_scene is None else tuple(of_scene.paths.scene.receivers))
         made = tuple(made for build in builders if (made := build(self)) is not None)
         object.__setattr__(self, "contributions", made)
@@ -146,6 +151,26 @@ class Plan:
         """
         subblock = self.source_filters[source].bank.subblock
         return min(subblock, SMALL_SUBBLOCK) if self.is_fine(block) else subblock
+
+    def left_out_over(self, source: int, block: int) -> float:
+        """Return the share of a block of the samples that take few terms of its polynomials; 0 where they take all.
+
+        Parameters
+        ----------
+        source : int
+            Index of the source.
+        block : int
+            Samples in a block.
+
+        Returns
+        -------
+        float
+            Of the source's subblocks; of envelopes' widest vectors, if blocks are long and motion is slow for these.
+        """
+        if self.baseband is not None:
+            change = WIDEST_SUBBLOCK / self.sampling_rate * self.tracks.max_rate(source)
+            return WIDEST_SUBBLOCK / block if block >= LONG_ENVELOPE_BLOCK and change <= SLOW_CHANGE else 0.0
+        return 0.0 if self.is_fine(block) else self.subblock(source, block) / block
 
     def where_claimed(self, claim: str, build: Callable[[Plan], Contribution]) -> Contribution | None:
         """Build a contribution if its method claims something.
@@ -299,11 +324,6 @@ class Plan:
         """Number of receivers."""
         return len(self.tracks.receiver_names)
 
-    @property
-    def first_rows(self) -> NDArray[np.int32]:
-        """First row of each receiver's channels, and the number of all rows at the end, (receivers + 1,)."""
-        return np.cumsum([0, *map(len, self.tracks.channels)], dtype=np.int32)
-
     def rows_of_pair(self, pair: int) -> slice:
         """Return the rows of the pressure that have a pair's paths.
 
@@ -340,7 +360,7 @@ class Plan:
     @property
     def row_count(self) -> int:
         """Number of rows of the pressure: channels of all receivers."""
-        return sum(map(len, self.tracks.channels))
+        return int(self.first_rows[-1])
 
     @property
     def channels(self) -> tuple[tuple[str, str], ...]:

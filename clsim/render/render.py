@@ -91,10 +91,11 @@ def record(plan: Plan) -> Recording:
     """Return the recording of a plan, in memory as a whole."""
     size = plan.row_count * plan.samples * np.dtype(plan.sample_type).itemsize
     with within_memory("duration", "a whole recording (see `render_chunks`)", size):
-        samples = np.empty((plan.row_count, plan.samples), dtype=plan.sample_type)
+        samples = np.zeros((plan.row_count, plan.samples), dtype=plan.sample_type)
     rendering = Rendering(plan)
-    for start, piece in rendering.pieces():
-        samples[:, start : start + piece.shape[1]] = piece
+    for start, piece in rendering.pieces(into=samples):
+        if not np.may_share_memory(piece, samples):
+            samples[:, start : start + piece.shape[1]] = piece
     samples.flags.writeable = False
     paths = None if plan.tracks.of_scene is None else plan.tracks.of_scene.paths
     notes = (*plan.describe(), *rendering.describe())
@@ -221,13 +222,15 @@ class Rendering:
         """Samples at each receiver that its converter clipped so far."""
         return self._receivers.clipped
 
-    def pieces(self, first: int = 0) -> Iterator[tuple[int, NDArray[Any]]]:
+    def pieces(self, first: int = 0, into: NDArray[Any] | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the recording chunk by chunk; see `render_chunks`.
 
         Parameters
         ----------
         first : int
             Sample to begin with, the first one of a chunk.
+        into : ndarray (receivers, samples), optional
+            Zeros, in which pieces are rendered where they need no other type.
 
         Yields
         ------
@@ -237,7 +240,7 @@ class Rendering:
             Pa or V.
         """
         for start in range(first, self._plan.samples, self._plan.chunk):
-            yield start, self._receivers(start, self._pressure(start))
+            yield start, self._receivers(start, self._pressure(start, into))
         self._pressure.warn()
         self._receivers.warn()
 
@@ -270,11 +273,17 @@ class PressureSum:
         self._plan = plan
         self._adding = tuple(contribution.begin() for contribution in plan.contributions)
 
-    def __call__(self, start: int) -> NDArray[Any]:
-        """Return the pressure (rows, n) of the chunk that begins with sample `start`, Pa."""
+    def __call__(self, start: int, into: NDArray[Any] | None = None) -> NDArray[Any]:
+        """Return the pressure (rows, n) of the chunk that begins with sample `start`, Pa.
+
+        It is a part of the zeros `into` (rows, samples) if these have its type.
+        """
         plan = self._plan
         stop = min(start + plan.chunk, plan.samples)
-        pressure = np.zeros((plan.row_count, stop - start), plan.pressure_type)
+        if into is None or into.dtype != plan.pressure_type:
+            pressure = np.zeros((plan.row_count, stop - start), plan.pressure_type)
+        else:
+            pressure = into[:, start:stop]
         for adding in self._adding:
             adding.add(pressure, start)
         return pressure
@@ -341,7 +350,7 @@ class ReceiverChain:
     def __call__(self, start: int, pressure: NDArray[Any]) -> NDArray[Any]:
         """Return the recorded samples of the pressure (rows, n) in Pa from sample `start` on."""
         with np.errstate(over="ignore"):  # what float32 does not hold is refused
-            out = np.array(pressure, dtype=self._plan.sample_type)
+            out = np.array(pressure, dtype=self._plan.sample_type, copy=True if self._ends else None)
             for i, end in self._ends.items():
                 row = i - self._here.start
                 out[row] = end(start, np.asarray(pressure[row], dtype=np.float64))

@@ -65,12 +65,13 @@ static gains falling(gains g0, gains g1, gains g2, gains g3, gains third_squared
 // Square of the largest error of those cubics as pressure at full scale: the Hermite remainder h^4 f''''/384 of the delay
 // turned into phase, and 0.02 of the gains' third differences (0.016 is that of Catmull-Rom), both from differences of
 // nodes; and what groups leave out of the cubics, where subblocks are a `part` of the block: the delay's third power, the
-// gains' second one (fine ones leave out nothing: `part` is 0). Of envelopes the septic's, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
+// gains' second one (fine ones leave out nothing: `part` is 0). Of envelopes the septic's, with its fourth power left out, and 0.03 of the gains' fourth differences (3/128 is that of the cubic through nodes).
 static float delay_error_squared(const window* node, float angular_frequency, real block_time, float part)
 {
     const real* r = node->rate;
 #if DELAY_TERMS == 8
-    const float delay_error = septic_error(node->delay, r, block_time);
+    const float fourth = part * part * part * part * septic_fourth(node->delay, r, block_time);
+    const float delay_error = septic_error(node->delay, r, block_time) + (fourth < 0.0f ? -fourth : fourth);
 #else
     const float remainder = (float)((r[3] - r[0] + 3 * (r[1] - r[2])) * block_time) / 384.0f;
     const float cubed = (float)(0.125f * block_time * (r[1] + r[2]) - 0.25f * (node->delay[2] - node->delay[1]));
@@ -81,12 +82,21 @@ static float delay_error_squared(const window* node, float angular_frequency, re
     return phase * phase * node->strength[1];
 }
 
+// Up to when, and from when on, s, what a block receives was emitted, where the last node is received at `time`. By the nodes beside
+// it; blocks of envelopes are so long that these may lie beyond a motion's end: there by its own.
+static real emitted_by(const window* node, real time, real block_time)
+{
+    return DELAY_TERMS == 8 ? time - block_time - node->delay[2] : time - node->delay[3];
+}
+
+static real emitted_from(const window* node, real time, real block_time)
+{
+    return DELAY_TERMS == 8 ? time - 2 * block_time - node->delay[1] : time - 3 * block_time - node->delay[0];
+}
+
 // The same of what groups leave out of gains.
 static float left_out_squared(const gains terms[4][GAIN_VECTORS], __global const gains* sizes, float part)
 {
-#if DELAY_TERMS == 8
-    return 0.0f;
-#else
     gains change = 0.0f;
 #pragma unroll
     for (int i = 0; i < GAIN_VECTORS; i++) {
@@ -94,7 +104,6 @@ static float left_out_squared(const gains terms[4][GAIN_VECTORS], __global const
         change += second * second;
     }
     return sum_of(change);
-#endif
 }
 
 // The same of gains between nodes.

@@ -32,6 +32,14 @@ static float septic_error(const double* delay, const double* rate, double block_
     const double rest = centre - quintic, ratio = rest * rest / (third * third + 1e-40);
     return (float)(ratio < 1.0 ? rest * sqrt(ratio) : rest);
 }
+
+// The fourth power's coefficient of the septic, s.
+static float septic_fourth(const double* delay, const double* rate, double block_time)
+{
+    const double inner = 0.25 * block_time * (rate[2] - rate[1]), outer = 0.25 * block_time * (rate[3] - rate[0]);
+    const double values = 0.5 * (delay[0] + delay[3] - delay[1] - delay[2]);
+    return (float)(15.0 / 256.0 * (values - 4.0 * inner) - 11.0 / 384.0 * (outer - 3.0 * inner));
+}
 #endif
 
 // Write the delay in samples of the branches, of which a block has twice `half_block`; returns its whole part.

@@ -150,7 +150,7 @@ __kernel void tracks(const motion_numbers motion, __global const double* knots, 
         const float residual_here = residual_where_active(largest_residual, block * run.block_samples, GROUP * run.block_samples, from, until);
         f.residual = residual_here > f.residual ? residual_here : f.residual;
         const double time = motion.start + (double)(block + 2) * block_time;
-        if (time - w.delay[3] >= run.emitted_first && time - 3.0 * block_time - w.delay[0] <= run.emitted_last) {
+        if (emitted_by(&w, time, block_time) >= run.emitted_first && emitted_from(&w, time, block_time) <= run.emitted_last) {
             const float squared = delay_error_squared(&w, run.angular_frequency, block_time, run.subblock_share) +
                                   left_out_squared(powers, env.sizes, run.subblock_share) + gain_error;
             f.error = squared > f.error ? squared : f.error;

@@ -4,57 +4,73 @@
 // whole part of a path's delay, which is found for BATCH paths together. Where functions are PAIRED, the second of two is the first
 // one times j: both are one complex gain of the same envelope.
 
-typedef struct {
-    int whole[BATCH];   // samples of the delay
-    float rest[BATCH];  // constant term of the delay less these
-} batch;
+#if FINE
+#define GAIN(k) CUBIC(c[AT(k)], c[AT(k) + POWER], c[AT(k) + 2 * POWER], c[AT(k) + 3 * POWER], t)
+#define AT(k) ((DELAY_TERMS + (k) * CHANNELS + channel) * BESIDE)
+#define POWER (FUNCTIONS * CHANNELS * BESIDE)
+#else
+#define GAIN(k) (paths->gain[k][1][p] * t + paths->gain[k][0][p])
+#endif
 
-// Round the delays at `middle` of a block.
-static void round_delays(__global const int* delay, __global const float* polynomials, float middle, batch* out)
-{
-    for (int p = 0; p < BATCH; p += LANES) {
-        __global const float* c = polynomials + place_of(0, p, FUNCTIONS * CHANNELS, 0);
-        vec moved = LOAD(c + (DELAY_TERMS - 1) * BESIDE);  // from the block's middle to that of these samples
-#pragma unroll
-        for (int i = DELAY_TERMS - 2; i >= 0; i--) moved = moved * middle + LOAD(c + i * BESIDE);
-        *(loose_ivec*)(out->whole + p) = *(__global const loose_ivec*)(delay + p) + nearest(moved);
-        *(loose_vec*)(out->rest + p) = LOAD(c) - rounded(moved);
+// The gain of function k + 1, which is function k times j.
+#if PAIRED
+#define ADD_TURNED(k)                  \
+    const vec turned = GAIN((k) + 1);  \
+    real -= turned * b;                \
+    imaginary += turned * a;
+#else
+#define ADD_TURNED(k)
+#endif
+
+// Add what a path brings of function k through `count` branches, the highest one's real row being `x`.
+#define ADD(k, count)                                                        \
+    {                                                                        \
+        __global const float* y = x + (count) * (long)stride;                \
+        vec a = LOAD(x), b = LOAD(y);                                        \
+        _Pragma("unroll") for (int q = 1; q < (count); q++)                  \
+        {                                                                    \
+            a = a * mu + LOAD(x - q * (long)stride);                         \
+            b = b * mu + LOAD(y - q * (long)stride);                         \
+        }                                                                    \
+        const vec gain = GAIN(k);                                            \
+        real += gain * a;                                                    \
+        imaginary += gain * b;                                               \
+        ADD_TURNED(k)                                                        \
     }
-}
 
-// Add one path of a batch at samples `t` of its block; `branches` points at the first of these without delay.
-static void add_path(__global const float* branches, int stride, __constant int* first_row, int whole, float rest,
+// The same where counts are constants, four bits each; `x` goes on to the next function.
+#define COUNT(k) (COUNTS >> 4 * ((k) & 7) & 15)
+#define ADD_NEXT(k)                                                                                          \
+    if (FUNCTIONS > k && !(PAIRED & k)) {                                                                    \
+        ADD(k, COUNT(k))                                                                                     \
+        x += (COUNT(k) + (PAIRED ? 2 * COUNT(k + 1) + COUNT(k + 2) : COUNT(k + 1))) * (long)stride;          \
+    }
+
+// Add path p of a batch at samples `t` of its block, or from the group's middle; `branches` points at the first of these without delay.
+static void add_path(__global const float* branches, int stride, __constant int* first_row, const batch* paths, int p,
                      __global const float* c, int channel, vec t, ulong turn_per_sample, float half_turns_per_sample,
                      vec* real_sum, vec* imaginary_sum)
 {
-    vec mu = c[(DELAY_TERMS - 1) * BESIDE], real = 0.0f, imaginary = 0.0f, cosine, sine;
+    const int whole = paths->whole[p];
+    vec mu = paths->delay[TERMS - 1][p], real = 0.0f, imaginary = 0.0f, cosine, sine;
 #pragma unroll
-    for (int i = DELAY_TERMS - 2; i >= 0; i--) mu = mu * t + (i > 0 ? c[i * BESIDE] : rest);
-#if FUNCTIONS <= 8
-#pragma unroll
-#endif
+    for (int i = TERMS - 2; i >= 0; i--) mu = mu * t + paths->delay[i][p];
+#if COUNTS
+    __global const float* x = branches - whole + (2 * first_row[0] + COUNT(0) - 1) * (long)stride;
+    ADD_NEXT(0)
+    ADD_NEXT(1)
+    ADD_NEXT(2)
+    ADD_NEXT(3)
+    ADD_NEXT(4)
+    ADD_NEXT(5)
+    ADD_NEXT(6)
+#else
     for (int k = 0; k < FUNCTIONS; k += 1 + PAIRED) {
-        const int count = first_row[k + 1] - first_row[k], power = FUNCTIONS * CHANNELS * BESIDE;
-        __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride - whole;
-        __global const float* y = x + count * (long)stride;
-        __global const float* g = c + (DELAY_TERMS + k * CHANNELS + channel) * BESIDE;
-        vec a = LOAD(x), b = LOAD(y);
-        for (int q = 1; q < count; q++) {
-            x -= stride;
-            y -= stride;
-            a = a * mu + LOAD(x);
-            b = b * mu + LOAD(y);
-        }
-        const vec gain = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
-        real += gain * a;
-        imaginary += gain * b;
-#if PAIRED
-        g += CHANNELS * BESIDE;  // of the same function times j
-        const vec turned = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
-        real -= turned * b;
-        imaginary += turned * a;
-#endif
+        const int count = first_row[k + 1] - first_row[k];
+        __global const float* x = branches - whole + (first_row[k] + first_row[k + 1] - 1) * (long)stride;
+        ADD(k, count)
     }
+#endif
     half_turns(mu * half_turns_per_sample + whole_turn(whole, turn_per_sample), &cosine, &sine);
     *real_sum += real * cosine + imaginary * sine;
     *imaginary_sum += imaginary * cosine - real * sine;
@@ -87,16 +103,20 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
         for (int g = first; g < last; g++) {
             const int at = g * LANES, block = at / block_samples, inside = at - block * block_samples, row = first_block + block;
             const float middle = ((float)inside + 0.5f * (LANES - 1)) * (2.0f / (float)block_samples) - 1.0f;
+#if FINE
             const vec t = (RAMP + (float)inside) * (2.0f / (float)block_samples) - 1.0f;
+#else
+            const vec t = RAMP - 0.5f * (LANES - 1);
+#endif
             __global const float* c = polynomials + place_of(row, slot, FUNCTIONS * CHANNELS, slots);
-            round_delays(delay + row * (long)slots + slot, c, middle, &paths);
+            expand(delay + row * (long)slots + slot, c, middle, 2.0f / (float)block_samples, channel, &paths);
             vec real = 0.0f, imaginary = 0.0f;
             for (int p = 0; p < BATCH; p++) {
 #if SPARSE
                 const int mask = activity[row * (long)slots + slot + p];
                 if ((inside + LANES - 1) / SUBBLOCK < MASK_FIRST(mask) || inside / SUBBLOCK >= MASK_END(mask)) continue;
 #endif
-                add_path(branches + lead + at, stride, first_row, paths.whole[p], paths.rest[p],
+                add_path(branches + lead + at, stride, first_row, &paths, p,
                          c + place_of(0, p, FUNCTIONS * CHANNELS, 0), channel, t, turn_per_sample, half_turns_per_sample, &real,
                          &imaginary);
             }

@@ -140,12 +140,9 @@ class _Upsampled:
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add the sound from sample `start` on to the pressure (receivers, n), Pa."""
-        every, stop = self._upsampler.every, start + pressure.shape[1]
-        first = start // every
-        envelopes = self._envelopes(*self._span(start, stop))
-        for row, envelope in zip(pressure, envelopes, strict=True):
-            if np.any(envelope):
-                row += self._upsampler(envelope, first)[start - first * every : stop - first * every]
+        envelopes = self._envelopes(*self._span(start, start + pressure.shape[1]))
+        first, skipped = divmod(start, self._upsampler.every)
+        self._upsampler.add(envelopes, first, pressure, skipped)
 
     def warn(self) -> None:
         """Warn of residuals above the requested error."""
@@ -169,8 +166,9 @@ class _Upsampled:
         """Return samples `first` to `last` of the envelopes, (receivers, n)."""
         wanted = self._chunks_of(first, last)
         self._chunks = {k: self._chunks[k] if k in self._chunks else self.found(k) for k in wanted}
-        begin = wanted[0] * self._plan.chunk - _AHEAD
-        return np.concatenate([self._chunks[k] for k in wanted], axis=1)[:, first - begin : last - begin]
+        begin, made = wanted[0] * self._plan.chunk - _AHEAD, list(self._chunks.values())
+        together = made[0] if len(made) == 1 else np.concatenate(made, axis=1)
+        return together[:, first - begin : last - begin]
 
     def rendered(self, chunk: int, *, alone: bool = False) -> Complexes:
         """Return a chunk of envelopes, the same from any beginning; `alone` if the next one need not be prepared."""

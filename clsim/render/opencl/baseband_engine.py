@@ -16,6 +16,9 @@ from clsim.render.plan import BATCH
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from clsim.render.opencl.batches import Layout
+    from clsim.render.plan import Plan
+
 _GROUPS = 8  # of samples with one whole delay, for which a batch of paths is summed together
 _PLACES = 8  # segments in which blocks are looked at before any is rendered
 _FEW = 2  # blocks that are looked at in each
@@ -26,6 +29,15 @@ class BasebandEngine(OpenclEngine):
     """Carries out a plan of complex envelopes on an OpenCL device."""
 
     parts = 2
+
+    def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
+        super().__init__(plan, layout)
+        # By source: the longest blocks in which any batch of a chunk was rendered, with which the next ones begin.
+        self.levels: dict[int, int] = {}
+
+    def _add(self, pressure: NDArray[Any], start: int) -> None:
+        self.levels.clear()
+        super()._add(pressure, start)
 
     @property
     def run(self) -> type[Run]:
@@ -41,8 +53,17 @@ class BasebandEngine(OpenclEngine):
 class _BasebandRun(Run):
     """Renders one batch of receivers over some segments of a chunk."""
 
+    _engine: BasebandEngine
+
+    def render(self) -> None:
+        """Add the batch's paths to the envelopes, and remember the longest blocks in which it was rendered."""
+        self._rendered = len(self._plan.blocks)
+        super().render()
+        self._engine.levels[self._source] = self._rendered
+
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level or below, beginning with those that may do."""
+        level = max(level, self._engine.levels.get(self._source, 0))
         super()._cover(first, last, self._promising(first, last, level))
 
     def _promising(self, first: int, last: int, level: int) -> int:
@@ -68,6 +89,7 @@ class _BasebandRun(Run):
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, begin = self._engine, segment * self._plan.segment
+        self._rendered = min(self._rendered, self._plan.blocks.index(block))
         self._render_fades(nodes, segment, end, block, first_block)
         on_cpu = engine._layout.lanes > 1
         lanes = min(block, WIDEST_SUBBLOCK) if on_cpu else 1
@@ -79,6 +101,8 @@ class _BasebandRun(Run):
             "LANES": lanes,
             "GROUPS": together,
             "BATCH": BATCH if on_cpu else 1,
+            "FINE": int(not (on_cpu and self._plan.left_out_over(self._source, block))),
+            "COUNTS": filters.counts,
             "SUBBLOCK": filters.bank.subblock,
             "FUNCTIONS": self._functions,
             "CHANNELS": self._channels,

@@ -74,9 +74,10 @@ def block_error(
     The remainder of cubic Hermite interpolation is ``h^4 f / 384``, with ``h^3 f`` the third difference of the rate;
     that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used), that of the cubic through all
     four nodes 3/128 of the fourth (0.03 is used). Groups that are a `part` of the block leave out the third power of
-    the delay and the second one of the gains; 0 where they do not. With eight terms the septic's distance at mid-block
-    from the quintic through the middle nodes and all four rates is taken, times its ratio to the cubic's, where that is
-    below 1: as if the terms went on falling like this. Motion without higher derivatives gains nothing.
+    the delay, of septics the fourth, and the second one of the gains; 0 where they do not. With eight terms the
+    septic's distance at mid-block from the quintic through the middle nodes and all four rates is taken, times its
+    ratio to the cubic's, where that is below 1: as if the terms went on falling like this. Motion without higher
+    derivatives gains nothing.
     """
     delay_samples = np.abs(np.diff(rate, 3, axis=1)) * block_time / 384.0
     if terms == 8:
@@ -85,14 +86,16 @@ def block_error(
         septic = (243.0 * (d1 + d2) + 13.0 * (d0 + d3) - 162.0 * (e2 - e1) - 6.0 * (e3 - e0)) / 512.0
         rest = np.abs(septic - quintic)
         delay_samples = rest * np.minimum(rest / np.maximum(delay_samples, 1e-20), 1.0)
+        outer, inner = 0.5 * (d0 + d3 - d1 - d2), 0.5 * (e2 - e1)
+        fourth = 15.0 / 256.0 * (outer - 4.0 * inner) - 11.0 / 384.0 * (0.5 * (e3 - e0) - 3.0 * inner)
+        delay_samples = np.hypot(delay_samples, part**4 * fourth)
     else:
         cubed = 0.125 * block_time * (rate[:, 1:-2] + rate[:, 2:-1]) - 0.25 * np.diff(delay, axis=1)[:, 1:-1]
         delay_samples = delay_samples + np.abs(cubed) * part**3
     last = _fourth(gain) if terms == 8 else np.abs(np.diff(gain, 3, axis=2))
     change = (GAIN_ERROR[terms] * last).sum(axis=0)
-    if terms == 4:
-        g0, g1, g2, g3 = _nodes(gain)
-        change = np.hypot(change, 0.0625 * part**2 * np.abs((g3 - g2) - (g1 - g0)).sum(axis=0))
+    g0, g1, g2, g3 = _nodes(gain)
+    change = np.hypot(change, 0.0625 * part**2 * np.abs((g3 - g2) - (g1 - g0)).sum(axis=0))
     return np.asarray(np.hypot(angular_frequency * delay_samples * np.abs(gain[:, :, 1:-2]).sum(axis=0), change))
 
 

@@ -146,12 +146,14 @@ class OpenclEngine:
         plan, length = self._plan, self.branch_signals.whole_blocks(start, start + pressure.shape[1])
         shape = self.parts * plan.row_count, length
         size = 4 * shape[0] * shape[1]
-        on_device = self._scratch.take("pressure", size)
-        cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
+        on_device = None
         for source in range(len(plan.source_filters)):
             feed = self.branch_signals.take(source, start, length)
             if feed is None:
                 continue
+            if on_device is None:
+                on_device = self._scratch.take("pressure", size)
+                cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
             active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
             segments = -(-length // plan.segment)
             always = all(plan.tracks.pairs[pair.index].always_audible for pair in active)
@@ -166,6 +168,8 @@ class OpenclEngine:
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         for residuals in self.residuals:
             residuals.settle((start + length) // plan.segment)
+        if on_device is None:
+            return
         rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         self.put(rows[:, : pressure.shape[1]], pressure)
         rows.base.release(self._queue)

@@ -138,14 +138,14 @@ class HostNodeMaker:
             delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, terms
         )
         sized = gain * _strengths(filters.basis, len(gain))[:, None, None]
-        part = 0.0 if plan.is_fine(block) else plan.subblock(run.source, block) / block
+        part = plan.left_out_over(run.source, block)
         wrong = block_error(delay, change, sized, 2.0 * math.pi * filters.swiftness, block / rate, part, terms)
         first, last = (edge[slots, None] for edge in run.audible)
         begins = block * np.arange(run.blocks)
         audible = (first < begins + block) & (last > begins)
         made[:, terms:] = np.where(audible.T[:, None], made[:, terms:], 0.0)
         loud = np.abs(sized).sum(axis=0)[:, 1:-2] * audible
-        sounds = audible & _sounds(filters, times, delay, rate)
+        sounds = audible & _sounds(filters, times, delay, rate, 1 if terms == 8 else 0)
         squares = _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block)
         return whole, made, _Found(squares, float(delay.min()), float(delay.max()))
 
@@ -195,10 +195,15 @@ def _strengths(basis: Basis, count: int) -> Floats:
     return np.repeat(basis.strengths, count // len(basis))
 
 
-def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float) -> NDArray[np.bool_]:
-    """Return a mask (paths, blocks) of the blocks of nodes (paths, blocks + 3) in which the signal can arrive."""
+def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float, inner: int) -> NDArray[np.bool_]:
+    """Return a mask (paths, blocks) of the blocks of nodes (paths, blocks + 3) in which the signal can arrive.
+
+    By the nodes at a block's ends if `inner` is 1, by those beside them if it is 0.
+    """
     first, last = filters.emitted_between(rate)
-    return np.asarray((times[3:] - delay[:, 3:] >= first) & (times[:-3] - delay[:, :-3] <= last))
+    emitted, blocks = times - delay, len(times) - 3
+    ends, begins = emitted[:, 3 - inner :][:, :blocks], emitted[:, inner:][:, :blocks]
+    return np.asarray((ends >= first) & (begins <= last))
 
 
 def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:

@@ -306,7 +306,7 @@ class NodeMaker:
             "block_samples": block,
             "segment_blocks": self._plan.segment // block,
             "subblock_samples": subblock,
-            "subblock_share": 0.0 if self._plan.is_fine(block) else subblock / block,
+            "subblock_share": self._plan.left_out_over(source, block),
             "function_count": len(self._plan.source_filters[source].basis) * channels,
             "angular": self._environments[source].angular,
         }

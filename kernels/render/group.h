@@ -1,0 +1,52 @@
+// Polynomials of BATCH paths about the middle of a group of LANES samples: a delay goes on with a cubic, a gain evenly. In short
+// blocks (FINE) all terms of the block's polynomials are taken instead.
+
+#if FINE
+#define TERMS DELAY_TERMS
+#else
+#define TERMS 4
+#endif
+
+typedef struct {
+    int whole[BATCH];            // samples of the delay
+    float delay[TERMS][BATCH];   // powers of the rest: of samples from the group's middle, or (FINE) as in the block
+    float gain[FUNCTIONS][2][BATCH];  // at the group's middle, and its change per sample
+} batch;
+
+// Expand the polynomials of paths about `middle` of their block, a group's middle.
+static void expand(__global const int* delay, __global const float* polynomials, float middle, float per_sample, int channel, batch* out)
+{
+    for (int p = 0; p < BATCH; p += LANES) {
+        __global const float* c = polynomials + place_of(0, p, FUNCTIONS * CHANNELS, 0);
+        vec d[DELAY_TERMS];
+#pragma unroll
+        for (int i = 0; i < DELAY_TERMS; i++) d[i] = LOAD(c + i * BESIDE);
+#if FINE
+        vec moved = d[DELAY_TERMS - 1];  // from the block's middle to that of these samples
+#pragma unroll
+        for (int i = DELAY_TERMS - 2; i >= 0; i--) moved = moved * middle + d[i];
+#else
+        float scale = 1.0f;
+#pragma unroll
+        for (int k = 0; k < TERMS; k++) {
+#pragma unroll
+            for (int i = DELAY_TERMS - 2; i >= k; i--) d[i] += d[i + 1] * middle;
+            d[k] *= scale;
+            scale *= per_sample;
+        }
+        const vec moved = d[0];
+#pragma unroll
+        for (int k = 0; k < FUNCTIONS; k++) {
+            __global const float* g = c + (DELAY_TERMS + k * CHANNELS + channel) * BESIDE;
+            const int power = FUNCTIONS * CHANNELS * BESIDE;
+            const vec g1 = LOAD(g + power), g2 = LOAD(g + 2 * power), g3 = LOAD(g + 3 * power);
+            *(loose_vec*)(out->gain[k][0] + p) = CUBIC(LOAD(g), g1, g2, g3, middle);
+            *(loose_vec*)(out->gain[k][1] + p) = per_sample * CUBIC_SLOPE(g1, g2, g3, middle);
+        }
+#endif
+        *(loose_ivec*)(out->whole + p) = *(__global const loose_ivec*)(delay + p) + nearest(moved);
+        d[0] -= rounded(moved);
+#pragma unroll
+        for (int i = 0; i < TERMS; i++) *(loose_vec*)(out->delay[i] + p) = d[i];
+    }
+}
