@@ -56,6 +56,7 @@ OF_GAINS = {
     "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION, "LEFT_OUT": LEFT_OUT,
     "END_CELLS": END_CELLS, "END_TERMS": END_TERMS, "BOTH": BOTH, "AT_CORNER": AT_CORNER, "HALF_TURN": math.pi,
     "FOCK_FIRST": fock.FIRST, "FOCK_LAST": fock.LAST, "FOCK_COUNT": fock.COUNT,
+    "LIT_FIRST": fock.LIT_FIRST, "LIT_LAST": fock.LIT_LAST, "LIT_COUNT": fock.LIT_COUNT,
     "FOCK_WHOLE": silhouette.FORWARD_FOCK[0], "FOCK_NONE": silhouette.FORWARD_FOCK[1],
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
@@ -108,6 +109,7 @@ class StaticColumns:
 
     leg, vertex, mirrors = STATIC, NONE, 0
     state_numbers = 0  # of the state that goes with a delay, see kernels/nodes/path.h
+    known_at = 1  # frequencies at which the strength of an outline's points is known
 
     def __init__(self, of: Rendered) -> None:
         self._of, self._family = of, of.family
@@ -217,11 +219,14 @@ class ScattererColumns(StaticColumns):
             return {}
         waves = basis.nodes / self._of.tracks.paths.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
-        # All outlines find Fock's function at the beginning, and then what else casts a shadow, see ``shade.h``.
+        # All outlines find Fock's function at the beginning, then the reflection near grazing incidence, and then what
+        # else casts a shadow, see ``shade.h``.
         casters = np.zeros((int(outlined.sum()), 7))
         parts: list[Floats] = []
         if outlined.any():
-            parts = [fock.fock_table().view(np.float64), np.array([len(casters)]), casters.reshape(-1)]
+            tables = [table.view(np.float64) for table in (fock.fock_table(), fock.lit_table())]
+            parts = [*tables, np.array([len(casters)]), casters.reshape(-1)]
+            self.known_at = max(self.known_at, silhouette.known_at(np.cbrt(np.pi * waves)))
         for view in np.flatnonzero(views["shape"] == SPHERE):
             modes = sphere_modes(tuple((2.0 * np.pi * waves * views["semi_axes"][view, 0]).tolist()))
             factors = np.stack([modes.step, modes.back, modes.weight.real, modes.weight.imag], axis=1)

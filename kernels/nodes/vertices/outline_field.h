@@ -13,12 +13,27 @@ static void fock_hard(__global const double* table, double xi, float* real, floa
     *imaginary = beyond ? 0.0f : (float)(at[1] + part * (at[3] - at[1]));
 }
 
-#if FREQUENCIES == 1
-#define KNOWN_AT 1
-#else
-#define KNOWN_AT 6  // `FEW`: but for the phase, strengths are Newton's polynomials of the root through Chebyshev's nodes
-#endif
-__constant const double of_chebyshev[6] = {0.9659258262890683, 0.7071067811865476, 0.25881904510252074, -0.25881904510252063, -0.7071067811865475, -0.9659258262890682};
+// Reflection near grazing incidence over the mirror's, `lit_reflection`, by its table.
+static void lit_reflection(__global const double* table, double xi, float* real, float* imaginary)
+{
+    const double clamped = fmin(fmax(xi, LIT_FIRST), LIT_LAST), place = (clamped - LIT_FIRST) * ((LIT_COUNT - 1) / (LIT_LAST - LIT_FIRST));
+    const int cell = (int)fmin(place, LIT_COUNT - 2.0);
+    const double part = place - cell, low = fmin(xi, LIT_FIRST), over = 1.0 / (low * low * low);
+    __global const double* at = table + 2 * (FOCK_COUNT + cell);
+    const int below = xi < LIT_FIRST;
+    *real = (float)(below ? 1.0 - 20.0 * over * over : at[0] + part * (at[2] - at[0]));
+    *imaginary = (float)(below ? -2.0 * over : at[1] + part * (at[3] - at[1]));
+}
+
+// But for the phase, strengths are Newton's polynomials of the root through KNOWN_AT Chebyshev nodes.
+#define OF_CHEBYSHEV (chebyshev_nodes + KNOWN_AT * (KNOWN_AT - 1) / 2)
+__constant const double chebyshev_nodes[21] = {  // of 1 to 6
+    0.0,
+    0.7071067811865476, -0.7071067811865475,
+    0.8660254037844387, 0.0, -0.8660254037844387,
+    0.9238795325112867, 0.38268343236508984, -0.3826834323650897, -0.9238795325112867,
+    0.9510565162951535, 0.5877852522924731, 0.0, -0.587785252292473, -0.9510565162951535,
+    0.9659258262890683, 0.7071067811865476, 0.25881904510252074, -0.25881904510252063, -0.7071067811865475, -0.9659258262890682};
 
 // (k / 2)^(1/3) at all frequencies, from -1 to 1, and the middle and half of its range.
 typedef struct {
@@ -49,7 +64,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         const float edge = (float)OF_NODE(edges, i), smooth = (float)OF_NODE(curves, i), late = (float)-OF_NODE(detour, i);
         float real[KNOWN_AT], imaginary[KNOWN_AT];
         for (int m = 0; m < KNOWN_AT; m++) {
-            const double root_of_wave = roots->middle + roots->reach * of_chebyshev[m], fock = root_of_wave * OF_NODE(of_points.fock, i);
+            const double root_of_wave = roots->middle + roots->reach * OF_CHEBYSHEV[m], fock = root_of_wave * OF_NODE(of_points.fock, i);
             const float near = (float)faded(fock, NEAR_WHOLE, NEAR_NONE);
             fock_hard(t->modes, fock, real + m, imaginary + m);
             real[m] = near * (edge - smooth * (float)root_of_wave * real[m]);
@@ -57,7 +72,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         }
         for (int order = 1; order < KNOWN_AT; order++) {  // divided differences
             for (int m = KNOWN_AT - 1; m >= order; m--) {
-                const float apart_by = (float)(1.0 / (of_chebyshev[m] - of_chebyshev[m - order]));
+                const float apart_by = (float)(1.0 / (OF_CHEBYSHEV[m] - OF_CHEBYSHEV[m - order]));
                 real[m] = (real[m] - real[m - 1]) * apart_by;
                 imaginary[m] = (imaginary[m] - imaginary[m - 1]) * apart_by;
             }
@@ -66,7 +81,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         for (int b = 0; b < BIN_VECTORS; b++) {
             bins u = real[KNOWN_AT - 1], v = imaginary[KNOWN_AT - 1];
             for (int m = KNOWN_AT - 2; m >= 0; m--) {
-                const bins from = roots->place[b] - (float)of_chebyshev[m];
+                const bins from = roots->place[b] - (float)OF_CHEBYSHEV[m];
                 u = u * from + real[m];
                 v = v * from + imaginary[m];
             }
