@@ -21,7 +21,7 @@ _TURN = np.exp(2j * math.pi / 3.0)
 _BEND = -0.25 * FIRST * FIRST
 _PIECES = (_BEND + 16.0 / _TURN, _BEND), (_BEND, 0.0), (0.0, 7.0)
 _NODES = 240
-LIT_FIRST, LIT_LAST, LIT_COUNT = -6.0, -0.5, 551  # likewise of `lit_reflection`, to 2e-5
+_LIT = -0.5  # largest argument of `lit_reflection`, whose table is as long, to 2e-5
 
 
 def fock_hard(xi: Floats) -> Complexes:
@@ -31,13 +31,16 @@ def fock_hard(xi: Floats) -> Complexes:
     P. H. Pathak, W. D. Burnside, R. J. Marhefka, A uniform GTD analysis of the diffraction of electromagnetic waves by
     a smooth convex surface, IEEE Trans. Antennas Propagat. 28 (1980), eq. 24; ``|q*(0)| = 0.307`` there.
     """
-    rest = fock_table()
     held = np.clip(xi, FIRST, LAST)
-    place = (held - FIRST) * ((COUNT - 1) / (LAST - FIRST))
-    cell = np.minimum(place.astype(np.int64), COUNT - 2)
-    part = place - cell
-    found = rest[cell] + part * (rest[cell + 1] - rest[cell]) + pole(held)
+    found = _interpolated(fock_table(), held) + pole(held)
     return np.where(xi > LAST, 0.5 / (math.sqrt(math.pi) * np.maximum(xi, 1.0)), found)
+
+
+def _interpolated(table: Complexes, xi: Floats) -> Complexes:
+    """Interpolate a table linearly at arguments within it, of any shape."""
+    place = (xi - FIRST) * ((COUNT - 1) / (LAST - FIRST))
+    cell = np.minimum(place.astype(np.int64), COUNT - 2)
+    return np.asarray(table[cell] + (place - cell) * (table[cell + 1] - table[cell]))
 
 
 def lit_reflection(xi: Floats) -> Complexes:
@@ -47,18 +50,16 @@ def lit_reflection(xi: Floats) -> Complexes:
     -0.5 and ``1 - 2 j / xi^3 - 20 / xi^6`` below (Pathak, Burnside, Marhefka 1980, eq. 26, outside the transition of
     the incident field).
     """
-    table, held = lit_table(), np.clip(xi, LIT_FIRST, LIT_LAST)
-    place = (held - LIT_FIRST) * ((LIT_COUNT - 1) / (LIT_LAST - LIT_FIRST))
-    cell = np.minimum(place.astype(np.int64), LIT_COUNT - 2)
-    found = table[cell] + (place - cell) * (table[cell + 1] - table[cell])
-    cubed = 1.0 / np.minimum(xi, LIT_FIRST) ** 3
-    return np.where(xi < LIT_FIRST, 1.0 - 2j * cubed - 20.0 * cubed**2, found)
+    cubed = 1.0 / np.minimum(xi, FIRST) ** 3
+    return np.where(
+        xi < FIRST, 1.0 - 2j * cubed - 20.0 * cubed**2, _interpolated(lit_table(), np.clip(xi, FIRST, LAST))
+    )
 
 
 @lru_cache(maxsize=1)
 def lit_table() -> Complexes:
-    """Table of `lit_reflection` at `LIT_COUNT` arguments from `LIT_FIRST` to `LIT_LAST`."""
-    xi = np.linspace(LIT_FIRST, LIT_LAST, LIT_COUNT)
+    """Table of `lit_reflection` at the arguments of `fock_table`; above -0.5 it is that there."""
+    xi = np.minimum(np.linspace(FIRST, LAST, COUNT), _LIT)
     turn = np.exp(1j * (0.75 * math.pi - xi**3 / 12.0))
     return np.asarray(np.sqrt(-4.0 / xi) * turn * (_exact(xi) - 0.5 / (math.sqrt(math.pi) * xi)))
 

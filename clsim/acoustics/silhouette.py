@@ -155,7 +155,10 @@ class CapsuleOutline:
 
     def requested(self, wave: float) -> RequestedPoints:
         """Points for a largest wave number, 1/m."""
-        return RequestedPoints.of(wave, self.largest, POINTS_OF_CAPSULE)
+        fewest, slope = POINTS_OF_CAPSULE  # of a long side; half circles that are longer have as many
+        return RequestedPoints.of(
+            wave, self.largest, (fewest, slope * max(1.0, 0.5 * math.pi * self.radius / self.largest))
+        )
 
     def table(self, count: int) -> Floats:
         """Points (6, count) on two half circles and the sides between them: a quarter on each, fewer towards its ends.
@@ -358,14 +361,12 @@ def outline_field(
     root = chebyshev_points(float(roots.min()), float(roots.max()), known_at(roots))[:, None, None]
     fock = root * string.fock
     known = faded(fock, NEAR_FOCK) * weight * (edge - root * smooth * fock_hard(fock))
-    total = _summed(known, detour, wave) - np.sum(screen, axis=1)[:, None]
-    return total, sight[:, :1]
+    return _summed(known, detour, wave) - np.sum(screen, axis=1)[:, None], sight[:, :1]
 
 
 def known_at(roots: Floats) -> int:
-    """Number of frequencies at which strengths of points are known, by cube roots of half the wave numbers (F,)."""
-    low, high = float(roots.min()), float(roots.max())
-    return next(count for reach, count in KNOWN_AT if high - low <= reach * (high + low))
+    """Frequencies at which strengths of points are known, by cube roots of half the wave numbers (F,)."""
+    return next(count for reach, count in KNOWN_AT if np.ptp(roots) <= reach * (roots.min() + roots.max()))
 
 
 def _summed(known: Complexes, detour: Floats, wave: Floats) -> Complexes:

@@ -1,28 +1,36 @@
 // The field that an outline adds to the free field, from its points: twin of `outline_field` in acoustics/silhouette.py.
 
 #if VERTEX == SCATTERER && PARTS == 2
-// Fock's function of a hard surface, `fock_hard`, by its table of real and imaginary parts.
-static void fock_hard(__global const double* table, double xi, float* real, float* imaginary)
+// Real and imaginary parts of a table of Fock's functions at an argument, linear between its rows.
+static void from_table(__global const double* table, double clamped, double* real, double* imaginary)
 {
-    const double clamped = fmin(fmax(xi, FOCK_FIRST), FOCK_LAST), place = (clamped - FOCK_FIRST) * ((FOCK_COUNT - 1) / (FOCK_LAST - FOCK_FIRST));
+    const double place = (clamped - FOCK_FIRST) * ((FOCK_COUNT - 1) / (FOCK_LAST - FOCK_FIRST));
     const int cell = (int)fmin(place, FOCK_COUNT - 2.0);
-    const double part = place - cell, pole = 0.5 / sqrt(HALF_TURN);
+    const double part = place - cell;
     __global const double* at = table + 2 * cell;
-    const int beyond = xi > FOCK_LAST;
-    *real = beyond ? (float)(pole / xi) : (float)(at[0] + part * (at[2] - at[0]) + pole * clamped / (1.0 + clamped * clamped));
-    *imaginary = beyond ? 0.0f : (float)(at[1] + part * (at[3] - at[1]));
+    *real = at[0] + part * (at[2] - at[0]);
+    *imaginary = at[1] + part * (at[3] - at[1]);
 }
 
-// Reflection near grazing incidence over the mirror's, `lit_reflection`, by its table.
+// Fock's function of a hard surface, `fock_hard`.
+static void fock_hard(__global const double* table, double xi, float* real, float* imaginary)
+{
+    const double clamped = fmin(fmax(xi, FOCK_FIRST), FOCK_LAST), pole = 0.5 / sqrt(HALF_TURN);
+    double x, y;
+    from_table(table, clamped, &x, &y);
+    const int beyond = xi > FOCK_LAST;
+    *real = beyond ? (float)(pole / xi) : (float)(x + pole * clamped / (1.0 + clamped * clamped));
+    *imaginary = beyond ? 0.0f : (float)y;
+}
+
+// Reflection near grazing incidence over the mirror's, `lit_reflection`.
 static void lit_reflection(__global const double* table, double xi, float* real, float* imaginary)
 {
-    const double clamped = fmin(fmax(xi, LIT_FIRST), LIT_LAST), place = (clamped - LIT_FIRST) * ((LIT_COUNT - 1) / (LIT_LAST - LIT_FIRST));
-    const int cell = (int)fmin(place, LIT_COUNT - 2.0);
-    const double part = place - cell, low = fmin(xi, LIT_FIRST), over = 1.0 / (low * low * low);
-    __global const double* at = table + 2 * (FOCK_COUNT + cell);
-    const int below = xi < LIT_FIRST;
-    *real = (float)(below ? 1.0 - 20.0 * over * over : at[0] + part * (at[2] - at[0]));
-    *imaginary = (float)(below ? -2.0 * over : at[1] + part * (at[3] - at[1]));
+    const double low = fmin(xi, FOCK_FIRST), over = 1.0 / (low * low * low);
+    double x, y;
+    from_table(table + 2 * FOCK_COUNT, fmin(fmax(xi, FOCK_FIRST), FOCK_LAST), &x, &y);
+    *real = (float)(xi < FOCK_FIRST ? 1.0 - 20.0 * over * over : x);
+    *imaginary = (float)(xi < FOCK_FIRST ? -2.0 * over : y);
 }
 
 // But for the phase, strengths are Newton's polynomials of the root through KNOWN_AT Chebyshev nodes.
