@@ -155,10 +155,9 @@ class CapsuleOutline:
 
     def requested(self, wave: float) -> RequestedPoints:
         """Points for a largest wave number, 1/m."""
-        fewest, slope = POINTS_OF_CAPSULE  # of a long side; half circles that are longer have as many
-        return RequestedPoints.of(
-            wave, self.largest, (fewest, slope * max(1.0, 0.5 * math.pi * self.radius / self.largest))
-        )
+        # Half circles that are longer than the sides have as many points.
+        more = max(1.0, 0.5 * math.pi * self.radius / self.largest)
+        return RequestedPoints.of(wave, self.largest, (POINTS_OF_CAPSULE[0], POINTS_OF_CAPSULE[1] * more))
 
     def table(self, count: int) -> Floats:
         """Points (6, count) on two half circles and the sides between them: a quarter on each, fewer towards its ends.
@@ -258,8 +257,7 @@ def forward_share(wave: Floats, aspects: Floats) -> tuple[Floats, Floats]:
     """Share (n, F) of the field about the outline, and Fock parameter (n, F) of the reflection; wave (F,) 1/m."""
     cosine, bend = aspects[:, 8:9], aspects[:, 9:10]
     fock = -2.0 * cosine * np.cbrt(0.5 * wave / bend)
-    share = np.where(cosine < 0.0, 1.0, faded(fock, FORWARD_FOCK) * faded(cosine, FORWARD_COSINE))
-    return np.asarray(share), np.asarray(fock)
+    return np.where(cosine < 0.0, 1.0, faded(fock, FORWARD_FOCK) * faded(cosine, FORWARD_COSINE)), np.asarray(fock)
 
 
 def silhouette_field(
