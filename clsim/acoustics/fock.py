@@ -21,6 +21,7 @@ _TURN = np.exp(2j * math.pi / 3.0)
 _BEND = -0.25 * FIRST * FIRST
 _PIECES = (_BEND + 16.0 / _TURN, _BEND), (_BEND, 0.0), (0.0, 7.0)
 _NODES = 240
+_LIT = -0.5  # largest argument of `lit_reflection`, whose table is as long, to 2e-5
 
 
 def fock_hard(xi: Floats) -> Complexes:
@@ -30,13 +31,37 @@ def fock_hard(xi: Floats) -> Complexes:
     P. H. Pathak, W. D. Burnside, R. J. Marhefka, A uniform GTD analysis of the diffraction of electromagnetic waves by
     a smooth convex surface, IEEE Trans. Antennas Propagat. 28 (1980), eq. 24; ``|q*(0)| = 0.307`` there.
     """
-    rest = fock_table()
     held = np.clip(xi, FIRST, LAST)
-    place = (held - FIRST) * ((COUNT - 1) / (LAST - FIRST))
-    cell = np.minimum(place.astype(np.int64), COUNT - 2)
-    part = place - cell
-    found = rest[cell] + part * (rest[cell + 1] - rest[cell]) + pole(held)
+    found = _interpolated(fock_table(), held) + pole(held)
     return np.where(xi > LAST, 0.5 / (math.sqrt(math.pi) * np.maximum(xi, 1.0)), found)
+
+
+def _interpolated(table: Complexes, xi: Floats) -> Complexes:
+    """Interpolate a table linearly at arguments within it, of any shape."""
+    place = (xi - FIRST) * ((COUNT - 1) / (LAST - FIRST))
+    cell = np.minimum(place.astype(np.int64), COUNT - 2)
+    return np.asarray(table[cell] + (place - cell) * (table[cell + 1] - table[cell]))
+
+
+def lit_reflection(xi: Floats) -> Complexes:
+    """Reflection of a smooth hard surface near grazing incidence, over the mirror's, at Fock parameters of any shape.
+
+    It is ``exp(j 3 pi / 4) sqrt(-4 / xi) exp(-j xi^3 / 12) (q*(xi) - 1 / (2 sqrt(pi) xi))`` from a table between -6 and
+    -0.5 and ``1 - 2 j / xi^3 - 20 / xi^6`` below (Pathak, Burnside, Marhefka 1980, eq. 26, outside the transition of
+    the incident field).
+    """
+    cubed = 1.0 / np.minimum(xi, FIRST) ** 3
+    return np.where(
+        xi < FIRST, 1.0 - 2j * cubed - 20.0 * cubed**2, _interpolated(lit_table(), np.clip(xi, FIRST, LAST))
+    )
+
+
+@lru_cache(maxsize=1)
+def lit_table() -> Complexes:
+    """Table of `lit_reflection` at the arguments of `fock_table`; above -0.5 it is that there."""
+    xi = np.minimum(np.linspace(FIRST, LAST, COUNT), _LIT)
+    turn = np.exp(1j * (0.75 * math.pi - xi**3 / 12.0))
+    return np.asarray(np.sqrt(-4.0 / xi) * turn * (_exact(xi) - 0.5 / (math.sqrt(math.pi) * xi)))
 
 
 def pole(xi: Floats) -> Floats:
@@ -51,10 +76,16 @@ def fock_table() -> Complexes:
     ``sqrt(pi) q* = integral of V'(t) / W2'(t) exp(-j xi t)``, with V = sqrt(pi) Ai and W2 = sqrt(pi) (Bi - j Ai). For
     t < 0 the quotient is j/2, whose integral is the pole of a half-plane and left out, and a reflected wave.
     """
+    xi = np.linspace(FIRST, LAST, COUNT)
+    return np.asarray(_exact(xi) - pole(xi))
+
+
+def _exact(xi: Floats) -> Complexes:
+    """Fock function q* at arguments (n,), by its integral."""
     from scipy.special import airy
 
     x, weight = np.polynomial.legendre.leggauss(_NODES)
-    xi, total = np.linspace(FIRST, LAST, COUNT), np.zeros(COUNT, dtype=np.complex128)
+    total = np.zeros(len(xi), dtype=np.complex128)
     for begin, end in _PIECES:
         t = begin + 0.5 * (end - begin) * (x + 1.0)
         if end <= 0.0:
@@ -63,4 +94,4 @@ def fock_table() -> Complexes:
             _, ai, _, bi = airy(t)
             value = ai / (bi - 1j * ai)
         total += (0.5 * (end - begin) * weight * value) @ np.exp(-1j * np.outer(t, xi))
-    return np.asarray(total / math.sqrt(math.pi) - pole(xi))
+    return np.asarray(total / math.sqrt(math.pi))

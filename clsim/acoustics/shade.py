@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 # Radii of the first Fresnel zone by which a line of sight passes a body: up to here its shade counts, beyond twice not.
-WITHIN = 1.5
+WITHIN = 1.0
 LOUDEST_SHADE = 2.5  # behind a sphere on the axis 2.4 times the free field is heard
 
 

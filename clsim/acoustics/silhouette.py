@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from clsim.acoustics.fock import fock_hard
+from clsim.acoustics.fock import fock_hard, lit_reflection
 from clsim.numerics.band_filters import chebyshev_points, interpolation
 
 if TYPE_CHECKING:
@@ -24,14 +24,16 @@ if TYPE_CHECKING:
 ASPECTS = 11  # numbers that a field takes
 # The share of the outline in a path falls from 1 to 0 where it is reflected at these Fock parameters, or at these
 # cosines of the angle of incidence: beyond, the body is a mirror.
-FORWARD_FOCK = (-1.5, -3.0)
-FORWARD_COSINE = (0.35, 0.6)
+FORWARD_FOCK = (-1.0, -2.0)
+FORWARD_COSINE = (0.25, 0.45)
 NEAR_FOCK = (-4.0, -5.5)  # where the near side of an outline ends that the line of sight does not meet
 # Squared sine of the angle that a tangent makes with the outline: below, a point is no edge of the body.
 GRAZING = (0.3, 0.02)
 # Points of an outline: fewest, and how many more for k a x, see `PointsAsked`; never more than those for (k a)^(2/3).
 POINTS_OF_ELLIPSOID, POINTS_OF_CAPSULE, MOST_POINTS = (24.0, 1.1), (24.0, 2.2), (24.0, 15.0)
-FEW = 6  # frequencies at which the strength of an outline's points is known
+# Frequencies at which the strength of an outline's points is known, by the largest half range of their cube roots over
+# the middle: within 1e-4 of the strength up to an octave, by trial.
+KNOWN_AT = ((1e-9, 1), (0.009, 3), (0.035, 4), (math.inf, 6))
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 SHORTEST = 1e-3  # of the path by the surface: no line of sight counts as shorter
 _LARGEST = 3.5  # of the field about an outline, relative to the free field
@@ -153,7 +155,9 @@ class CapsuleOutline:
 
     def requested(self, wave: float) -> RequestedPoints:
         """Points for a largest wave number, 1/m."""
-        return RequestedPoints.of(wave, self.largest, POINTS_OF_CAPSULE)
+        # Half circles that are longer than the sides have as many points.
+        more = max(1.0, 0.5 * math.pi * self.radius / self.largest)
+        return RequestedPoints.of(wave, self.largest, (POINTS_OF_CAPSULE[0], POINTS_OF_CAPSULE[1] * more))
 
     def table(self, count: int) -> Floats:
         """Points (6, count) on two half circles and the sides between them: a quarter on each, fewer towards its ends.
@@ -249,11 +253,11 @@ def silhouette_aspects(
     return strength, np.stack(columns, axis=1)
 
 
-def forward_share(wave: Floats, aspects: Floats) -> Floats:
-    """Share (n, F) of the field about the outline; the rest is reflected as by a mirror. wave (F,) 1/m."""
+def forward_share(wave: Floats, aspects: Floats) -> tuple[Floats, Floats]:
+    """Share (n, F) of the field about the outline, and Fock parameter (n, F) of the reflection; wave (F,) 1/m."""
     cosine, bend = aspects[:, 8:9], aspects[:, 9:10]
     fock = -2.0 * cosine * np.cbrt(0.5 * wave / bend)
-    return np.asarray(np.where(cosine < 0.0, 1.0, faded(fock, FORWARD_FOCK) * faded(cosine, FORWARD_COSINE)))
+    return np.where(cosine < 0.0, 1.0, faded(fock, FORWARD_FOCK) * faded(cosine, FORWARD_COSINE)), np.asarray(fock)
 
 
 def silhouette_field(
@@ -264,20 +268,20 @@ def silhouette_field(
     Shapes: wave (F,) 1/m; aspects (..., 11); mirror, a factor (..., F) of what is reflected; past, a factor (..., F) of
     the field about the outline, see `shade`; result (..., F).
 
-    Near the forward direction it is the field about the outline, `outline_field`, elsewhere the specular reflection;
-    one fades into the other where the reflection leaves the penumbra (V. A. Fock's parameter ``(k R / 2)^(1/3) cos
-    theta`` from 0.75 to 1.5). Our own derivation.
+    Near the forward direction it is the field about the outline, `outline_field`, elsewhere the specular reflection
+    times `lit_reflection`. One fades into the other in the penumbra (V. A. Fock's parameter ``(k R / 2)^(1/3) cos
+    theta`` from 0.5 to 1), where both hold. Our own derivation.
     """
     flat = aspects.reshape(-1, ASPECTS)
-    share = forward_share(wave, flat)
+    share, fock = forward_share(wave, flat)
     left = np.broadcast_to(np.asarray(past).reshape(-1, np.shape(past)[-1] if np.ndim(past) else 1), share.shape)
-    found = flat[:, 7:8] * (1.0 - share) * np.reshape(mirror, (-1, np.shape(mirror)[-1] if np.ndim(mirror) else 1))
-    found = found.astype(np.complex128)
+    lit = flat[:, 7:8] * (1.0 - share) * lit_reflection(fock)
+    found = lit * np.reshape(mirror, (-1, np.shape(mirror)[-1] if np.ndim(mirror) else 1))
     some = np.flatnonzero(share.any(axis=1) & left.any(axis=1))
     counts = outline.requested(float(wave.max(initial=0.0))).counts(flat[some, 0:3], flat[some, 3:6])
     for count in np.unique(counts).tolist():
         alike = some[counts == count]
-        each = max(_AT_A_TIME // (count * FEW), 1)
+        each = max(_AT_A_TIME // (count * KNOWN_AT[-1][1]), 1)
         for first in range(0, len(alike), each):
             rows = alike[first : first + each]
             about, sight = outline_field(outline, wave, flat[rows, 0:3], flat[rows, 3:6], count)
@@ -352,12 +356,15 @@ def outline_field(
     smooth = string.curve / (string.apart * math.sqrt(math.pi))
     # But for the phase all changes slowly with frequency: it is known at few of them.
     roots = np.cbrt(0.5 * wave)  # on which it depends
-    low, high = float(roots.min()), float(roots.max())
-    root = chebyshev_points(low, high, FEW if high - low > 1e-9 * high else 1)[:, None, None]
+    root = chebyshev_points(float(roots.min()), float(roots.max()), known_at(roots))[:, None, None]
     fock = root * string.fock
     known = faded(fock, NEAR_FOCK) * weight * (edge - root * smooth * fock_hard(fock))
-    total = _summed(known, detour, wave) - np.sum(screen, axis=1)[:, None]
-    return total, sight[:, :1]
+    return _summed(known, detour, wave) - np.sum(screen, axis=1)[:, None], sight[:, :1]
+
+
+def known_at(roots: Floats) -> int:
+    """Frequencies at which strengths of points are known, by cube roots of half the wave numbers (F,)."""
+    return next(count for reach, count in KNOWN_AT if np.ptp(roots) <= reach * (roots.min() + roots.max()))
 
 
 def _summed(known: Complexes, detour: Floats, wave: Floats) -> Complexes:

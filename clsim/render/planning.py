@@ -258,7 +258,7 @@ def allocate(
     filters, alone = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - shaded), own, costly=True)
     others = replace(convolved, convolved=convolved.convolved | shaded)
     made, others = _allocated(emissions, tracks, options, samples, others, rest)
-    plan = plan_of_part(within, tracks, replace(alone, narrow=()), filters, samples, builders=[PER_SAMPLE])
+    plan = plan_of_part(within, tracks, replace(alone, narrow=()), filters, samples, BLOCKS[1:], [PER_SAMPLE])
     return made, replace(
         others, convolved=convolved.convolved, shadows=(PairPart(plan, shaded),), narrow=others.narrow + alone.narrow,
         notes=tuple(dict.fromkeys(others.notes + alone.notes)),

@@ -14,7 +14,7 @@ from exhaustive import exhaustive
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
-from clsim.acoustics.silhouette import CapsuleOutline, EllipsoidOutline, outline_field
+from clsim.acoustics.silhouette import ASPECTS, CapsuleOutline, EllipsoidOutline, forward_share, outline_field
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.scene.shaded import hidden_by_several
@@ -209,6 +209,22 @@ def test_bands_are_frequencies_one_by_one(band: tuple[float, float], error: floa
         alone = np.concatenate([outline_field(outline, wave[[i]], *ends, 128)[0] for i in range(0, 387, 43)], axis=1)
         assert np.abs(together - alone).max() < error
         assert np.abs(alone).max() > 0.3
+
+
+def test_outlines_have_enough_points() -> None:
+    """A head that passes up to 0.8 m beside the line of sight: as by 4096 points, so that no number of them shows."""
+    wave, head = (
+        np.array([2.0 * np.pi * 40e3 / C]),
+        clsim.Scatterer.capsule("h", 0.09, 0.05, clsim.Trajectory.fixed(MIDDLE), shadow=True),
+    )
+    ends = [np.stack([np.full(161, x), np.linspace(0.0, 0.8, 161), np.full(161, 0.1)], axis=1) for x in (-2.0, 2.0)]
+    share = forward_share(
+        wave, head.shape.strength(*(np.ascontiguousarray(end.T) for end in ends), None)[1][:, -ASPECTS:]
+    )[0]
+    outline = head.shape.outline
+    for i, count in enumerate(outline.requested(float(wave[0])).counts(*ends)):
+        few, many = (outline_field(outline, wave, *(end[[i]] for end in ends), n)[0] for n in (int(count), 4096))
+        assert abs(share[i, 0] * (few - many)) < 1e-3
 
 
 def crossing(thing: str) -> clsim.PathSet:

@@ -67,6 +67,7 @@ OWN = {
     "capsule_field": "derived: lobes along the capsule, and the field about its outline",
     "silhouette_field": "derived: a sum of both approximations by their shares",
     "pole": "derived: a function that falls like the pole and has none",
+    "known_at": "measured",
     "forward_share": "our choice: where one approximation goes over into the other",
     "silhouette_aspects": "derived: lengths and directions of both ends",
     "shade": "derived: screens in a row, of which each meets what the last one lets pass",

@@ -250,7 +250,7 @@ class NodeMaker:
         filters = self._plan.source_filters[source]
         first, last = filters.emitted_between(rate)
         constants = self._constants(source, chunk.batch) | {"SPARSE": int(more["activity"] is not None)}
-        constants |= OF_GAINS
+        constants |= OF_GAINS | {"KNOWN_AT": self._columns.known_at}
         kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
             self._queue, work(chunk.batch.count, segments), **chunk.images, **chunk.columns, **chunk.trajectory, **more,

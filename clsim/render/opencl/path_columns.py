@@ -108,6 +108,7 @@ class StaticColumns:
 
     leg, vertex, mirrors = STATIC, NONE, 0
     state_numbers = 0  # of the state that goes with a delay, see kernels/nodes/path.h
+    known_at = 1  # frequencies at which the strength of an outline's points is known
 
     def __init__(self, of: Rendered) -> None:
         self._of, self._family = of, of.family
@@ -218,11 +219,14 @@ class ScattererColumns(StaticColumns):
             return {}
         waves = basis.nodes / self._of.tracks.paths.scene.air.speed_of_sound
         table, middle = transition_table(waves, basis.parts)
-        # All outlines find Fock's function at the beginning, and then what else casts a shadow, see ``shade.h``.
+        # All outlines find Fock's function at the beginning, then the reflection near grazing incidence, and then what
+        # else casts a shadow, see ``shade.h``.
         casters = np.zeros((int(outlined.sum()), 7))
         parts: list[Floats] = []
         if outlined.any():
-            parts = [fock.fock_table().view(np.float64), np.array([len(casters)]), casters.reshape(-1)]
+            tables = [table.view(np.float64) for table in (fock.fock_table(), fock.lit_table())]
+            parts = [*tables, np.array([len(casters)]), casters.reshape(-1)]
+            self.known_at = max(self.known_at, silhouette.known_at(np.cbrt(np.pi * waves)))
         for view in np.flatnonzero(views["shape"] == SPHERE):
             modes = sphere_modes(tuple((2.0 * np.pi * waves * views["semi_axes"][view, 0]).tolist()))
             factors = np.stack([modes.step, modes.back, modes.weight.real, modes.weight.imag], axis=1)

@@ -1,24 +1,47 @@
 // The field that an outline adds to the free field, from its points: twin of `outline_field` in acoustics/silhouette.py.
 
 #if VERTEX == SCATTERER && PARTS == 2
-// Fock's function of a hard surface, `fock_hard`, by its table of real and imaginary parts.
-static void fock_hard(__global const double* table, double xi, float* real, float* imaginary)
+// Real and imaginary parts of a table of Fock's functions at an argument, linear between its rows.
+static void from_table(__global const double* table, double clamped, double* real, double* imaginary)
 {
-    const double clamped = fmin(fmax(xi, FOCK_FIRST), FOCK_LAST), place = (clamped - FOCK_FIRST) * ((FOCK_COUNT - 1) / (FOCK_LAST - FOCK_FIRST));
+    const double place = (clamped - FOCK_FIRST) * ((FOCK_COUNT - 1) / (FOCK_LAST - FOCK_FIRST));
     const int cell = (int)fmin(place, FOCK_COUNT - 2.0);
-    const double part = place - cell, pole = 0.5 / sqrt(HALF_TURN);
+    const double part = place - cell;
     __global const double* at = table + 2 * cell;
-    const int beyond = xi > FOCK_LAST;
-    *real = beyond ? (float)(pole / xi) : (float)(at[0] + part * (at[2] - at[0]) + pole * clamped / (1.0 + clamped * clamped));
-    *imaginary = beyond ? 0.0f : (float)(at[1] + part * (at[3] - at[1]));
+    *real = at[0] + part * (at[2] - at[0]);
+    *imaginary = at[1] + part * (at[3] - at[1]);
 }
 
-#if FREQUENCIES == 1
-#define KNOWN_AT 1
-#else
-#define KNOWN_AT 6  // `FEW`: but for the phase, strengths are Newton's polynomials of the root through Chebyshev's nodes
-#endif
-__constant const double of_chebyshev[6] = {0.9659258262890683, 0.7071067811865476, 0.25881904510252074, -0.25881904510252063, -0.7071067811865475, -0.9659258262890682};
+// Fock's function of a hard surface, `fock_hard`.
+static void fock_hard(__global const double* table, double xi, float* real, float* imaginary)
+{
+    const double clamped = fmin(fmax(xi, FOCK_FIRST), FOCK_LAST), pole = 0.5 / sqrt(HALF_TURN);
+    double x, y;
+    from_table(table, clamped, &x, &y);
+    const int beyond = xi > FOCK_LAST;
+    *real = beyond ? (float)(pole / xi) : (float)(x + pole * clamped / (1.0 + clamped * clamped));
+    *imaginary = beyond ? 0.0f : (float)y;
+}
+
+// Reflection near grazing incidence over the mirror's, `lit_reflection`.
+static void lit_reflection(__global const double* table, double xi, float* real, float* imaginary)
+{
+    const double low = fmin(xi, FOCK_FIRST), over = 1.0 / (low * low * low);
+    double x, y;
+    from_table(table + 2 * FOCK_COUNT, fmin(fmax(xi, FOCK_FIRST), FOCK_LAST), &x, &y);
+    *real = (float)(xi < FOCK_FIRST ? 1.0 - 20.0 * over * over : x);
+    *imaginary = (float)(xi < FOCK_FIRST ? -2.0 * over : y);
+}
+
+// But for the phase, strengths are Newton's polynomials of the root through KNOWN_AT Chebyshev nodes.
+#define OF_CHEBYSHEV (chebyshev_nodes + KNOWN_AT * (KNOWN_AT - 1) / 2)
+__constant const double chebyshev_nodes[21] = {  // of 1 to 6
+    0.0,
+    0.7071067811865476, -0.7071067811865475,
+    0.8660254037844387, 0.0, -0.8660254037844387,
+    0.9238795325112867, 0.38268343236508984, -0.3826834323650897, -0.9238795325112867,
+    0.9510565162951535, 0.5877852522924731, 0.0, -0.587785252292473, -0.9510565162951535,
+    0.9659258262890683, 0.7071067811865476, 0.25881904510252074, -0.25881904510252063, -0.7071067811865475, -0.9659258262890682};
 
 // (k / 2)^(1/3) at all frequencies, from -1 to 1, and the middle and half of its range.
 typedef struct {
@@ -49,7 +72,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         const float edge = (float)OF_NODE(edges, i), smooth = (float)OF_NODE(curves, i), late = (float)-OF_NODE(detour, i);
         float real[KNOWN_AT], imaginary[KNOWN_AT];
         for (int m = 0; m < KNOWN_AT; m++) {
-            const double root_of_wave = roots->middle + roots->reach * of_chebyshev[m], fock = root_of_wave * OF_NODE(of_points.fock, i);
+            const double root_of_wave = roots->middle + roots->reach * OF_CHEBYSHEV[m], fock = root_of_wave * OF_NODE(of_points.fock, i);
             const float near = (float)faded(fock, NEAR_WHOLE, NEAR_NONE);
             fock_hard(t->modes, fock, real + m, imaginary + m);
             real[m] = near * (edge - smooth * (float)root_of_wave * real[m]);
@@ -57,7 +80,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         }
         for (int order = 1; order < KNOWN_AT; order++) {  // divided differences
             for (int m = KNOWN_AT - 1; m >= order; m--) {
-                const float apart_by = (float)(1.0 / (of_chebyshev[m] - of_chebyshev[m - order]));
+                const float apart_by = (float)(1.0 / (OF_CHEBYSHEV[m] - OF_CHEBYSHEV[m - order]));
                 real[m] = (real[m] - real[m - 1]) * apart_by;
                 imaginary[m] = (imaginary[m] - imaginary[m - 1]) * apart_by;
             }
@@ -66,7 +89,7 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         for (int b = 0; b < BIN_VECTORS; b++) {
             bins u = real[KNOWN_AT - 1], v = imaginary[KNOWN_AT - 1];
             for (int m = KNOWN_AT - 2; m >= 0; m--) {
-                const bins from = roots->place[b] - (float)of_chebyshev[m];
+                const bins from = roots->place[b] - (float)OF_CHEBYSHEV[m];
                 u = u * from + real[m];
                 v = v * from + imaginary[m];
             }

@@ -63,7 +63,7 @@ static void shade_by(const vertex_tables* t, const outline* o, int first, const 
 static void shade_by_others(const vertex_tables* t, const moment* now, __global const view* seen, const scatterer_frame* g, int lane,
                             const root_range* roots, response* about)
 {
-    __global const double* caster = t->modes + 2 * FOCK_COUNT;
+    __global const double* caster = t->modes + 4 * FOCK_COUNT;
     const int count = (int)caster[0];
     caster++;
     if ((int)caster[0] >= seen->thing) return;

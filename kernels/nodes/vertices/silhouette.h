@@ -11,19 +11,22 @@ static double silhouette_field(const vertex_tables* t, const moment* now, const 
     const double held = fmax(sight, SHORTEST * (l1 + l2));
     const double strength = l1 * l2 / held, ratio = hidden ? 0.0 : mirrored / strength;
     const double lit = hidden ? 1.0 : faded(cosine, COSINE_WHOLE, COSINE_NONE);
+    response lit_by;
     bins share[BIN_VECTORS];
     root_range roots;
     double lowest = 1e30, highest = 0.0;
     float most = 0.0f;
     for (int f = 0; f < FREQUENCIES; f++) {
         const double wave = 2.0 * HALF_TURN * ((__global const float*)t->waves)[f];
-        const float one = hidden ? 1.0f : (float)(lit * faded(-2.0 * cosine * cbrt(0.5 * wave / curvature), FOCK_WHOLE, FOCK_NONE));
+        const double root_of_wave = cbrt(0.5 * wave), fock = -2.0 * cosine * root_of_wave / cbrt(curvature);
+        const float one = hidden ? 1.0f : (float)(lit * faded(fock, FOCK_WHOLE, FOCK_NONE));
         ((float*)share)[f] = one;
-        const double root_of_wave = cbrt(0.5 * wave);
+        lit_reflection(t->modes, fock, (float*)lit_by.part[0] + f, (float*)lit_by.part[1] + f);
         ((float*)roots.place)[f] = (float)root_of_wave;
         lowest = fmin(lowest, root_of_wave), highest = fmax(highest, root_of_wave);
         most = fmax(most, one);
     }
+    multiply(field, &lit_by);
     for (int b = 0; b < BIN_VECTORS; b++) {
         for (int part = 0; part < PARTS; part++) field->part[part][b] *= (float)ratio * (1.0f - share[b]);
     }
