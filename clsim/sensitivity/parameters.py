@@ -16,7 +16,7 @@ from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.curves import Piecewise, Static, legs_through, spline_through
 from clsim.scene.transducer.electronics import Electronics
-from clsim.sensitivity.displaced import Knot, displaced, turned, varied, with_wall
+from clsim.sensitivity.displaced import Knot, Ramp, displaced, turned, varied, with_wall
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -243,15 +243,17 @@ def _shifted(name: str, shift: Curve, with_thing: Any, acts: str, own: dict[str,
     return Parameter(name, "m", _STEP, change, **own, acts=acts, shift=shift)
 
 
-def whole_shift(parameter: Parameter) -> Parameter:
-    """Return the displacement of a whole trajectory in place of that of one of its points; all else stays."""
+def along(parameter: Parameter, begin: float | None = None) -> Parameter:
+    """Return the displacement of all of a trajectory in place of that of a point, or one that grows from a time, s."""
     if not isinstance(parameter.shift, Knot):
         return parameter
     kind = "receivers" if parameter.source is None else "sources"
     index = int(parameter.receiver or 0) if parameter.source is None else parameter.source
     own = {"source": parameter.source, "receiver": parameter.receiver}
-    with_thing = partial(_with_thing, kind, index)
-    return _shifted(parameter.name, Static(np.eye(3)[parameter.shift.axis]), with_thing, "shift", own)
+    axis = np.eye(3)[parameter.shift.axis]
+    shift = Static(axis) if begin is None else Ramp(axis, begin)
+    name = f"{kind}[{index}].position.{_AXES[parameter.shift.axis]}"
+    return _shifted(name, shift, partial(_with_thing, kind, index), "shift", own)
 
 
 def _knots(name: str, curve: Curve) -> Iterator[tuple[int, Knot]]:

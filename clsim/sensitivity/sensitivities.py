@@ -189,9 +189,8 @@ def sensitivities(paths: PathSet, wrt: Sequence[str], sampling_rate: float, **op
     linear = LinearMap.of(paths, parameters, RenderOptions(sampling_rate, **options))
     shape = len(parameters), linear.plan.row_count, linear.plan.samples
     with within_memory("wrt", "all derivatives (see `gradient`)", 8 * int(np.prod(shape))):
-        jacobian = np.empty(shape)
-    for i, rows in enumerate(linear.forward()):
-        jacobian[i] = rows
+        jacobian = np.empty(shape, dtype=float if linear.plan.baseband is None else complex)
+    linear.forward(jacobian)
     names, units = tuple(p.name for p in parameters), tuple(p.unit for p in parameters)
     return Sensitivities(read_only(jacobian), names, units, linear.plan.row_names, linear.plan.sampling_rate)
 

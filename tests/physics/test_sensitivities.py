@@ -11,12 +11,13 @@ import pytest
 
 import clsim
 from clsim.paths.arrivals import RETARDED
+from clsim.paths.family import PairPaths
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.render.options import RenderOptions
 from clsim.sensitivity.linear_map import plan_of, received
 from clsim.sensitivity.parameters import WITHOUT_DERIVATIVE, parameters_of
-from clsim.sensitivity.tangents import TangentPaths
+from clsim.sensitivity.tangents import Tangents
 
 RATE, C = 96e3, 343.0
 EXACT: dict[str, Any] = {
@@ -86,6 +87,19 @@ def ball(h: float, what: str) -> PathSet:
         receiver=FIXED(np.array([3.1, 2.3, 1.4]) + move["receiver"]),
         scatterers=[clsim.Scatterer.sphere("ball", 0.05, way)],
     )
+
+
+def two_balls(h: float) -> PathSet:
+    """Return paths by one and by two scattering spheres, beside the direct sound."""
+    balls = [
+        clsim.Scatterer.sphere("ball", 0.05, FIXED((2.0 + h, 1.0, 1.2))),
+        clsim.Scatterer.sphere("other", 0.04, FIXED((2.6, 1.9, 1.3))),
+    ]
+    scene = clsim.Scene(
+        clsim.Shoebox((4.0, 3.0, 2.5), HARD), clsim.Air(speed_of_sound=C, absorption=False),
+        [clsim.Source("s", PULSE, SOURCE)], [clsim.Receiver("r", RECEIVER)], scatterers=balls,
+    )  # fmt: skip
+    return clsim.find_paths(scene, 0, scattering_order=0, scatterers_in_row=2)
 
 
 def aimed(turn: float, up: float = 0.0) -> Any:
@@ -184,7 +198,8 @@ def test_delays_follow_fermats_principle(name: str, where: str) -> None:
         for family in paths.families:
             rows, at = slice(None), SceneResponse(paths.scene, 0, tones)
             found = family.arrivals(rows, times)
-            tangents = TangentPaths.of(family, parameter, RETARDED).response(rows, found, times, at)
+            pair = PairPaths(family, rows, 0, 0)
+            tangents = Tangents.of(pair, times, found, at, RETARDED).by(parameter)[0]
             turns = tangents / family.response(rows, found, times, at)  # of which the gain's part does not turn
             turned = -np.diff(turns.imag, axis=2)[..., 0] / (2.0 * np.pi * np.diff(tones)[0])
             if name.startswith("sources"):
@@ -213,7 +228,10 @@ ALL = [
 
 
 def test_the_transpose(engine: str, rng: np.random.Generator) -> None:
-    """``<J d, w> = <d, J' w>`` within 1e-6 of the lengths, for weights near ``J d``: nothing cancels."""
+    """``<J d, w> = <d, J' w>`` within 1e-6 of the lengths, for weights near ``J d``: nothing cancels.
+
+    Of the device 5e-6: within subblocks a render leaves out powers of gains that the transpose does not.
+    """
     paths, options = walk(), {"engine": engine, "duration": 0.024}
     jacobian = clsim.sensitivities(paths, ALL, RATE, **options).jacobian
     scale = rng.standard_normal(len(jacobian)) / np.linalg.norm(jacobian, axis=(1, 2))
@@ -222,7 +240,7 @@ def test_the_transpose(engine: str, rng: np.random.Generator) -> None:
     found = clsim.gradient(paths, weights, ALL, RATE, engine=engine)
     back = scale @ np.concatenate([np.ravel(found[name]) for name in ALL])
     lengths = np.linalg.norm(ahead) * np.linalg.norm(weights)
-    assert abs(back - np.sum(ahead * weights)) <= 1e-6 * lengths
+    assert abs(back - np.sum(ahead * weights)) <= (1e-6 if engine == "reference" else 5e-6) * lengths
     assert found["sources[0].trajectory"].shape == (4, 3)
 
 
@@ -280,9 +298,10 @@ def test_paths_that_begin_and_end(engine: str, rng: np.random.Generator) -> None
 def test_both_engines_agree() -> None:
     """The device's derivative is within -80 dB of the reference's: both hold their filters within -86 dB."""
     fast, exact = (
-        clsim.sensitivities(walk(), ALL[:1], RATE, engine=e, duration=0.024).jacobian for e in ("opencl", "reference")
+        clsim.sensitivities(walk(), ALL[:2], RATE, engine=e, duration=0.024).jacobian for e in ("opencl", "reference")
     )
-    assert np.linalg.norm(fast - exact) <= 1e-4 * np.linalg.norm(exact)
+    wrong, length = (np.linalg.norm(x, axis=(1, 2)) for x in (fast - exact, exact))
+    np.testing.assert_array_less(wrong, 1e-4 * length)
 
 
 def test_by_the_emitted_signal(rng: np.random.Generator) -> None:
@@ -294,6 +313,14 @@ def test_by_the_emitted_signal(rng: np.random.Generator) -> None:
     found = clsim.gradient(paths, weights, ["sources[0].signal"], RATE, **exact)["sources[0].signal"]
     assert found.shape == (PULSE.count,)
     assert found @ PULSE.read(0, PULSE.count) == pytest.approx(np.sum(weights * y), rel=1e-5)
+
+
+def test_two_scatterers_beside_the_direct_sound() -> None:
+    """Kinds of paths that a parameter does not change must not keep others out of the design of filters."""
+    options = EXACT | {"duration": 0.016, "response_error_db": -100.0}
+    found, h = clsim.sensitivities(two_balls(0.0), ["scatterers[0].position"], RATE, **options).jacobian[0], 2e-5
+    ahead, behind = (received(plan_of(two_balls(x), RenderOptions(RATE, **options))) for x in (h, -h))
+    assert np.linalg.norm((ahead - behind) / (2.0 * h) - found) <= 3e-5 * np.linalg.norm(found)
 
 
 def test_noise_and_rounding_are_left_out() -> None:
