@@ -107,7 +107,7 @@ class Images:
         mach = mach - _dot(u, v) * speed / c**2
         ratio = self.found.frequency_ratio
         nearer = _dot(turned, self.heading) + _dot(u, np.asarray(swifter) - velocity)
-        rate = ratio * nearer / c + self.found.delay_rate * (ratio * mach - speed / c)
+        rate = ratio * (nearer / c - self.acceleration * emitted) + self.found.delay_rate * (ratio * mach - speed / c)
         return Change(delay - later, longer, mach, turned, emitted, rate)
 
     def level(self, change: Change) -> Floats:

@@ -13,8 +13,8 @@ from clsim.render.methods.per_sample import PathSum
 from clsim.render.plan import Allocation, Plan, chunk_of
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
-from clsim.sensitivity.displaced import varied
-from clsim.sensitivity.parameters import check_differentiable
+from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.sensitivity.displaced import ByFunctions, varied
 from clsim.sensitivity.tangents import TangentPaths, Tangents
 from clsim.tracks.sampled import SEED
 from clsim.tracks.tracks import SceneTracks
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from clsim.paths.arrivals import Arrivals
     from clsim.paths.family import PairPaths, PathFamily
     from clsim.render.options import RenderOptions
+    from clsim.scene.ends import Receiver
     from clsim.sensitivity.parameters import Parameter
     from clsim.tracks.basis import Basis
 
@@ -62,7 +63,7 @@ class LinearMap:
         plan = plan_of(paths, options)
         few = _representatives(scene_tracks(plan), parameters)
         allowed = min(plan.options.response_error_db + _LESS_DB, _MOST_DB)
-        own = replace(plan.options, duration=plan.duration, response_error_db=allowed)
+        own = replace(plan.options, duration=plan.duration, response_error_db=allowed, tail="off")
         shared = plan_paths(few, own) if few is not None else plan
         return cls(plan, tuple(parameters), shared)
 
@@ -180,9 +181,8 @@ class TangentTracks(SceneTracks):
 
 
 def plan_of(paths: PathSet, options: RenderOptions) -> Plan:
-    """Return the plan of a sum over paths, sample by sample and without noise at the receivers."""
-    check_differentiable(paths, options)
-    return plan_paths(_without_noise(paths), replace(options, **_PER_SAMPLE))
+    """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay."""
+    return plan_paths(_plain(paths), replace(options, **_PER_SAMPLE))
 
 
 def scene_tracks(plan: Plan) -> SceneTracks:
@@ -216,14 +216,19 @@ def through_ends(plan: Plan, rows: Floats, transposed: bool = False) -> Floats:
     return rows
 
 
-def _without_noise(paths: PathSet) -> PathSet:
-    """Return the paths in a scene whose receivers neither add noise nor round."""
+def _plain(paths: PathSet) -> PathSet:
+    """Return the paths in a scene whose receivers neither add noise nor round, nor filter the sound of each path."""
     quiet: dict[str, Any] = dict.fromkeys(("ambient_noise_db", "snr_db", "self_noise_db", "adc_bits", "adc_full_scale"))
-    receivers = tuple(
-        r if r.electronics is None else varied(r, electronics=varied(r.electronics, **quiet))
-        for r in paths.scene.receivers
-    )
-    scene = varied(paths.scene, receivers=receivers)
+
+    def plain(r: Receiver) -> Receiver:
+        own, electronics = r.directivity, r.electronics
+        channels = isinstance(own, ChannelDirectivity) and not own.by_functions
+        return varied(
+            r, electronics=electronics and varied(electronics, **quiet),
+            directivity=ByFunctions(own) if channels and isinstance(own, ChannelDirectivity) else own,
+        )  # fmt: skip
+
+    scene = varied(paths.scene, receivers=tuple(map(plain, paths.scene.receivers)))
     return PathSet(scene, tuple(family.in_scene(scene) for family in paths.families))
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.paths.family import BODY, DIFFRACTION, SCATTERING, SPECULAR, TRANSMISSION
-from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.curves import Piecewise, Static, legs_through, spline_through
 from clsim.scene.transducer.electronics import Electronics
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 
     from clsim.paths.family import PathFamily
     from clsim.paths.path_set import PathSet
-    from clsim.render.options import RenderOptions
     from clsim.scene.motion.curves import Curve
     from clsim.scene.scene import Scene
 
@@ -38,9 +36,7 @@ WITHOUT_DERIVATIVE = {
     "healing and simplification of meshes": "walls and edges stay those that were found",
     "displacement of walls next to edges": "refused in scenes with diffracted paths",
     "noise and converters of receivers": "left out: the derivative is that of the signal before noise and rounding",
-    "the diffuse tail": "refused: its noise is drawn anew",
-    "receivers of several channels": "refused",
-    "complex envelopes (baseband)": "refused",
+    "the diffuse tail": "left out, and told in a note: the derivative is that of the sound over paths",
     "ends that bodies carry": "they stay where they are as `bodies[i].position` changes",
 }
 _AXES = "xyz"
@@ -127,16 +123,6 @@ def parameters_of(paths: PathSet, wrt: Sequence[str]) -> list[Parameter]:
         if names.count(name) > 1:
             raise InputError("wrt", f"must name each parameter once, but names {name} twice")
     return found
-
-
-def check_differentiable(paths: PathSet, options: RenderOptions) -> None:
-    """Refuse what has no derivative."""
-    for i, receiver in enumerate(paths.scene.receivers):
-        if isinstance(receiver.directivity, ChannelDirectivity):
-            raise InputError(f"receivers[{i}].directivity", "must have one channel where derivatives are asked for")
-    if options.baseband is not None or options.tail != "off":
-        name = "tail" if options.baseband is None else "baseband"
-        raise InputError(name, "must be left out where derivatives are asked for")
 
 
 def _named(paths: PathSet, name: str) -> Iterator[Parameter]:
