@@ -74,9 +74,7 @@ class PathFamily(ABC):
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure at 1 m, (P, T, F), without the delay."""
 
-    def of_channels(
-        self, paths: PairPaths, found: Arrivals, times: Floats, at: SceneResponse
-    ) -> Floats | Complexes:
+    def of_channels(self, paths: PairPaths, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return responses of the paths of a pair by channel of the receiver, (C, P, T, F)."""
         receiver = self.scene.receivers[paths.receiver]
         return at.of_channels(paths.response(found, times, at), receiver, paths.channels, found, times)

@@ -61,7 +61,7 @@ class LinearMap:
     def of(cls, paths: PathSet, parameters: Sequence[Parameter], options: RenderOptions) -> LinearMap:
         """Design the filters."""
         plan = plan_of(paths, options)
-        few = _representatives(scene_tracks(plan), parameters)
+        few = representatives(scene_tracks(plan), parameters)
         allowed = min(plan.options.response_error_db + _LESS_DB, _MOST_DB)
         own = replace(plan.options, duration=plan.duration, response_error_db=allowed, tail="off")
         shared = plan_paths(few, own) if few is not None else plan
@@ -121,22 +121,20 @@ class TangentTracks(SceneTracks):
         pairs, columns = [], {f.name: getattr(own, f.name) for f in fields(SceneTracks)}
         for i in mine:
             member, count = own.pairs[i], len(here[own.pairs[i].receiver])
-            pairs.append(
-                replace(member, channels=range(count * member.channels.start, count * member.channels.stop))
-            )
+            pairs.append(replace(member, channels=range(count * member.channels.start, count * member.channels.stop)))
         columns |= {"pairs": tuple(pairs), "pair_paths": tuple(own.pair_paths[i] for i in mine)}
         made = cls(**columns, parameters=tuple(parameters), here=here, scales=np.ones(len(parameters)))
         return replace(made, scales=made.levels(until))
 
     @property
-    def of_scene(self) -> None:  # type: ignore[override]
-        """Return nothing: their gains are not those of paths."""
-        return
+    def on_device(self) -> bool:
+        """Whether devices make their nodes: these are not of paths alone."""
+        return False
 
     @property
     def channels(self) -> tuple[tuple[str, ...], ...]:
         """Names of the receivers' channels for each parameter."""
-        each = zip(SceneTracks.channels.fget(self), self.here, strict=True)  # type: ignore[attr-defined]
+        each = zip((r.directivity.channels for r in self.scene.receivers), self.here, strict=True)
         return tuple(tuple(f"{name} {j}" for name in names for j in here) for names, here in each)
 
     def rows(self, first_rows: NDArray[np.int32]) -> Iterator[tuple[int, int, int]]:
@@ -232,7 +230,7 @@ def _plain(paths: PathSet) -> PathSet:
     return PathSet(scene, tuple(family.in_scene(scene) for family in paths.families))
 
 
-def _representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> PathSet | None:
+def representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> PathSet | None:
     """Return tangents of some pairs by parameters of all kinds, of which functions of frequency are designed.
 
     Of every kind of parameter and every kind of path some are drawn: what none stands for would not be held.

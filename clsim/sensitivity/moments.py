@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.render.opencl.batches import PathBatch
 
-    # Takes a pair, rows of its paths, a sample, samples in a group, and moments (channels, groups, paths, functions, 4).
+    # Takes a pair, rows of its paths, a sample, samples of a group, and moments (C, groups, paths, functions, 4).
     Take = Callable[[int, NDArray[np.int64], int, int, NDArray[np.float32]], None]
 
 _TOGETHER = 4  # long blocks between the nodes of tangents of images, whose directions change slowly

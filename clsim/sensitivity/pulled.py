@@ -111,8 +111,7 @@ class _OfTangents:
         when, moving = tangents.times, parameter.source is not None
         when = (tangents.found.emission_time if moving else np.broadcast_to(when, tangents.own.shape[1:3])).ravel()
         places, velocities = np.zeros((2, len(when), 3))
-        for p in {p.shift.axis: p for p in parameters if isinstance(p.shift, Knot)}.values():
-            axis = p.shift.axis  # type: ignore[union-attr]
+        for axis, p in {p.shift.axis: p for p in parameters if isinstance(p.shift, Knot)}.items():
             places[:, axis] = self._product(tangents.of_place(p)).ravel()
             if moving:
                 velocities[:, axis] = self._product(tangents.of_velocity(p)).ravel()

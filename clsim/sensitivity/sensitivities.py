@@ -275,7 +275,9 @@ def _weights(given: Any, options: RenderOptions) -> tuple[Floats | Complexes, Re
         weights: Any = as_floats("loss_gradient", given, (None, None))
         return weights, replace(options, duration=weights.shape[1] / options.sampling_rate)
     parts = np.asarray(given)
-    weights = as_floats("loss_gradient", parts.real, (None, None)) + 1j * as_floats("loss_gradient", parts.imag, parts.shape)
+    weights = as_floats("loss_gradient", parts.real, (None, None)) + 1j * as_floats(
+        "loss_gradient", parts.imag, parts.shape
+    )
     rate = options.baseband[2] or options.sampling_rate
     return weights, replace(options, duration=weights.shape[1] / rate)
 
@@ -298,9 +300,11 @@ def _by_signal(paths: PathSet, name: str, weights: Any, options: RenderOptions) 
     return adjoint_signal(plan, index, _of_rows(weights, plan.row_count))
 
 
-def _of_rows(weights: Floats | Complexes, rows: int) -> Floats | Complexes:
+def _of_rows(weights: Any, rows: int) -> Any:
     if len(weights) != rows:
-        raise InputError("loss_gradient", f"must have a row for each receiver and channel, {rows}, but has {len(weights)}")
+        raise InputError(
+            "loss_gradient", f"must have a row for each receiver and channel, {rows}, but has {len(weights)}"
+        )
     return weights
 
 

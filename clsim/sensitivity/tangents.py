@@ -103,9 +103,7 @@ class Tangents:
 
     def part(self, rows: NDArray[np.int64]) -> Tangents:
         """Return those of some paths."""
-        return replace(
-            self, paths=self.paths.part(rows), found=self.found.part(rows), own=self.own[:, rows], known={}
-        )
+        return replace(self, paths=self.paths.part(rows), found=self.found.part(rows), own=self.own[:, rows], known={})
 
     @property
     def _simple(self) -> bool:
@@ -179,8 +177,8 @@ class Tangents:
         times, images, scene = self.times, self._once("images", self._images), self.paths.family.scene
         if parameter.acts == "shift" and parameter.shift is not None:
             if parameter.receiver is not None:
-                places, speeds = parameter.shift.position(times), parameter.shift.velocity(times)
-                return {"apart": turned_back(images.matrix, places), "swifter": turned_back(images.matrix, speeds)}
+                places, swifter = parameter.shift.position(times), parameter.shift.velocity(times)
+                return {"apart": turned_back(images.matrix, places), "swifter": turned_back(images.matrix, swifter)}
             when = self.found.emission_time
             return {"apart": -parameter.shift.position(when), "velocity": parameter.shift.velocity(when)}
         if parameter.acts == "clock":
@@ -233,7 +231,8 @@ class TangentPaths(PathFamily):
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Complexes:
         """Return the response (P, T, F) of the derivative, per unit of the parameter; of channels together."""
-        each = self.of_channels(PairPaths(self, rows, int(self.source[rows][0]), int(self.receiver[rows][0])), found, times, at)
+        pair = PairPaths(self, rows, int(self.source[rows][0]), int(self.receiver[rows][0]))
+        each = self.of_channels(pair, found, times, at)
         return each[0] if len(each) == 1 else np.asarray(np.linalg.norm(each, axis=0))
 
     def of_channels(self, paths: PairPaths, found: Arrivals, times: Floats, at: SceneResponse) -> Complexes:

@@ -66,6 +66,11 @@ class Tracks(ABC):
         return None
 
     @property
+    def on_device(self) -> bool:
+        """Whether gains are those of paths of a scene, which devices make nodes of."""
+        return self.of_scene is not None
+
+    @property
     def channels(self) -> tuple[tuple[str, ...], ...]:
         """Names of the channels of each receiver."""
         return (("",),) * len(self.receiver_names)
