@@ -14,7 +14,7 @@ from clsim.render.plan import Allocation, Plan, chunk_of
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.sensitivity.displaced import ByFunctions, varied
+from clsim.sensitivity.displaced import ByFunctions, Knot, varied
 from clsim.sensitivity.tangents import TangentPaths, Tangents
 from clsim.tracks.sampled import SEED
 from clsim.tracks.tracks import SceneTracks
@@ -81,9 +81,12 @@ class LinearMap:
             return
         rows = sum(map(len, tracks.channels))
         chunk = chunk_of(plan.options, plan.samples, plan.sampling_rate, plan.segment, rows, tracks.longest_delay)
+        # Points of a motion bend it: the longest blocks would be made in vain.
+        blocks = plan.blocks[any(isinstance(parameter.shift, Knot) for parameter in parameters) :]
         shared = replace(
-            self.shared, tracks=tracks, allocation=Allocation(), samples=plan.samples, chunk=chunk, builders=[PathSum]
-        )
+            self.shared, tracks=tracks, allocation=Allocation(), samples=plan.samples, chunk=chunk, blocks=blocks,
+            builders=[PathSum],
+        )  # fmt: skip
         pressure = PressureSum(shared)
         for start in range(0, plan.samples, chunk):
             piece = pressure(start)
