@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
 _TOGETHER = 24  # parameters that are rendered at a time
-_LOOKS = 5  # instants and pairs at which levels of tangents are taken
+_SAMPLED = 5  # instants and pairs at which levels of tangents are taken
 _LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
 _PER_SAMPLE: dict[str, Any] = {
     "convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None, "shadow_error_db": None,
@@ -148,11 +148,11 @@ class TangentTracks(SceneTracks):
 
     def levels(self, until: float) -> Floats:
         """Levels (parameters,) of the tangents at the centre frequency, each of the loudest of its first pairs."""
-        times, found = np.linspace(0.0, until, _LOOKS), np.zeros(len(self.parameters))
-        looked = np.zeros(len(self.parameters), dtype=int)
+        times, found = np.linspace(0.0, until, _SAMPLED), np.zeros(len(self.parameters))
+        counted = np.zeros(len(self.parameters), dtype=int)
         for pair in self.pair_paths:
-            js = [j for j in self.here[pair.receiver] if looked[j] < _LOOKS]
-            looked[js] += 1
+            js = [j for j in self.here[pair.receiver] if counted[j] < _SAMPLED]
+            counted[js] += 1
             if js:
                 emitted = self.scene.sources[pair.source].emitted.centre_frequency
                 at = SceneResponse(self.scene, pair.source, np.array([emitted]))
