@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
 _TOGETHER = 24  # parameters that are rendered at a time
+_FAINT = 0.03  # of the loudest tangent
 _SAMPLED = 5  # instants and pairs at which levels of tangents are taken
 _LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
 _PER_SAMPLE: dict[str, Any] = {
@@ -128,6 +129,11 @@ class TangentTracks(SceneTracks):
         columns |= {"pairs": tuple(pairs), "pair_paths": tuple(own.pair_paths[i] for i in mine)}
         made = cls(**columns, parameters=tuple(parameters), here=here, scales=np.ones(len(parameters)))
         return replace(made, scales=made.levels(until))
+
+    @property
+    def faint(self) -> float:
+        """Level below which errors are relative to it: far from a point of a motion tangents are all but nothing."""
+        return _FAINT
 
     @property
     def on_device(self) -> bool:

@@ -66,6 +66,11 @@ class Tracks(ABC):
         return None
 
     @property
+    def faint(self) -> float:
+        """Level of gains in a segment below which their errors are relative to it."""
+        return 1e-30
+
+    @property
     def on_device(self) -> bool:
         """Whether gains are those of paths of a scene, which devices make nodes of."""
         return self.of_scene is not None
