@@ -51,8 +51,9 @@ def main(order: int) -> None:
         weights = np.asarray(sound.pressure, dtype=np.float64)
         gradient, by = cost(lambda p=found, w=weights, n=names: clsim.gradient(p, w, n, RATE))  # type: ignore[misc]
         print(f"gradient, {sum(np.size(v) for v in by.values())} parameters: {gradient / render:.2f}")
-    for names in (RECEIVERS[:1], ["sources[0].position"], ["sources[0].trajectory"]):
-        found = paths(order, 8)
+    one, two, some = RECEIVERS[:1], ["sources[0].position"], ["sources[0].trajectory"]
+    for points, names in ((8, one), (8, RECEIVERS), (8, two), (8, some), (21, ALL)):
+        found = paths(order, points)
         render, _ = cost(lambda p=found: clsim.render(p, RATE, duration=DURATION, **PLAIN))  # type: ignore[misc]
         forward, by = cost(lambda p=found, n=names: clsim.sensitivities(p, n, RATE, duration=DURATION))  # type: ignore[misc]
         count = len(by.parameters)

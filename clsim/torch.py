@@ -163,7 +163,7 @@ def render(make_paths: MakePaths, tensors: Mapping[str, Any], sampling_rate: flo
     sampling_rate : float
         Sampling rate of the signals, Hz.
     **options
-        As of `clsim.gradient`, with a duration.
+        As of `clsim.gradient`, with a duration, but for baseband.
 
     Returns
     -------
@@ -185,6 +185,8 @@ def render(make_paths: MakePaths, tensors: Mapping[str, Any], sampling_rate: flo
         raise InputError("tensors", "must hold at least one, but is empty")
     if options.get("duration") is None:
         raise InputError("duration", "must be given, so that the shape of the result does not change")
+    if options.get("baseband") is not None:
+        raise InputError("baseband", "must be left out of renders of tensors, which are real")
     rendered: Any = _function().apply(make_paths, tuple(tensors), sampling_rate, options, *tensors.values())
     return rendered
 

@@ -132,7 +132,7 @@ MOMENTS = (
         "weight_stride": INT, "first_sample": INT,
         "taken": made("float", "groups, slots, FUNCTIONS, 4"),
     },
-    frozenset({"LANES", "SUBBLOCK", "OVERSAMPLING", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "TOGETHER"}),
+    frozenset({"LANES", "SUBBLOCK", "OVERSAMPLING", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "TOGETHER", "GAINS"}),
 )  # fmt: skip
 ROOM = {
     "tolerance": DOUBLE, "thickness": DOUBLE, "plane": taken("double4", "walls"), "sphere": taken("double4", "walls"),

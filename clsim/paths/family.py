@@ -74,6 +74,11 @@ class PathFamily(ABC):
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure at 1 m, (P, T, F), without the delay."""
 
+    def of_channels(self, paths: PairPaths, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return responses of the paths of a pair by channel of the receiver, (C, P, T, F)."""
+        receiver = self.scene.receivers[paths.receiver]
+        return at.of_channels(paths.response(found, times, at), receiver, paths.channels, found, times)
+
     @abstractmethod
     def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
         """Return source, points of interaction and receiver (P, N + 2, 3) of paths between one source and one receiver.
@@ -144,6 +149,11 @@ class PathFamily(ABC):
     @property
     def varies(self) -> bool:
         """Whether the response of a path changes over a run so much that a few instants do not tell of all."""
+        return False
+
+    @property
+    def shapes_channels(self) -> bool:
+        """Whether responses of channels whose gains are the same at every frequency differ over frequency."""
         return False
 
     @property
@@ -267,13 +277,13 @@ class PairPaths:
 
     def responses(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return responses by channel of the receiver, (C, P, T, F)."""
-        receiver = self.family.scene.receivers[self.receiver]
-        return at.of_channels(self.response(found, times, at), receiver, self.channels, found, times)
+        return self.family.of_channels(self, found, times, at)
 
     def shapes(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return responses (C, P, T, F) of channels that differ over frequency: one of those that do not."""
         directivity = self.family.scene.receivers[self.receiver].directivity
-        if not isinstance(directivity, ChannelDirectivity) or directivity.is_flat:
+        alike = not isinstance(directivity, ChannelDirectivity) or directivity.is_flat
+        if alike and not self.family.shapes_channels:
             return self.response(found, times, at)[None]
         return self.responses(found, times, at)
 

@@ -21,25 +21,26 @@ from clsim.tracks.splines import audible
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
+    from clsim.arrays import Complexes, Floats
     from clsim.render.plan import Plan
     from clsim.render.source_filters import SourceFilters
     from clsim.sensitivity.linear_map import LinearMap
 
 _BLOCK, _SHORT_BLOCK = 96, 24  # samples between the nodes of tangents; short where responses vary
+_SHORT = 0.5e-3  # s, the same of envelopes, of which samples are few
 _RUN = 3072  # samples that are worked on at a time, whole blocks
 
 
-def adjoint(linear: LinearMap, weights: Floats) -> Floats:
+def adjoint(linear: LinearMap, weights: Floats | Complexes) -> Floats:
     """Return the transpose of the map applied to weights (rows, samples): a number for each parameter.
 
     On each path, what arrives of each function of frequency is multiplied by the weights and brought to the nodes of
     cubics, as interpolation would bring values at nodes to the samples. `Pulled` takes it on to the parameters.
     """
     plan = linear.plan
-    weights = through_ends(plan, np.array(weights, dtype=np.float64), transposed=True)
+    weights = through_ends(plan, np.array(weights), transposed=True)
     pulled = Pulled(linear)
-    if plan.options.engine == "opencl":
+    if plan.options.engine == "opencl" and plan.baseband is None:
         others = Allocation(frozenset(i for i in range(len(plan.tracks.pairs)) if not pulled.concerned(i)))
         shared = replace(plan, source_filters=linear.shared.source_filters, allocation=others, builders=[])
         MomentEngine(shared).taken(weights, partial(_by_moments, pulled))
@@ -47,10 +48,12 @@ def adjoint(linear: LinearMap, weights: Floats) -> Floats:
     for pair, member in enumerate(plan.tracks.pairs):
         paths = scene_tracks(plan).pair_paths[pair]
         block = _SHORT_BLOCK if paths.family.varies or has_beams(paths) else _BLOCK
-        filters, row = linear.shared.source_filters[member.source], weights[plan.rows_of_pair(pair).start]
+        if plan.baseband is not None:
+            block = max(round(_SHORT * plan.sampling_rate), 2)
+        filters, rows = linear.shared.source_filters[member.source], weights[plan.rows_of_pair(pair)]
         for start in range(0, plan.samples if pulled.concerned(pair) else 0, _RUN):
             blocks = -(-min(_RUN, plan.samples - start) // block)
-            at_nodes = _at_nodes(linear, pair, filters, row, start, block, blocks)
+            at_nodes = _at_nodes(linear, pair, filters, rows, start, block, blocks)
             if at_nodes is not None:
                 pulled.add(pair, np.arange(len(member)), start, block, at_nodes)
     return pulled.found
@@ -59,14 +62,14 @@ def adjoint(linear: LinearMap, weights: Floats) -> Floats:
 def _by_moments(
     pulled: Pulled, pair: int, rows: NDArray[np.int64], start: int, block: int, moments: NDArray[np.float32]
 ) -> None:
-    """Add the products of some paths, of moments (blocks, P, K, 4) of blocks from a sample on."""
+    """Add the products of some paths, of moments (C, blocks, P, K, 4) of blocks from a sample on."""
     if not np.any(moments):
         return
-    blocks, paths, functions, _ = moments.shape
-    at_nodes = np.zeros((paths, blocks + 3, functions))
-    made = (_powers() @ moments.reshape(-1, 4).T.astype(np.float64)).reshape(4, blocks, paths, functions)
+    channels, blocks, paths, functions, _ = moments.shape
+    at_nodes = np.zeros((channels, paths, blocks + 3, functions))
+    made = (_powers() @ moments.reshape(-1, 4).T.astype(np.float64)).reshape(4, *moments.shape[:4])
     for i in range(4):
-        at_nodes[:, i : i + blocks] += made[i].swapaxes(0, 1)
+        at_nodes[:, :, i : i + blocks] += made[i].swapaxes(1, 2)
     with with_blas_threads(1):  # matrices are small
         pulled.add(pair, rows, start, block, at_nodes)
 
@@ -79,9 +82,9 @@ def adjoint_signal(plan: Plan, source: int, weights: Floats) -> Floats:
     streams = np.zeros((len(filters.basis), samples + 2 * half))  # from sample -half on
     for i, pair in enumerate(plan.tracks.pairs):
         for start in range(0, plan.samples if pair.source == source else 0, _RUN):
-            times, emitted, mu, weight = _arriving(plan, i, filters, start, min(start + _RUN, plan.samples))
-            gains = plan.tracks.evaluate(i, times, filters.basis)[2][0]
-            taken = gains * weight * weights[plan.rows_of_pair(i).start, start : start + len(times)]
+            times, emitted, mu, weight, _ = _arriving(plan, i, filters, start, min(start + _RUN, plan.samples))
+            rows = weights[plan.rows_of_pair(i), None, None, start : start + len(times)]
+            taken = np.sum(plan.tracks.evaluate(i, times, filters.basis)[2] * weight * rows, axis=0)
             for p in np.flatnonzero(weight.any(axis=1)).tolist():
                 _scatter(plan, filters, emitted[p], mu[p], taken[:, p], streams)
     each = [np.convolve(stream, taps[::-1], "valid") for stream, taps in zip(streams, filters.filters, strict=True)]
@@ -102,32 +105,34 @@ def _scatter(
 
 def _arriving(
     plan: Plan, pair: int, filters: SourceFilters, start: int, stop: int
-) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
-    """Return times (n,), and of each path the emitted sample, the rest of the delay, and the activity, (P, n)."""
+) -> tuple[Floats, NDArray[np.int64], Floats, Floats, Floats | Complexes | float]:
+    """Return times (n,), and of each path the emitted sample, the rest of the delay, activity and phase, (P, n)."""
     times, member = np.arange(start, stop) / plan.sampling_rate, plan.tracks.pairs[pair]
     one = flat_basis(filters.signal.centre_frequency)
     delay = plan.tracks.evaluate(pair, times, one, every=len(times))[0]
     delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples
     whole = np.rint(delay_samples)
     emitted = filters.oversampling * np.arange(start, stop) - whole.astype(np.int64)
-    return times, emitted, delay_samples - whole, audible(times, member.start, member.end, plan.tracks.transition)
+    weight = audible(times, member.start, member.end, plan.tracks.transition)
+    return times, emitted, delay_samples - whole, weight, filters.carrier_phase(delay_samples)
 
 
 def _at_nodes(
-    linear: LinearMap, pair: int, filters: SourceFilters, row: Floats, start: int, block: int, blocks: int
+    linear: LinearMap, pair: int, filters: SourceFilters, rows: Floats | Complexes, start: int, block: int, blocks: int
 ) -> Floats | None:
-    """Return weighted arrivals (P, nodes, K) of all functions, brought to the nodes of blocks; None for silence."""
+    """Return weighted arrivals (C, P, nodes, K) of all functions, brought to the nodes of blocks; None for silence."""
     plan = linear.plan
     stop = min(start + block * blocks, plan.samples)
-    _, emitted, mu, weight = _arriving(plan, pair, filters, start, stop)
-    weight = weight * row[start:stop]
+    _, emitted, mu, weight, phase = _arriving(plan, pair, filters, start, stop)
+    weighted = weight * np.conj(rows[:, None, start:stop]) * phase
     out, cubics = None, _lagrange(block)
-    for p, delayed in delayed_streams(linear.shared, filters, emitted, mu, np.any(weight, axis=1)):
-        out = np.zeros((len(emitted), blocks + 3, len(delayed))) if out is None else out
-        full = np.zeros((len(delayed), blocks * block))
-        full[:, : stop - start] = delayed * weight[p]
-        for i, moved in enumerate(np.moveaxis(full.reshape(-1, blocks, block) @ cubics, 2, 0)):
-            out[p, i : i + blocks] += moved.T
+    for p, delayed in delayed_streams(linear.shared, filters, emitted, mu, np.any(weighted, axis=(0, 2))):
+        out = np.zeros((len(rows), len(emitted), blocks + 3, len(delayed))) if out is None else out
+        full = np.zeros((len(rows), len(delayed), blocks * block))
+        full[..., : stop - start] = (delayed * weighted[:, p, None]).real
+        at_nodes = full.reshape(len(rows), -1, blocks, block) @ cubics
+        for i in range(4):
+            out[:, p, i : i + blocks] += at_nodes[..., i].swapaxes(1, 2)
     return out
 
 

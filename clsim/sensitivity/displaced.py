@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
+from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.material.material import Material
 from clsim.scene.motion.curves import Static
 from clsim.scene.motion.orientation import quaternion_product
@@ -52,6 +53,26 @@ class Displaced:
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
         """Return bounds (n,) of the speed between two times, m/s."""
         return self.curve.speed_over(begin, end) + abs(self.by) * self.shift.speed_over(begin, end)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ramp:
+    """Displacement along a vector (3,) that grows by its length in a second, and is nothing at a time, s."""
+
+    vector: Floats
+    begin: float
+
+    def position(self, time: Floats) -> Floats:
+        """Return displacements (..., 3), m s/m."""
+        return np.asarray((time - self.begin)[..., None] * self.vector)
+
+    def velocity(self, time: Floats) -> Floats:
+        """Return their rates (..., 3), m/m."""
+        return np.broadcast_to(self.vector, (*time.shape, 3))
+
+    def speed_over(self, begin: Floats, end: Floats) -> Floats:
+        """Return bounds (n,) of the speed between two times, m/m."""
+        return np.full(np.shape(begin), np.linalg.norm(self.vector))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +152,48 @@ def shifted(material: Material, by: float) -> Material:
     """Return a material whose reflection factor is larger by a number."""
     own = {field.name: getattr(material, field.name) for field in fields(Material)}
     return _Shifted(**own, by=by)
+
+
+class ByFunctions(ChannelDirectivity):
+    """Directivities of several channels whose paths are rendered by functions of frequency; all else is theirs."""
+
+    __slots__ = ("_own",)
+    by_functions = True
+
+    def __init__(self, own: ChannelDirectivity) -> None:
+        self._own = own
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return self._own.channels
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether gains have a phase."""
+        return self._own.is_complex
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies that are covered, Hz."""
+        return self._own.band
+
+    @property
+    def reach(self) -> float:
+        """Bound of the lateness, s."""
+        return self._own.reach
+
+    def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
+        """Return the gains (..., C)."""
+        return self._own.gain_towards(direction, frequency, speed_of_sound)
+
+    def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
+        """Return the lateness (..., C), s."""
+        return self._own.lateness(direction, speed_of_sound)
+
+    def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
+        """Return the gains (C, ..., F) without the phase of the lateness."""
+        return self._own.aligned(direction, frequencies, speed_of_sound, channels)
 
 
 class _Refaced:

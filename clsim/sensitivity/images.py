@@ -10,6 +10,8 @@ import numpy as np
 from clsim.scene.directivity.patterns import Omni
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import PairPaths, PathFamily, Rows
@@ -34,6 +36,7 @@ class Change:
     mach: Floats  # of the source, along the path
     direction: Floats  # (P, T, 3) of departure
     emitted: Floats  # of the time of emission, s
+    rate: Floats  # of the delay's rate, by what moves evenly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +49,7 @@ class Images:
         dτ = κ u S / c,    W = S + v dτ,    dL = u W,    du = (W - u dL) / L,    dM = (du v - a u dτ) / c.
     """
 
-    family: PathFamily
-    rows: Rows
+    paths: PairPaths
     times: Floats
     found: Arrivals
     matrix: Floats  # (P, 3, 3) of the images
@@ -57,10 +59,21 @@ class Images:
     acceleration: Floats  # (P, T) along the path over the speed of sound, 1/s
     heading: Floats  # (P, T, 3) velocity of the mirrored receiver less that of the source
 
+    @property
+    def family(self) -> PathFamily:
+        """Kind of the paths."""
+        return self.paths.family
+
+    @property
+    def rows(self) -> NDArray[np.int64]:
+        """Which of these, (P,)."""
+        return self.paths.index
+
     @classmethod
-    def of(cls, family: Any, rows: Rows, times: Floats, found: Arrivals, kinematics: Kinematics) -> Images:
+    def of(cls, paths: PairPaths, times: Floats, found: Arrivals, kinematics: Kinematics) -> Images:
         """Take the motion of both ends from their trajectories."""
-        links = family.links(rows)
+        family: Any = paths.family
+        links = family.links(paths.rows)
         (source, receiver), matrix, c = links.motions, links.legs[0].matrix, links.medium.speed_of_sound
         shape, own = (*found.delay.shape, 3), np.zeros((1, 1, 3))
         along = np.zeros(found.delay.shape)
@@ -72,15 +85,18 @@ class Images:
         mirrored = turned_back(matrix, receiver.velocity(times))
         retarded = kinematics.retarded
         return cls(
-            family, rows, times, found, matrix, own if retarded else np.zeros((1, 1, 3)), c,
+            paths, times, found, matrix, own if retarded else np.zeros((1, 1, 3)), c,
             float(kinematics.exponent) if retarded else 0.0, along, mirrored - own,
         )  # fmt: skip
 
     def change(
         self, apart: Floats | float = 0.0, velocity: Floats | float = 0.0, later: Floats | float = 0.0,
-        speed: float = 0.0,
+        speed: float = 0.0, swifter: Floats | float = 0.0,
     ) -> Change:  # fmt: skip
-        """Return the changes by those of ``X - x`` and v, (P, T, 3), of times of reception and the speed of sound."""
+        """Return the changes by those of ``X - x`` and v, (P, T, 3), of times of reception and the speed of sound.
+
+        `swifter` is the change (P, T, 3) of the mirrored receiver's velocity.
+        """
         u, v, length, c = self.found.departure, self.velocity, self.found.length, self.speed_of_sound
         moved = apart + np.asarray(later)[..., None] * self.heading
         delay = self.found.frequency_ratio * (_dot(u, moved) / c - length * speed / c**2)
@@ -89,7 +105,10 @@ class Images:
         turned = (carried - u * longer[..., None]) / length[..., None]
         mach = (_dot(turned, v) + _dot(u, np.asarray(velocity))) / c + self.acceleration * emitted
         mach = mach - _dot(u, v) * speed / c**2
-        return Change(delay - later, longer, mach, turned, emitted)
+        ratio = self.found.frequency_ratio
+        nearer = _dot(turned, self.heading) + _dot(u, np.asarray(swifter) - velocity)
+        rate = ratio * (nearer / c - self.acceleration * emitted) + self.found.delay_rate * (ratio * mach - speed / c)
+        return Change(delay - later, longer, mach, turned, emitted, rate)
 
     def level(self, change: Change) -> Floats:
         """Relative change (P, T) of responses by spreading and the Doppler factor."""
@@ -102,7 +121,7 @@ class Images:
         return replace(
             found, departure=departure, arrival=self.arrival(departure), length=found.length + step * change.length,
             through=found.through + step * change.length, emission_time=found.emission_time + step * change.emitted,
-            frequency_ratio=ratio + step * ratio**2 * change.mach,
+            delay_rate=found.delay_rate + step * change.rate, frequency_ratio=ratio + step * ratio**2 * change.mach,
             mach_factor=found.mach_factor * (1.0 + step * self.exponent * ratio * change.mach),
         )  # fmt: skip
 
@@ -111,18 +130,18 @@ class Images:
         return np.asarray(-np.einsum("pij,ptj->pti", self.matrix, departure))
 
     def forces(self, response: Floats | Complexes, weights: Complexes, at: SceneResponse) -> Forces:
-        """Transpose of the changes of responses (P, T, F), weighted by weights (P, T, F)."""
+        """Transpose of the changes of responses (C, P, T, F), weighted by weights (C, P, T, F)."""
         found = self.found
         product = np.asarray(np.conj(weights) * response, dtype=np.complex128)
-        on_level = product.real.sum(axis=2)
-        on_delay = product.imag @ (2.0 * np.pi * at.frequencies)
+        on_level = product.real.sum(axis=(0, 3))
+        on_delay = product.imag.sum(axis=0) @ (2.0 * np.pi * at.frequencies)
         on_mach = self.exponent * found.frequency_ratio * on_level
         on_length = -on_level / found.length
         if at.disperses:
             on_length = on_length + self._response_by("through", weights, at)
             on_mach = on_mach + found.frequency_ratio**2 * self._response_by("frequency_ratio", weights, at)
         else:
-            on_length = on_length - product.real @ at.nepers
+            on_length = on_length - product.real.sum(axis=0) @ at.nepers
         turn = np.zeros((1, 1, 3)) if is_simple(self.family, self.rows, at) else self._by_direction(weights, at)
         return self._transposed(product, on_level, on_delay, on_length, on_mach, turn, weights, at)
 
@@ -148,7 +167,7 @@ class Images:
         return Forces(product, on_level, on_delay, apart, u * (on_mach / c)[..., None], later, speed)
 
     def _respond(self, found: Arrivals, at: SceneResponse, times: Floats | None = None) -> Any:
-        return self.family.response(self.rows, found, self.times if times is None else times, at)
+        return self.paths.responses(found, self.times if times is None else times, at)
 
     def _response_by(self, name: str, weights: Complexes, at: SceneResponse) -> Floats:
         """Product (P, T) of weights with the derivative of responses by a column of the arrivals."""
@@ -174,7 +193,7 @@ class Images:
 class Forces:
     """Derivatives of a loss by what images depend on, at nodes (P, T)."""
 
-    product: Complexes  # (P, T, F) conjugate weights times responses
+    product: Complexes  # (C, P, T, F) conjugate weights times responses
     level: Floats  # by the relative change of responses
     delay: Floats  # by a change of the delay alone, 1/s
     apart: Floats  # (P, T, 3) by changes of the mirrored receiver's place less the source's, 1/m
@@ -206,4 +225,4 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _real_product(weights: Complexes, values: Any) -> Floats:
-    return np.asarray((np.conj(weights) * values).real.sum(axis=-1))
+    return np.asarray((np.conj(weights) * values).real.sum(axis=(0, -1)))

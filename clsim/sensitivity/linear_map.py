@@ -2,31 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.paths.path_set import PathSet
+from clsim.paths.response import SceneResponse
 from clsim.render.methods.per_sample import PathSum
-from clsim.render.plan import Allocation, Plan
+from clsim.render.plan import Allocation, Plan, chunk_of
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
-from clsim.sensitivity.displaced import varied
-from clsim.sensitivity.parameters import check_differentiable, whole_shift
-from clsim.sensitivity.tangents import TangentPaths
-from clsim.tracks.tracks import SceneTracks, track
+from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.sensitivity.displaced import ByFunctions, Knot, varied
+from clsim.sensitivity.tangents import TangentPaths, Tangents
+from clsim.tracks.sampled import SEED
+from clsim.tracks.tracks import SceneTracks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Kinematics
-    from clsim.paths.family import PathFamily
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals
+    from clsim.paths.family import PairPaths, PathFamily
     from clsim.render.options import RenderOptions
+    from clsim.scene.ends import Receiver
     from clsim.sensitivity.parameters import Parameter
+    from clsim.tracks.basis import Basis
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
+_TOGETHER = 24  # parameters that are rendered at a time
+_FAINT = 0.03  # of the loudest tangent
+_SAMPLED = 5  # instants and pairs at which levels of tangents are taken
 _LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
 _PER_SAMPLE: dict[str, Any] = {
     "convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None, "shadow_error_db": None,
@@ -49,43 +58,138 @@ class LinearMap:
     parameters: tuple[Parameter, ...]
     shared: Plan
 
-    def tracks_of(self, parameter: Parameter) -> SceneTracks | None:
-        """Return the tracks of the tangents by a parameter; None of none."""
-        options, own = self.plan.options, scene_tracks(self.plan)
-        tangents = tangents_of(own.paths, parameter, own.kinematics)
-        if tangents is None:
-            return None
-        return track(tangents, motion=options.motion, amplitude=options.amplitude, transition=options.transition)
-
     @classmethod
     def of(cls, paths: PathSet, parameters: Sequence[Parameter], options: RenderOptions) -> LinearMap:
         """Design the filters."""
         plan = plan_of(paths, options)
-        few = _representatives(scene_tracks(plan), parameters)
+        few = representatives(scene_tracks(plan), parameters)
         allowed = min(plan.options.response_error_db + _LESS_DB, _MOST_DB)
-        own = replace(plan.options, duration=plan.duration, response_error_db=allowed)
+        own = replace(plan.options, duration=plan.duration, response_error_db=allowed, tail="off")
         shared = plan_paths(few, own) if few is not None else plan
         return cls(plan, tuple(parameters), shared)
 
-    def plan_of(self, tracks: SceneTracks) -> Plan:
-        """Return the plan of the sum over tangents, by the filters that all share."""
-        return replace(
-            self.shared, tracks=tracks, allocation=Allocation(), samples=self.plan.samples, chunk=self.plan.chunk,
+    def forward(self, out: Floats | Complexes) -> None:
+        """Write the derivatives of all rows by all parameters into an array (parameters, rows, samples)."""
+        for first in range(0, len(self.parameters), _TOGETHER):
+            here = slice(first, first + _TOGETHER)
+            self._write(self.parameters[here], out[here])
+
+    def _write(self, parameters: Sequence[Parameter], out: Floats | Complexes) -> None:
+        """Write those by some parameters, which are rendered together."""
+        plan, tracks = self.plan, TangentTracks.among_all(scene_tracks(self.plan), parameters, self.plan.duration)
+        out[:] = 0.0
+        if not tracks.pairs:
+            return
+        rows = sum(map(len, tracks.channels))
+        chunk = chunk_of(plan.options, plan.samples, plan.sampling_rate, plan.segment, rows, tracks.longest_delay)
+        # Points of a motion bend it: the longest blocks would be made in vain.
+        blocks = plan.blocks[any(isinstance(parameter.shift, Knot) for parameter in parameters) :]
+        shared = replace(
+            self.shared, tracks=tracks, allocation=Allocation(), samples=plan.samples, chunk=chunk, blocks=blocks,
             builders=[PathSum],
         )  # fmt: skip
+        pressure = PressureSum(shared)
+        for start in range(0, plan.samples, chunk):
+            piece = pressure(start)
+            for mine, j, row in tracks.rows(plan.first_rows):
+                out[j, row, start : start + piece.shape[1]] = tracks.scales[j] * piece[mine]
+        pressure.warn()
+        for j in range(len(out)):
+            out[j] = through_ends(plan, out[j])
 
-    def forward(self) -> Iterator[Floats]:
-        """Yield the derivative of all rows (rows, samples) by each parameter."""
-        for parameter in self.parameters:
-            tracks = self.tracks_of(parameter)
-            silent = np.zeros((self.plan.row_count, self.plan.samples))
-            yield silent if tracks is None else received(self.plan_of(tracks))
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TangentTracks(SceneTracks):
+    """Tracks of the tangents of paths by several parameters: these are channels of the receivers, with one delay."""
+
+    parameters: tuple[Parameter, ...]
+    here: tuple[tuple[int, ...], ...]  # parameters on which the paths to each receiver depend
+    scales: Floats  # (parameters,) by which gains are divided, so that none is held less well than others
+
+    @classmethod
+    def among_all(cls, own: SceneTracks, parameters: Sequence[Parameter], until: float) -> TangentTracks:
+        """Return the tangents of the paths that depend on any of some parameters, in a run that ends at a time, s."""
+        touched = {
+            (id(family), j): parameter.touched(family)
+            for family in own.paths.families for j, parameter in enumerate(parameters)
+        }  # fmt: skip
+
+        def changes(pair: PairPaths, j: int) -> bool:
+            return bool(touched[id(pair.family), j][pair.rows].any())
+
+        here = tuple(
+            tuple(j for j in range(len(parameters)) if any(changes(p, j) for p in own.pair_paths if p.receiver == r))
+            for r in range(len(own.scene.receivers))
+        )
+        mine = [i for i, pair in enumerate(own.pair_paths) if any(changes(pair, j) for j in here[pair.receiver])]
+        pairs, columns = [], {f.name: getattr(own, f.name) for f in fields(SceneTracks)}
+        for i in mine:
+            member, count = own.pairs[i], len(here[own.pairs[i].receiver])
+            pairs.append(replace(member, channels=range(count * member.channels.start, count * member.channels.stop)))
+        columns |= {"pairs": tuple(pairs), "pair_paths": tuple(own.pair_paths[i] for i in mine)}
+        made = cls(**columns, parameters=tuple(parameters), here=here, scales=np.ones(len(parameters)))
+        return replace(made, scales=made.levels(until))
+
+    @property
+    def faint(self) -> float:
+        """Level below which errors are relative to it: far from a point of a motion tangents are all but nothing."""
+        return _FAINT
+
+    @property
+    def on_device(self) -> bool:
+        """Whether devices make their nodes: these are not of paths alone."""
+        return False
+
+    @property
+    def channels(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the receivers' channels for each parameter."""
+        each = zip((r.directivity.channels for r in self.scene.receivers), self.here, strict=True)
+        return tuple(tuple(f"{name} {j}" for name in names for j in here) for names, here in each)
+
+    def rows(self, first_rows: NDArray[np.int32]) -> Iterator[tuple[int, int, int]]:
+        """Yield rows of the pressure, and of each the parameter and the row of the recording."""
+        numbers = ((r, c) for r in range(len(self.here)) for c in range(first_rows[r + 1] - first_rows[r]))
+        each = [(j, int(first_rows[r]) + c) for r, c in numbers for j in self.here[r]]
+        return ((i, j, row) for i, (j, row) in enumerate(each))
+
+    def levels(self, until: float) -> Floats:
+        """Levels (parameters,) of the tangents at the centre frequency, each of the loudest of its first pairs."""
+        times, found = np.linspace(0.0, until, _SAMPLED), np.zeros(len(self.parameters))
+        counted = np.zeros(len(self.parameters), dtype=int)
+        for pair in self.pair_paths:
+            js = [j for j in self.here[pair.receiver] if counted[j] < _SAMPLED]
+            counted[js] += 1
+            if js:
+                emitted = self.scene.sources[pair.source].emitted.centre_frequency
+                at = SceneResponse(self.scene, pair.source, np.array([emitted]))
+                here = Tangents.of(pair, times, pair.arrivals(times, self.kinematics), at, self.kinematics)
+                loud = [np.linalg.norm(here.by(self.parameters[j]), axis=1).max() for j in js]
+                found[js] = np.maximum(found[js], loud)
+        return np.where(found > 0.0, found, 1.0)
+
+    def gains(
+        self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis
+    ) -> list[Floats]:
+        """Return the gains (C, K, P, T) of tangents of paths of some pairs."""
+        at = SceneResponse(self.scene, paths[0].source, basis.nodes)
+        return [self._gains(Tangents.of(pair, times, found, at, self.kinematics), basis) for pair in paths]
+
+    def _gains(self, tangents: Tangents, basis: Basis) -> Floats:
+        """Return the gains (C, K, P, T) by all parameters, each a channel; what they share is projected once."""
+        here, own = self.here[tangents.paths.receiver], tangents.own
+        out = np.zeros((len(own), len(here), len(basis), *own.shape[1:3]))
+        known: dict[int, tuple[Any, Floats]] = {}  # with the responses themselves, for their identity
+        for i, j in enumerate(here):
+            for weight, response in tangents.terms(self.parameters[j]):
+                if id(response) not in known:
+                    known[id(response)] = response, np.moveaxis(basis.gains(response), -1, 1)
+                out[:, i] += weight / self.scales[j] * known[id(response)][1]
+        return out.reshape(-1, *out.shape[2:])
 
 
 def plan_of(paths: PathSet, options: RenderOptions) -> Plan:
-    """Return the plan of a sum over paths, sample by sample and without noise at the receivers."""
-    check_differentiable(paths, options)
-    return plan_paths(_without_noise(paths), replace(options, **_PER_SAMPLE))
+    """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay."""
+    return plan_paths(_plain(paths), replace(options, **_PER_SAMPLE))
 
 
 def scene_tracks(plan: Plan) -> SceneTracks:
@@ -94,9 +198,10 @@ def scene_tracks(plan: Plan) -> SceneTracks:
     return plan.tracks.of_scene
 
 
-def received(plan: Plan) -> Floats:
+def received(plan: Plan) -> Floats | Complexes:
     """Render a plan in the precision of its engine, (rows, samples), with the linear part of the receivers' ends."""
-    out, pressure = np.zeros((plan.row_count, plan.samples)), PressureSum(plan)
+    pressure = PressureSum(plan)
+    out = np.zeros((plan.row_count, plan.samples), dtype=float if plan.baseband is None else complex)
     for start in range(0, plan.samples, plan.chunk):
         piece = pressure(start)
         out[:, start : start + piece.shape[1]] = piece
@@ -112,56 +217,46 @@ def through_ends(plan: Plan, rows: Floats, transposed: bool = False) -> Floats:
     step = -1 if transposed else 1
     for i, receiver in enumerate(plan.receivers):
         if receiver.transducer is not None or receiver.electronics is not None:
-            for row in range(plan.row_count)[plan.rows_of(i)]:
+            for row in filter(lambda row: rows[row].any(), range(plan.row_count)[plan.rows_of(i)]):
                 end = ReceiverEnd(receiver, plan.row_names[row], plan.sampling_rate)
                 rows[row] = end(0, rows[row, ::step])[::step]
     return rows
 
 
-def _without_noise(paths: PathSet) -> PathSet:
-    """Return the paths in a scene whose receivers neither add noise nor round."""
+def _plain(paths: PathSet) -> PathSet:
+    """Return the paths in a scene whose receivers neither add noise nor round, nor filter the sound of each path."""
     quiet: dict[str, Any] = dict.fromkeys(("ambient_noise_db", "snr_db", "self_noise_db", "adc_bits", "adc_full_scale"))
-    receivers = tuple(
-        r if r.electronics is None else varied(r, electronics=varied(r.electronics, **quiet))
-        for r in paths.scene.receivers
-    )
-    scene = varied(paths.scene, receivers=receivers)
+
+    def plain(r: Receiver) -> Receiver:
+        own, electronics = r.directivity, r.electronics
+        channels = isinstance(own, ChannelDirectivity) and not own.by_functions
+        return varied(
+            r, electronics=electronics and varied(electronics, **quiet),
+            directivity=ByFunctions(own) if channels and isinstance(own, ChannelDirectivity) else own,
+        )  # fmt: skip
+
+    scene = varied(paths.scene, receivers=tuple(map(plain, paths.scene.receivers)))
     return PathSet(scene, tuple(family.in_scene(scene) for family in paths.families))
 
 
-def tangents_of(paths: PathSet, parameter: Parameter, kinematics: Kinematics) -> PathSet | None:
-    """Return the tangents of all paths that depend on a parameter, a kind for each kind of path; None of none."""
-    found = []
-    for family in paths.families:
-        mine = np.flatnonzero(parameter.touched(family))
-        if len(mine):
-            found.append(TangentPaths.of(family.part(mine), parameter, kinematics))
-    return PathSet(paths.scene, tuple(found)) if found else None
+def representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> PathSet | None:
+    """Return tangents of some pairs by parameters of all kinds, of which functions of frequency are designed.
 
-
-def _representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> PathSet | None:
-    """Return tangents of a few pairs by parameters of all kinds, of which functions of frequency are designed."""
-    kinds: dict[str, list[Parameter]] = {}
-    for parameter in parameters:
-        kinds.setdefault(parameter.kind, []).append(parameter)
+    Of every kind of parameter and every kind of path some are drawn: what none stands for would not be held.
+    """
+    kinds: dict[Any, list[tuple[PairPaths, Parameter]]] = {}
+    for one in parameters:
+        for family in tracks.paths.families:
+            touched = one.touched(family)
+            for pair in tracks.pair_paths:
+                if pair.family is family and (pair.channels or range(1)).start == 0 and touched[pair.rows].any():
+                    mine = pair.part(np.flatnonzero(touched[pair.rows]))
+                    kinds.setdefault((pair.source, one.kind, id(family)), []).append((mine, one))
     found: list[PathFamily] = []
-    for source in range(len(tracks.paths.scene.sources)):
-        each = max(_MOST_PAIRS // len(kinds), 2)
-        for mine in kinds.values():
-            found += _of_kind(tracks, mine, source, each)
+    chance = np.random.default_rng(SEED)
+    for (source, *_), each in kinds.items():
+        count = max(_MOST_PAIRS // sum(key[0] == source for key in kinds), 2)
+        for i in chance.permutation(len(each))[:count].tolist():
+            pair, one = each[i]
+            found.append(TangentPaths.of(pair.family.part(pair.index), one, tracks.kinematics))
     return PathSet(tracks.paths.scene, tuple(found)) if found else None
-
-
-def _of_kind(tracks: SceneTracks, parameters: list[Parameter], source: int, count: int) -> Iterator[PathFamily]:
-    """Yield tangents by some parameters of a kind, those of each of another pair of a source."""
-    own = [p for p in parameters if p.source in (None, source)]
-    pairs = [pair for pair in tracks.pair_paths if pair.source == source]
-    for i in range(min(count, len(own) * len(pairs))):
-        parameter = own[i * len(own) // count if len(own) > count else i % len(own)]
-        first = i % len(pairs)
-        for pair in (pair for pair in pairs[first:] + pairs[:first] if parameter.receiver in (None, pair.receiver)):
-            paths = pair.family.part(pair.index)
-            mine = np.flatnonzero(parameter.touched(paths))
-            if len(mine):
-                yield TangentPaths.of(paths.part(mine), whole_shift(parameter), tracks.kinematics)
-                break

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.render.opencl.batches import PathBatch
 
-    # Takes a pair, rows of its paths, a sample, samples in a group, and moments (groups, paths, functions, 4).
+    # Takes a pair, rows of its paths, a sample, samples of a group, and moments (C, groups, paths, functions, 4).
     Take = Callable[[int, NDArray[np.int64], int, int, NDArray[np.float32]], None]
 
 _TOGETHER = 4  # long blocks between the nodes of tangents of images, whose directions change slowly
@@ -84,20 +84,22 @@ class _MomentRun(Run):
         begin, subblock = segment * plan.segment, plan.subblock(self._source, block)
         together = engine.together(batch, block)
         blocks, filters, ramp = (end - begin) // block, plan.source_filters[self._source], batch.bounds.ramp
-        out = np.empty((-(-blocks // together), batch.count, self._functions, 4), dtype=np.float32)
-        on_device = engine._scratch.take("moments", out.nbytes)
+        out = np.empty((self._channels, -(-blocks // together), batch.count, self._functions, 4), dtype=np.float32)
+        on_device = engine._scratch.take("moments", out[0].nbytes)
         bounds = [np.clip(x - (self._start + begin), -_FAR, _FAR) for x in (batch.bounds.start, batch.bounds.end)]
         constants = {"SUBBLOCK": subblock, "FUNCTIONS": self._functions, "OVERSAMPLING": filters.oversampling}
         layout = {"LANES": engine._layout.lanes, "TOGETHER": together, **self._polynomial_constants(nodes)}
-        engine._compiler.kernel("moments", constants | layout)(
-            engine._queue, ((batch.count, len(out)), (1, 1)), **self._branch_arguments(begin),
-            **self._block_arguments(nodes, first_block), first_row=filters.rows,
-            start=np.where(batch.padding, _FAR, bounds[0]).astype(np.float32), end=bounds[1].astype(np.float32),
-            per_ramp=1.0 / ramp if ramp else 0.0, block_subblocks=block // subblock, blocks=blocks,
-            row=np.repeat(batch.row, np.diff(batch.first_slot)), weights=engine.weights, weight_stride=self._length,
-            first_sample=begin, taken=on_device,
-        )  # fmt: skip
-        cl.enqueue_copy(engine._queue, out, on_device)
+        layout["GAINS"] = self._channels
+        for channel in range(self._channels):
+            engine._compiler.kernel("moments", constants | layout)(
+                engine._queue, ((batch.count, out.shape[1]), (1, 1)), **self._branch_arguments(begin),
+                **self._block_arguments(nodes, first_block), first_row=filters.rows,
+                start=np.where(batch.padding, _FAR, bounds[0]).astype(np.float32), end=bounds[1].astype(np.float32),
+                per_ramp=1.0 / ramp if ramp else 0.0, block_subblocks=block // subblock, blocks=blocks,
+                row=np.repeat(batch.row, np.diff(batch.first_slot)) + np.int32(channel), weights=engine.weights,
+                weight_stride=self._length, first_sample=begin, taken=on_device,
+            )  # fmt: skip
+            cl.enqueue_copy(engine._queue, out[channel], on_device)
         for i, pair in enumerate(batch.pairs):
             mine = np.flatnonzero(~batch.padding[batch.of_pair(i)]) + batch.of_pair(i).start
-            engine.take(pair, batch.path[mine], self._start + begin, together * block, out[:, mine])
+            engine.take(pair, batch.path[mine], self._start + begin, together * block, out[:, :, mine])

@@ -12,11 +12,10 @@ import numpy as np
 
 from clsim.errors import InputError
 from clsim.paths.family import BODY, DIFFRACTION, SCATTERING, SPECULAR, TRANSMISSION
-from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.curves import Piecewise, Static, legs_through, spline_through
 from clsim.scene.transducer.electronics import Electronics
-from clsim.sensitivity.displaced import Knot, displaced, turned, varied, with_wall
+from clsim.sensitivity.displaced import Knot, Ramp, displaced, turned, varied, with_wall
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 
     from clsim.paths.family import PathFamily
     from clsim.paths.path_set import PathSet
-    from clsim.render.options import RenderOptions
     from clsim.scene.motion.curves import Curve
     from clsim.scene.scene import Scene
 
@@ -38,9 +36,7 @@ WITHOUT_DERIVATIVE = {
     "healing and simplification of meshes": "walls and edges stay those that were found",
     "displacement of walls next to edges": "refused in scenes with diffracted paths",
     "noise and converters of receivers": "left out: the derivative is that of the signal before noise and rounding",
-    "the diffuse tail": "refused: its noise is drawn anew",
-    "receivers of several channels": "refused",
-    "complex envelopes (baseband)": "refused",
+    "the diffuse tail": "left out, and told in a note: the derivative is that of the sound over paths",
     "ends that bodies carry": "they stay where they are as `bodies[i].position` changes",
 }
 _AXES = "xyz"
@@ -127,16 +123,6 @@ def parameters_of(paths: PathSet, wrt: Sequence[str]) -> list[Parameter]:
         if names.count(name) > 1:
             raise InputError("wrt", f"must name each parameter once, but names {name} twice")
     return found
-
-
-def check_differentiable(paths: PathSet, options: RenderOptions) -> None:
-    """Refuse what has no derivative."""
-    for i, receiver in enumerate(paths.scene.receivers):
-        if isinstance(receiver.directivity, ChannelDirectivity):
-            raise InputError(f"receivers[{i}].directivity", "must have one channel where derivatives are asked for")
-    if options.baseband is not None or options.tail != "off":
-        name = "tail" if options.baseband is None else "baseband"
-        raise InputError(name, "must be left out where derivatives are asked for")
 
 
 def _named(paths: PathSet, name: str) -> Iterator[Parameter]:
@@ -243,15 +229,17 @@ def _shifted(name: str, shift: Curve, with_thing: Any, acts: str, own: dict[str,
     return Parameter(name, "m", _STEP, change, **own, acts=acts, shift=shift)
 
 
-def whole_shift(parameter: Parameter) -> Parameter:
-    """Return the displacement of a whole trajectory in place of that of one of its points; all else stays."""
+def along(parameter: Parameter, begin: float | None = None) -> Parameter:
+    """Return the displacement of all of a trajectory in place of that of a point, or one that grows from a time, s."""
     if not isinstance(parameter.shift, Knot):
         return parameter
     kind = "receivers" if parameter.source is None else "sources"
     index = int(parameter.receiver or 0) if parameter.source is None else parameter.source
     own = {"source": parameter.source, "receiver": parameter.receiver}
-    with_thing = partial(_with_thing, kind, index)
-    return _shifted(parameter.name, Static(np.eye(3)[parameter.shift.axis]), with_thing, "shift", own)
+    axis = np.eye(3)[parameter.shift.axis]
+    shift = Static(axis) if begin is None else Ramp(axis, begin)
+    name = f"{kind}[{index}].position.{_AXES[parameter.shift.axis]}"
+    return _shifted(name, shift, partial(_with_thing, kind, index), "shift", own)
 
 
 def _knots(name: str, curve: Curve) -> Iterator[tuple[int, Knot]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,10 +12,10 @@ from clsim.render.plan import node_times
 from clsim.sensitivity.displaced import Knot
 from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
 from clsim.sensitivity.linear_map import scene_tracks
-from clsim.sensitivity.tangents import TangentPaths, clock_change
+from clsim.sensitivity.tangents import Tangents, clock_change
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -34,7 +35,7 @@ class Pulled:
 
     Of images the products are brought to the places and velocities of both ends first. What each parameter does to
     these takes next to nothing, so that the costs hardly depend on their number. Others are multiplied by the
-    tangents by each parameter.
+    tangents by places and velocities of both ends, the air, and the walls and things that a path meets.
     """
 
     def __init__(self, linear: LinearMap) -> None:
@@ -50,52 +51,75 @@ class Pulled:
         return any(True for _ in self._parameters(self._tracks.pair_paths[pair]))
 
     def add(self, pair: int, rows: NDArray[np.int64], start: int, block: int, at_nodes: Floats) -> None:
-        """Add the products of some paths, of arrivals (P, nodes, K) at the nodes of blocks from a sample on."""
+        """Add the products of some paths, of arrivals (C, P, nodes, K) at the nodes of blocks from a sample on."""
         paths, plan = self._tracks.pair_paths[pair].part(rows), self._linear.plan
         basis = self._linear.shared.source_filters[paths.source].basis
-        times = node_times(start, block, at_nodes.shape[1] - 3, plan.sampling_rate)
+        times = node_times(start, block, at_nodes.shape[2] - 3, plan.sampling_rate)
         now = times + self._tracks.scene.receivers[paths.receiver].clock_error(times)
-        family, index = paths.family, paths.index
         at = SceneResponse(self._tracks.scene, paths.source, basis.nodes)
-        found = family.arrivals(index, now, self._tracks.kinematics)
-        own, weights = family.response(index, found, now, at), _at_frequencies(basis, at_nodes)
-        here = dict(self._parameters(paths))
-        if in_closed_form(family):
-            images = Images.of(family, index, now, found, self._tracks.kinematics)
-            of_images = _OfImages(images, images.forces(own, weights, at), weights, at)
-            for js in _together(self._linear.parameters, here):
+        found = paths.arrivals(now, self._tracks.kinematics)
+        tangents = Tangents.of(paths, now, found, at, self._tracks.kinematics)
+        weights, here = _at_frequencies(basis, at_nodes), list(self._parameters(paths))
+        if in_closed_form(paths.family) and paths.reach == 0.0:
+            images = Images.of(paths, now, found, self._tracks.kinematics)
+            of_images = _OfImages(images, images.forces(tangents.own, weights, at), weights, at)
+            for js in self._together(j for j in here if self._linear.parameters[j].acts != "scene"):
                 self.found[js] += of_images.by([self._linear.parameters[j] for j in js])
-            here = {j: mine for j, mine in here.items() if self._linear.parameters[j].acts == "scene"}
-        for j, mine in here.items():
-            some = np.flatnonzero(mine)
-            part = TangentPaths.of(family.part(index[some]), self._linear.parameters[j], self._tracks.kinematics)
-            tangent = part.beside(slice(None), own[some], found.part(some), now, at)
-            self.found[j] += float(np.sum((np.conj(weights[some]) * tangent).real))
+            here = [j for j in here if self._linear.parameters[j].acts == "scene"]
+        of_tangents = _OfTangents(tangents, weights)
+        for js in self._together(here):
+            self.found[js] += of_tangents.by([self._linear.parameters[j] for j in js])
 
-    def _parameters(self, paths: PairPaths) -> Iterator[tuple[int, NDArray[np.bool_]]]:
-        """Yield the numbers of parameters that change some paths, and which of these (P,)."""
-        for j, mine in self._families[id(paths.family)]:
-            if mine[paths.rows].any():
-                yield j, mine[paths.rows]
+    def _together(self, here: Iterable[int]) -> list[list[int]]:
+        """List the numbers of parameters: those of the trajectory of an end together, others alone."""
+        groups: dict[Any, list[int]] = {}
+        for j in here:
+            own = self._linear.parameters[j]
+            groups.setdefault((own.source, own.receiver) if is_of_points(own) else j, []).append(j)
+        return list(groups.values())
+
+    def _parameters(self, paths: PairPaths) -> Iterator[int]:
+        """Yield the numbers of parameters that change some paths."""
+        return (j for j, mine in self._families[id(paths.family)] if mine[paths.rows].any())
 
 
 def _at_frequencies(basis: Basis, at_nodes: Floats) -> Complexes:
-    """Return weights (P, nodes, F) of responses of which arrivals (P, nodes, K) take the gains."""
+    """Return weights (C, P, nodes, F) of responses of which arrivals (C, P, nodes, K) take the gains."""
     count, each = len(basis.nodes), at_nodes.reshape(-1, len(basis))
-    weights = np.empty((*at_nodes.shape[:2], count), dtype=np.complex128)
+    weights = np.empty((*at_nodes.shape[:3], count), dtype=np.complex128)
     weights.real = (each @ basis.projection[:, :count]).reshape(weights.shape)
     weights.imag = (each @ basis.projection[:, count:]).reshape(weights.shape) if basis.parts == 2 else 0.0
     return weights
 
 
-def _together(parameters: tuple[Parameter, ...], here: dict[int, Any]) -> list[list[int]]:
-    """List the numbers of parameters of images: those of one trajectory together, others alone."""
-    groups: dict[Any, list[int]] = {}
-    for j in here:
-        own = parameters[j]
-        if own.acts != "scene":
-            groups.setdefault((own.source, own.receiver) if isinstance(own.shift, Knot) else j, []).append(j)
-    return list(groups.values())
+def is_of_points(parameter: Parameter) -> bool:
+    """Test if a parameter is a coordinate of a point of an end's trajectory."""
+    return parameter.acts == "shift" and isinstance(parameter.shift, Knot)
+
+
+class _OfTangents:
+    """Products of weights with the tangents of any paths."""
+
+    def __init__(self, tangents: Tangents, weights: Complexes) -> None:
+        self._tangents, self._weights = tangents, weights
+
+    def by(self, parameters: list[Parameter]) -> Any:
+        """Return the derivatives by a parameter, or by the points of a trajectory."""
+        (parameter, *_), tangents, shift = parameters, self._tangents, parameters[0].shift
+        if not is_of_points(parameter) or not isinstance(shift, Knot):
+            return np.sum([np.sum(weight * self._product(each)) for weight, each in tangents.terms(parameter)])
+        when, moving = tangents.times, parameter.source is not None
+        when = (tangents.found.emission_time if moving else np.broadcast_to(when, tangents.own.shape[1:3])).ravel()
+        places, velocities = np.zeros((2, len(when), 3))
+        for axis, p in {p.shift.axis: p for p in parameters if isinstance(p.shift, Knot)}.items():
+            places[:, axis] = self._product(tangents.of_place(p)).ravel()
+            if moving:
+                velocities[:, axis] = self._product(tangents.of_velocity(p)).ravel()
+        return _at_knots(shift.spread, when, places, velocities, parameters)
+
+    def _product(self, responses: Any) -> Floats:
+        """Return the real part (P, T) of weights times responses (C, P, T, F)."""
+        return np.asarray(np.einsum("cptf,cptf->pt", np.conj(self._weights), responses).real)
 
 
 class _OfImages:
@@ -103,14 +127,14 @@ class _OfImages:
 
     def __init__(self, images: Images, forces: Forces, weights: Complexes, at: SceneResponse) -> None:
         self._images, self._forces, self._weights, self._at = images, forces, weights, at
-        self._apart, self._product = forces.apart.sum(axis=1), forces.product.sum(axis=1)  # (P, 3) and (P, F)
+        self._apart, self._product = forces.apart.sum(axis=1), forces.product.sum(axis=(0, 2))  # (P, 3) and (P, F)
 
     def by(self, parameters: list[Parameter]) -> Any:
         """Return the derivatives by a parameter, or by the points of a trajectory."""
         (parameter, *_), forces = parameters, self._forces
         acts = parameter.acts
         if acts in ("gain", "start"):
-            return NEPERS * forces.level.sum() if acts == "gain" else forces.delay.sum()
+            return NEPERS * parameter.gain_db * forces.level.sum() if acts == "gain" else forces.delay.sum()
         if acts == "shift":
             return self._by_places(parameters)
         if acts == "clock":
@@ -162,11 +186,11 @@ class _OfImages:
         if is_simple(family, images.rows, self._at) and np.array_equal(
             ats[0].reflection(walls), ats[1].reflection(walls)
         ):
-            beyond = np.einsum("pt,ptf->f", images.found.through - 1.0, self._forces.product.real)
+            beyond = np.einsum("pt,cptf->f", images.found.through - 1.0, self._forces.product.real)
             changed = float(beyond @ (ats[1].nepers - ats[0].nepers))
         else:
-            moved = zip((family.in_scene(scene) for scene in scenes), ats, strict=True)
-            each = [paths.response(images.rows, images.found, images.times, at) for paths, at in moved]
+            moved = zip((replace(images.paths, family=family.in_scene(scene)) for scene in scenes), ats, strict=True)
+            each = [paths.responses(images.found, images.times, at) for paths, at in moved]
             changed = float(np.sum((np.conj(self._weights) * (each[0] - each[1])).real))
         frequency = family.scene.sources[source].emitted.centre_frequency
         speeds = [scene.air.speed_at(frequency) for scene in scenes]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +20,9 @@ from clsim.sensitivity.parameters import parameters_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from clsim.arrays import Complexes
+
+_WITHOUT_TAIL = "the diffuse tail is left out: derivatives are those of the sound over paths"
 _SINGULAR = 1e-12  # least eigenvalue of normalised information that says something
 
 
@@ -29,21 +32,25 @@ class Sensitivities:
 
     Attributes
     ----------
-    jacobian : ndarray (parameters, receivers, samples)
-        Pa, or V of receivers with a transducer, per unit of the parameter.
+    jacobian : ndarray (parameters, rows, samples)
+        Pa, or V of receivers with a transducer, per unit of the parameter; complex in baseband. Receivers have a row
+        for each channel.
     parameters, units : tuple of str
         Name and unit of each parameter.
     receivers : tuple of str
-        Names.
+        Names of the rows.
     sampling_rate : float
         Hz.
+    notes : tuple of str
+        What of the sound has no derivative.
     """
 
-    jacobian: Floats
+    jacobian: Floats | Complexes
     parameters: tuple[str, ...]
     units: tuple[str, ...]
     receivers: tuple[str, ...]
     sampling_rate: float
+    notes: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -53,7 +60,8 @@ class Sensitivities:
         Parameters
         ----------
         noise : float or array_like (receivers,)
-            Standard deviation of a sample, in the unit of the signals, Pa or V, above 0.
+            Standard deviation of a sample, in the unit of the signals, Pa or V, above 0; in baseband of its real and
+            of its imaginary part.
 
         Returns
         -------
@@ -74,7 +82,7 @@ class Sensitivities:
         if sigma.shape not in ((), (len(self.receivers),)) or not np.all(sigma > 0.0):
             raise InputError("noise", f"must be above 0, one number or one per receiver, but is {noise!r:.80}")
         rows = (self.jacobian / np.broadcast_to(sigma, len(self.receivers))[:, None]).reshape(len(self.parameters), -1)
-        return np.asarray(rows @ rows.T)
+        return np.asarray((rows @ rows.conj().T).real)
 
     def bounds(self, noise: Any) -> Floats:
         """Cramér-Rao bounds: the least standard deviations of unbiased estimates of all parameters together.
@@ -154,12 +162,12 @@ def sensitivities(paths: PathSet, wrt: Sequence[str], sampling_rate: float, **op
     sampling_rate : float
         Sampling rate of the signals, Hz.
     **options
-        As of `render`, but for baseband and tail; pairs at rest and narrow bands are rendered as all others.
+        As of `render`; pairs at rest and narrow bands are rendered as all others.
 
     Returns
     -------
     Sensitivities
-        float64.
+        float64, in baseband complex128.
 
     Raises
     ------
@@ -171,7 +179,8 @@ def sensitivities(paths: PathSet, wrt: Sequence[str], sampling_rate: float, **op
     Notes
     -----
     Of a path of delay τ and response R the derivative has the same delay, and the response
-    ``dR/dθ - 2j pi f dτ/dθ R``. Starts and ends of paths are not differentiated; noise and converters are left out.
+    ``dR/dθ - 2j pi f dτ/dθ R``. Starts and ends of paths are not differentiated; noise, converters and the diffuse tail
+    are left out.
 
     Examples
     --------
@@ -189,11 +198,11 @@ def sensitivities(paths: PathSet, wrt: Sequence[str], sampling_rate: float, **op
     linear = LinearMap.of(paths, parameters, RenderOptions(sampling_rate, **options))
     shape = len(parameters), linear.plan.row_count, linear.plan.samples
     with within_memory("wrt", "all derivatives (see `gradient`)", 8 * int(np.prod(shape))):
-        jacobian = np.empty(shape)
-    for i, rows in enumerate(linear.forward()):
-        jacobian[i] = rows
+        jacobian = np.empty(shape, dtype=float if linear.plan.baseband is None else complex)
+    linear.forward(jacobian)
     names, units = tuple(p.name for p in parameters), tuple(p.unit for p in parameters)
-    return Sensitivities(read_only(jacobian), names, units, linear.plan.row_names, linear.plan.sampling_rate)
+    notes = (_WITHOUT_TAIL,) if any(linear.plan.allocation.tails) else ()
+    return Sensitivities(read_only(jacobian), names, units, linear.plan.row_names, linear.plan.sampling_rate, notes)
 
 
 def gradient(
@@ -205,10 +214,12 @@ def gradient(
     ----------
     paths : PathSet
         The paths of a scene, from `find_paths`.
-    loss_gradient : array_like (receivers, samples)
-        Derivative of the loss by each sample of the recording.
+    loss_gradient : array_like (rows, samples)
+        Derivative of the loss by each sample of the recording; in baseband that by the real part plus 1j times that by
+        the imaginary one.
     wrt : sequence of str
-        Names as of `sensitivities`, and ``sources[0].signal`` for what a source without transducer emits.
+        Names as of `sensitivities`, and, but in baseband, ``sources[0].signal`` for what a source without transducer
+        emits.
     sampling_rate : float
         Sampling rate of the recording, Hz.
     **options
@@ -226,8 +237,8 @@ def gradient(
 
     Notes
     -----
-    It is the transpose of `sensitivities`, in float64 NumPy whatever the engine: what arrives on each path is
-    multiplied by the loss's derivative and brought to nodes, at which the tangents of all parameters are taken.
+    It is the transpose of `sensitivities`: what arrives on each path is multiplied by the loss's derivative and
+    brought to nodes, at which the tangents of all parameters are taken. A diffuse tail is left out.
 
     Examples
     --------
@@ -242,8 +253,7 @@ def gradient(
     >>> by["receivers[0].position"].shape, bool(by["sources[0].gain_db"] > 0.0)
     ((3,), True)
     """
-    weights = as_floats("loss_gradient", loss_gradient, (None, None))
-    settings = RenderOptions(sampling_rate, **options | {"duration": weights.shape[1] / sampling_rate})
+    weights, settings = _weights(loss_gradient, RenderOptions(sampling_rate, **options | {"duration": None}))
     emitted = [name for name in wrt if name.endswith(".signal")]
     others = [name for name in wrt if name not in emitted]
     each = [parameters_of(_checked(paths), [name]) for name in others]
@@ -259,12 +269,27 @@ def gradient(
     return {name: found[name] for name in wrt}
 
 
-def _by_signal(paths: PathSet, name: str, weights: Floats, options: RenderOptions) -> Floats:
+def _weights(given: Any, options: RenderOptions) -> tuple[Floats | Complexes, RenderOptions]:
+    """Return the loss's derivative (rows, samples), complex in baseband, and options with its duration."""
+    if options.baseband is None:
+        weights: Any = as_floats("loss_gradient", given, (None, None))
+        return weights, replace(options, duration=weights.shape[1] / options.sampling_rate)
+    parts = np.asarray(given)
+    weights = as_floats("loss_gradient", parts.real, (None, None)) + 1j * as_floats(
+        "loss_gradient", parts.imag, parts.shape
+    )
+    rate = options.baseband[2] or options.sampling_rate
+    return weights, replace(options, duration=weights.shape[1] / rate)
+
+
+def _by_signal(paths: PathSet, name: str, weights: Any, options: RenderOptions) -> Floats:
     """Return the derivative by the samples that a source emits."""
     index = next((i for i in range(len(paths.scene.sources)) if name == f"sources[{i}].signal"), None)
     if index is None:
         raise InputError("wrt", f"must name signals of the scene's sources, but has {name!r:.80}")
     source = paths.scene.sources[index]
+    if options.baseband is not None:
+        raise InputError("wrt", f"must not have {name!r} in baseband: envelopes are those of a band of the signal")
     if source.transducer is not None or source.signal.sampling_rate != options.sampling_rate:
         raise InputError(
             name,
@@ -275,9 +300,11 @@ def _by_signal(paths: PathSet, name: str, weights: Floats, options: RenderOption
     return adjoint_signal(plan, index, _of_rows(weights, plan.row_count))
 
 
-def _of_rows(weights: Floats, rows: int) -> Floats:
+def _of_rows(weights: Any, rows: int) -> Any:
     if len(weights) != rows:
-        raise InputError("loss_gradient", f"must have a row for each receiver, {rows}, but has {len(weights)}")
+        raise InputError(
+            "loss_gradient", f"must have a row for each receiver and channel, {rows}, but has {len(weights)}"
+        )
     return weights
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from clsim.paths.arrivals import Arrivals
     from clsim.paths.family import PairPaths
     from clsim.scene.ends import Receiver
     from clsim.scene.motion.trajectory import Trajectory
@@ -63,6 +64,16 @@ class Tracks(ABC):
     def of_scene(self) -> SceneTracks | None:
         """These tracks with the scene whose paths they are; None for those that were computed elsewhere."""
         return None
+
+    @property
+    def faint(self) -> float:
+        """Level of gains in a segment below which their errors are relative to it."""
+        return 1e-30
+
+    @property
+    def on_device(self) -> bool:
+        """Whether gains are those of paths of a scene, which devices make nodes of."""
+        return self.of_scene is not None
 
     @property
     def channels(self) -> tuple[tuple[str, ...], ...]:
@@ -364,8 +375,6 @@ class SceneTracks(Tracks):
         now = times + clock_error
         found = paths.arrivals(now, self.kinematics)
         some = found if every == 1 else found.part(np.arange(len(paths)), slice(None, None, every))
-        at = SceneResponse(self.paths.scene, paths.source, basis.nodes)
-        response = paths.response(some, now[::every], at)
         delay, rate = found.delay - clock_error, found.delay_rate * clock_rate - (clock_rate - 1.0)
         late, beside = np.zeros((*delay.shape, 1)), np.zeros((*delay.shape, 1))
         if paths.reach > 0.0:
@@ -375,16 +384,23 @@ class SceneTracks(Tracks):
                 for at in (now - _BESIDE, now + _BESIDE)
             )
             beside = (after - before) / (2.0 * _BESIDE)
-        out = []
-        for member in of_pairs:
-            responses = at.of_channels(response, receiver, member.channels, some, now[::every])
-            gain = np.moveaxis(basis.gains(responses), -1, 1)
+        out, gains = [], self.gains(pairs, of_pairs, some, now[::every], basis)
+        for member, gain in zip(of_pairs, gains, strict=True):
             if member.reach == 0.0:
                 out.append((delay, rate, gain))
             else:
                 ear = member.only_channel
                 out.append((delay + late[..., ear], rate + beside[..., ear], gain))
         return out
+
+    def gains(
+        self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis
+    ) -> list[Floats]:
+        """Return the gains (C, K, P, T) of paths of some pairs, whose responses are taken once."""
+        at = SceneResponse(self.paths.scene, paths[0].source, basis.nodes)
+        response, receiver = paths[0].response(found, times, at), self.paths.scene.receivers[paths[0].receiver]
+        each = (at.of_channels(response, receiver, member.channels, found, times) for member in paths)
+        return [np.moveaxis(basis.gains(responses), -1, 1) for responses in each]
 
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""

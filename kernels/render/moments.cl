@@ -10,7 +10,7 @@ __kernel void moments(__global const float* branches,     // [rows][stride], tho
                       int lead,                           // sample of `branches` emitted at the run's first sample
                       __global const int* first_row,      // [FUNCTIONS + 1]
                       __global const int* delay,          // [block][slots], whole samples
-                      __global const float* polynomials,  // as in polynomials.h, on [-1, 1], of one gain that is not used
+                      __global const float* polynomials,  // as in polynomials.h, on [-1, 1], of GAINS that are not used
                       __global const int* activity,       // not used: no silence is skipped
                       int slots,
                       int first_block,                    // of `delay` and `polynomials`, at the run's first sample
@@ -36,7 +36,7 @@ __kernel void moments(__global const float* branches,     // [rows][stride], tho
         const int first = block * samples, last = first + samples, node = first_block + block;
         if (start[slot] - ramp >= (float)last || end[slot] + ramp <= (float)first) continue;
         const bool whole_block = start[slot] + ramp <= (float)first && end[slot] - ramp >= (float)last;
-        __global const float* c = polynomials + place_of(node, slot, 1, slots);
+        __global const float* c = polynomials + place_of(node, slot, GAINS, slots);
         const float c0 = c[0], c1 = c[BESIDE], c2 = c[2 * BESIDE], c3 = c[3 * BESIDE];
         const int before = delay[node * (long)slots + slot];
         for (int piece = 0; piece < block_subblocks; piece += PIECE) {

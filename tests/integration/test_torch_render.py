@@ -70,3 +70,5 @@ def test_the_shape_of_the_result_is_given() -> None:
         clsim.torch.render(made, {"receivers[0].position": torch.zeros(3)}, RATE)
     with pytest.raises(clsim.InputError, match="tensors: must hold at least one"):
         clsim.torch.render(made, {}, RATE, **OPTIONS)
+    with pytest.raises(clsim.InputError, match="baseband: must be left out"):
+        clsim.torch.render(made, {"receivers[0].position": torch.zeros(3)}, RATE, **OPTIONS, baseband=(9e3, 4e3))

@@ -11,12 +11,13 @@ import pytest
 
 import clsim
 from clsim.paths.arrivals import RETARDED
+from clsim.paths.family import PairPaths
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.render.options import RenderOptions
-from clsim.sensitivity.linear_map import plan_of, received
+from clsim.sensitivity.linear_map import plan_of, received, representatives, scene_tracks
 from clsim.sensitivity.parameters import WITHOUT_DERIVATIVE, parameters_of
-from clsim.sensitivity.tangents import TangentPaths
+from clsim.sensitivity.tangents import Tangents
 
 RATE, C = 96e3, 343.0
 EXACT: dict[str, Any] = {
@@ -86,6 +87,19 @@ def ball(h: float, what: str) -> PathSet:
         receiver=FIXED(np.array([3.1, 2.3, 1.4]) + move["receiver"]),
         scatterers=[clsim.Scatterer.sphere("ball", 0.05, way)],
     )
+
+
+def two_balls(h: float) -> PathSet:
+    """Return paths by one and by two scattering spheres, beside the direct sound."""
+    balls = [
+        clsim.Scatterer.sphere("ball", 0.05, FIXED((2.0 + h, 1.0, 1.2))),
+        clsim.Scatterer.sphere("other", 0.04, FIXED((2.6, 1.9, 1.3))),
+    ]
+    scene = clsim.Scene(
+        clsim.Shoebox((4.0, 3.0, 2.5), HARD), clsim.Air(speed_of_sound=C, absorption=False),
+        [clsim.Source("s", PULSE, SOURCE)], [clsim.Receiver("r", RECEIVER)], scatterers=balls,
+    )  # fmt: skip
+    return clsim.find_paths(scene, 0, scattering_order=0, scatterers_in_row=2)
 
 
 def aimed(turn: float, up: float = 0.0) -> Any:
@@ -184,7 +198,8 @@ def test_delays_follow_fermats_principle(name: str, where: str) -> None:
         for family in paths.families:
             rows, at = slice(None), SceneResponse(paths.scene, 0, tones)
             found = family.arrivals(rows, times)
-            tangents = TangentPaths.of(family, parameter, RETARDED).response(rows, found, times, at)
+            pair = PairPaths(family, rows, 0, 0)
+            tangents = Tangents.of(pair, times, found, at, RETARDED).by(parameter)[0]
             turns = tangents / family.response(rows, found, times, at)  # of which the gain's part does not turn
             turned = -np.diff(turns.imag, axis=2)[..., 0] / (2.0 * np.pi * np.diff(tones)[0])
             if name.startswith("sources"):
@@ -213,7 +228,10 @@ ALL = [
 
 
 def test_the_transpose(engine: str, rng: np.random.Generator) -> None:
-    """``<J d, w> = <d, J' w>`` within 1e-6 of the lengths, for weights near ``J d``: nothing cancels."""
+    """``<J d, w> = <d, J' w>`` within 1e-6 of the lengths, for weights near ``J d``: nothing cancels.
+
+    Of the device 5e-6: within subblocks a render leaves out powers of gains that the transpose does not.
+    """
     paths, options = walk(), {"engine": engine, "duration": 0.024}
     jacobian = clsim.sensitivities(paths, ALL, RATE, **options).jacobian
     scale = rng.standard_normal(len(jacobian)) / np.linalg.norm(jacobian, axis=(1, 2))
@@ -222,7 +240,7 @@ def test_the_transpose(engine: str, rng: np.random.Generator) -> None:
     found = clsim.gradient(paths, weights, ALL, RATE, engine=engine)
     back = scale @ np.concatenate([np.ravel(found[name]) for name in ALL])
     lengths = np.linalg.norm(ahead) * np.linalg.norm(weights)
-    assert abs(back - np.sum(ahead * weights)) <= 1e-6 * lengths
+    assert abs(back - np.sum(ahead * weights)) <= (1e-6 if engine == "reference" else 5e-6) * lengths
     assert found["sources[0].trajectory"].shape == (4, 3)
 
 
@@ -280,9 +298,10 @@ def test_paths_that_begin_and_end(engine: str, rng: np.random.Generator) -> None
 def test_both_engines_agree() -> None:
     """The device's derivative is within -80 dB of the reference's: both hold their filters within -86 dB."""
     fast, exact = (
-        clsim.sensitivities(walk(), ALL[:1], RATE, engine=e, duration=0.024).jacobian for e in ("opencl", "reference")
+        clsim.sensitivities(walk(), ALL[:2], RATE, engine=e, duration=0.024).jacobian for e in ("opencl", "reference")
     )
-    assert np.linalg.norm(fast - exact) <= 1e-4 * np.linalg.norm(exact)
+    wrong, length = (np.linalg.norm(x, axis=(1, 2)) for x in (fast - exact, exact))
+    np.testing.assert_array_less(wrong, 1e-4 * length)
 
 
 def test_by_the_emitted_signal(rng: np.random.Generator) -> None:
@@ -294,6 +313,19 @@ def test_by_the_emitted_signal(rng: np.random.Generator) -> None:
     found = clsim.gradient(paths, weights, ["sources[0].signal"], RATE, **exact)["sources[0].signal"]
     assert found.shape == (PULSE.count,)
     assert found @ PULSE.read(0, PULSE.count) == pytest.approx(np.sum(weights * y), rel=1e-5)
+
+
+def test_filters_are_designed_for_every_kind_of_path() -> None:
+    """Each kind is drawn with each coordinate, though one kind does not change with any of them.
+
+    Two scatterers beside the direct sound were once wrong by 2e-4: a coordinate met one kind of path alone.
+    """
+    paths = two_balls(0.0)
+    plan = plan_of(paths, RenderOptions(RATE, engine="reference", duration=0.001, responses="centre"))
+    drawn = representatives(scene_tracks(plan), parameters_of(paths, ["scatterers[0].position"]))
+    assert drawn is not None
+    seen = {(family.interactions.shape[1], family.parameter.name[-1]) for family in drawn.families}  # type: ignore[attr-defined]
+    assert seen == {(count, axis) for count in (1, 2) for axis in "xyz"}
 
 
 def test_noise_and_rounding_are_left_out() -> None:
@@ -320,18 +352,140 @@ def test_names_without_a_derivative_are_refused(wrt: list[str], message: str) ->
         clsim.sensitivities(walk(), wrt, RATE)
 
 
-def test_what_has_no_derivative_is_refused() -> None:
+def test_walls_at_edges_are_refused() -> None:
     edges = l_room(FIXED((0.9, 3.1, 1.4)), 1)
     wall = edges.scene.room.faces.names[0]
     with pytest.raises(clsim.InputError, match="edges move with walls"):
         clsim.sensitivities(edges, [f"room.walls.{wall}.displacement"], RATE)
-    for option, value in (("tail", "auto"), ("baseband", (20e3, 8e3))):
-        with pytest.raises(clsim.InputError, match=f"{option}: must be left out"):
-            clsim.sensitivities(walk(), ALL[:1], RATE, **{option: value})
-    head = walk()
-    ears = replace(head.scene, receivers=[clsim.Receiver.ambisonic("a", FIXED((3.0, 2.0, 1.0)))])
-    with pytest.raises(clsim.InputError, match="must have one channel"):
-        clsim.sensitivities(clsim.find_paths(ears, 0), ALL[:1], RATE)
+
+
+LOW, HEARD = clsim.Signal.chirp(3e3, 5e3, 0.006, sampling_rate=24e3, fade=0.0025), "receivers[0]"
+
+
+def several(kind: str, h: float = 0.0, what: str = "") -> PathSet:
+    """Return paths to a receiver of several channels that moves, of which one thing is displaced by h."""
+    half = 0.5 * np.radians(30.0 + h * (what == "orientation.z"))
+    turning = FIXED((0, 0, 0), (0.0, 0.0, np.sin(half), np.cos(half))).turning
+    places = np.array([[3.1, 2.3, 1.4], [3.0, 2.2, 1.5]]) + h * (what == "position.x") * EYE[0]
+    way = replace(LINE(*places, 0.1), turning=turning)
+    knots = KNOTS + h * (what == "trajectory.positions[1].y") * np.outer(np.arange(4) == 1, EYE[1])
+    ends = {
+        "ambisonic": lambda: [clsim.Receiver.ambisonic("r", way)],
+        "head": lambda: [clsim.Receiver("r", way, directivity=clsim.SphericalHead(0.0875))],
+        "array": lambda: clsim.receiver_array("r", [[0.0, 0.03, 0.0], [h * (what == "element"), -0.03, 0.0]], way),
+    }[kind]()
+    source = clsim.Source("s", LOW, clsim.Trajectory.waypoints(np.linspace(0.0, 0.1, 4), knots))
+    room = clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.7))
+    return clsim.find_paths(clsim.Scene(room, clsim.Air(speed_of_sound=C, absorption=False), [source], ends), 1)
+
+
+@pytest.mark.parametrize("kind", ["ambisonic", "head"])
+@pytest.mark.parametrize(
+    ("what", "h"), [("position.x", 5e-5), ("orientation.z", 0.02), ("trajectory.positions[1].y", 5e-5)]
+)
+def test_receivers_of_several_channels(kind: str, what: str, h: float) -> None:
+    """Channels change with the direction of arrival, ears with the time of arrival as well."""
+    name, options = f"{'sources[0]' if 'traj' in what else HEARD}.{what}", EXACT | {"response_error_db": -110.0}
+    found = clsim.sensitivities(several(kind), [vector(name)], 24e3, **options)
+    derivative = found.jacobian[found.parameters.index(name)]
+    ahead, behind = (received(plan_of(several(kind, x, what), RenderOptions(24e3, **options))) for x in (h, -h))
+    assert len(derivative) == len(found.receivers) == (4 if kind == "ambisonic" else 2)
+    assert np.linalg.norm((ahead - behind) / (2.0 * h) - derivative) <= 5e-5 * np.linalg.norm(derivative)
+    weights = derivative + np.std(derivative)
+    back = clsim.gradient(
+        several(kind), weights, [vector(name)], 24e3, **{k: v for k, v in options.items() if k != "duration"}
+    )
+    lengths = np.linalg.norm(weights) * np.linalg.norm(derivative)
+    there = np.ravel(back[vector(name)])[found.parameters.index(name)]
+    assert abs(there - np.sum(weights * derivative)) <= 1e-6 * lengths
+
+
+def test_elements_of_arrays() -> None:
+    """Each is a receiver: its place in the array's frame, which is turned by 30 degrees, is one in the room."""
+    found = clsim.sensitivities(several("array"), ["receivers[1].position"], 24e3, **EXACT).jacobian
+    derivative = np.tensordot([np.cos(np.radians(30.0)), np.sin(np.radians(30.0)), 0.0], found, 1)
+    ahead, behind = (
+        received(plan_of(several("array", x, "element"), RenderOptions(24e3, **EXACT))) for x in (5e-5, -5e-5)
+    )
+    assert np.linalg.norm((ahead - behind) / 1e-4 - derivative) <= 5e-5 * np.linalg.norm(derivative)
+
+
+def test_channels_on_a_device() -> None:
+    """The device's derivative and its transpose, of channels, too."""
+    names = ["receivers[0].position", "sources[0].gain_db"]
+    fast, exact = (
+        clsim.sensitivities(several("ambisonic"), names, 24e3, engine=e, duration=0.024).jacobian
+        for e in ("opencl", "reference")
+    )
+    wrong, length = (np.linalg.norm(x, axis=(1, 2)) for x in (fast - exact, exact))
+    np.testing.assert_array_less(wrong, 3e-4 * length)  # -80 dB, and 10 dB that tangents are given
+    found = clsim.gradient(several("ambisonic"), fast[0], names, 24e3)
+    back = np.concatenate([np.ravel(found[name]) for name in names])
+    np.testing.assert_allclose(back / length, np.tensordot(fast, fast[0], 2) / length, atol=5e-6 * length[0])
+
+
+SLOW = KNOTS[0] + 0.1 * (KNOTS - KNOTS[0])
+BAND: dict[str, Any] = {
+    "baseband": (20e3, 8e3, 12e3), "duration": 0.024, "response_error_db": -100.0,
+    "interpolator": clsim.Bandlimited(error_db=-100.0),
+}  # fmt: skip
+BEACONS: dict[str, tuple[Callable[[float], PathSet], str, float]] = {
+    name: CASES[name] for name in ("static receiver", "clock rate", "temperature", "wind", "wall")
+} | {
+    "trajectory": (
+        lambda h: shoebox(source=clsim.Trajectory.waypoints(
+            np.linspace(0.0, 0.1, 4), SLOW + h * np.outer(np.arange(4) == 1, EYE[1]))),
+        "sources[0].trajectory.positions[1].y", 8e-5,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BEACONS)
+def test_complex_envelopes(case: str) -> None:
+    """Derivatives of baseband against differences, and their transpose by real and imaginary parts."""
+    made, name, step = BEACONS[case]
+    options = BAND | {"engine": "reference"}
+    found = clsim.sensitivities(made(0.0), [vector(name)], RATE, **options)
+    derivative, wrong = found.jacobian[found.parameters.index(name)], []
+    for h in (0.5 * step, 0.25 * step):
+        ahead, behind = (received(plan_of(made(x), RenderOptions(RATE, **options))) for x in (h, -h))
+        wrong.append(np.linalg.norm((ahead - behind) / (2.0 * h) - derivative) / np.linalg.norm(derivative))
+    assert np.iscomplexobj(derivative)
+    assert wrong[1] <= 0.3 * wrong[0] + 1e-5, wrong
+    assert wrong[1] <= 3e-5, wrong
+    weights = derivative * np.exp(0.3j) + 0.1 * np.std(derivative)
+    back = clsim.gradient(
+        made(0.0), weights, [vector(name)], RATE, **{k: v for k, v in options.items() if k != "duration"}
+    )
+    there = np.ravel(back[vector(name)])[found.parameters.index(name)]
+    assert there == pytest.approx(np.sum(np.conj(weights) * derivative).real, rel=1e-6)
+
+
+def test_information_of_envelopes() -> None:
+    """Noise is that of the real and of the imaginary part: a gain's bound is that over the length of its derivative."""
+    paths, name = BEACONS["static receiver"][0](0.0), ["sources[0].gain_db"]
+    found = clsim.sensitivities(paths, name, RATE, **BAND | {"engine": "reference"})
+    assert found.bounds(0.1)[0] == pytest.approx(0.1 / np.linalg.norm(found.jacobian))
+    fast = clsim.sensitivities(paths, name, RATE, **BAND).jacobian
+    assert np.linalg.norm(fast - found.jacobian) <= 1e-4 * np.linalg.norm(fast)
+    with pytest.raises(clsim.InputError, match=r"must not have 'sources\[0\]\.signal' in baseband"):
+        clsim.gradient(paths, found.jacobian[0], ["sources[0].signal"], RATE, baseband=BAND["baseband"])
+
+
+def test_tails_are_left_out_with_a_note() -> None:
+    """With a tail the derivative is that of the paths, over the recording with its tail."""
+    room = clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.8))
+    ends = [clsim.Source("s", LOW, SOURCE)], [clsim.Receiver("r", RECEIVER)]
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), *ends), 1)
+    options: dict[str, Any] = {"engine": "reference", "duration": 0.05}
+    without, beside = (
+        clsim.sensitivities(paths, ["receivers[0].position"], 24e3, tail=tail, **options) for tail in ("off", "auto")
+    )
+    assert (without.notes, len(beside.notes)) == ((), 1)
+    assert "tail is left out" in beside.notes[0]
+    np.testing.assert_array_equal(without.jacobian, beside.jacobian)
+    by = (clsim.gradient(paths, beside.jacobian[0], ["receivers[0].position"], 24e3, tail=t) for t in ("off", "auto"))
+    np.testing.assert_array_equal(*(found["receivers[0].position"] for found in by))
 
 
 def test_the_page_lists_what_has_no_derivative() -> None:

@@ -40,7 +40,7 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
     if of_scene is None:
         return "tracks without a scene"
     directivity = of_scene.paths.scene.receivers[tracks.pairs[pair].receiver].directivity
-    if not isinstance(directivity, ChannelDirectivity) or directivity.is_flat:
+    if not isinstance(directivity, ChannelDirectivity) or directivity.by_functions:
         return "its channels are alike over frequency"
     return "envelopes" if options.baseband is not None or options.responses == "centre" else None
 

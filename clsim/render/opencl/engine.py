@@ -115,7 +115,7 @@ class OpenclEngine:
         Without float64 there is none for envelopes, whose delays are septics, and for wind.
         """
         plan, of_scene = self._plan, self._plan.tracks.of_scene
-        if of_scene is None:
+        if of_scene is None or not plan.tracks.on_device:
             return None
         family, member, scene = of_scene.pair_paths[pair].family, of_scene.pairs[pair], of_scene.paths.scene
         in_pairs = plan.baseband is None and scene.air.wind is None

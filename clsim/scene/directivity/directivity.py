@@ -238,6 +238,11 @@ class ChannelDirectivity(Directivity):
         return False
 
     @property
+    def by_functions(self) -> bool:
+        """Whether paths are rendered by functions of frequency in any case, instead of through filters that turn."""
+        return self.is_flat
+
+    @property
     def reach(self) -> float:
         """Bound of the magnitude of `lateness`, s."""
         return 0.0
