@@ -12,6 +12,7 @@ import numpy as np
 
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless
+from clsim.render.memory import with_blas_threads
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.design import NoTailError, TailOptions, find_tail, searched_order
@@ -34,14 +35,14 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
     from clsim.render.plan import Plan
-    from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
     from clsim.tail.noise import Responses
     from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
-_RECEIVERS = 16  # of them, or filters of ears, at a time
+_RECEIVERS = 16  # of them at a time
+_KEPT = 2  # blocks of ears
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +121,9 @@ class _ZoneTail:
         first = plan.first_rows.tolist()
         self._rows = {r: range(first[r], first[r + 1]) for r in there}
         self.streams: dict[bool, Streams] = {}
-        self._ears = ears_among(self._scene, self._moving, self._rate, self.signals.highest)
+        with with_blas_threads(1):
+            self._ears = ears_among(self._scene, self._moving, self._rate, self.signals.highest)
+        self._blocks: dict[int, dict[int, NDArray[np.float32] | None]] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add it from sample `start` on to the pressure (receivers, n)."""
@@ -147,60 +150,76 @@ class _ZoneTail:
             for r in receivers
             for row, motion in zip(self._rows[r], self._motions(r, _grid(start, stop)), strict=False)
         }
-        received = self._received(list(found.values()), start, stop)
+        if not found:
+            return
+        ahead, gains = zip(*found.values(), strict=True)
+        received = self._summed(Motion(np.stack(ahead), np.stack(gains)), start, stop)
         if received is not None:
             pressure[list(found)] += received
 
     def _add_ears(self, pressure: NDArray[Any], receiver: int, start: int) -> None:
         """Add all streams at a head from sample `start` on to the pressure (receivers, n)."""
-        filters = self._ears[receiver]
-        first = start + filters.lead + 1 - filters.taps.shape[1]
-        last = start + pressure.shape[1] + filters.lead
-        motions = self._motions(receiver, _grid(first, last))
-        parts = [
-            self._received(motions[group : group + _RECEIVERS], first, last)
-            for group in range(0, len(motions), _RECEIVERS)
-        ]
-        given = [part for part in parts if part is not None]
-        if given:
-            pressure[self._rows[receiver]] += filters.through(np.concatenate(given))
+        filters, blocks = self._ears[receiver], self._blocks.setdefault(receiver, {})
+        total = np.zeros((len(self._rows[receiver]), pressure.shape[1]), np.float32)
+        first, last = start + filters.lead, start + pressure.shape[1] + filters.lead
+        # Blocks of a fixed grid, added in order, so that samples do not depend on what is asked for.
+        for k in range((first - filters.size) // filters.block + 1, -(-last // filters.block)):
+            if k not in blocks:
+                blocks[k] = self._block(receiver, k)
+            made, begin = blocks[k], k * filters.block - first
+            if made is not None:
+                part = made[:, max(-begin, 0) : max(pressure.shape[1] - begin, 0)]
+                total[:, max(begin, 0) : max(begin, 0) + part.shape[1]] += part
+        self._blocks[receiver] = {k: blocks[k] for k in sorted(blocks)[-_KEPT:]}
+        pressure[self._rows[receiver]] += total
 
-    def _received(self, motions: list[tuple[Floats, Floats]], start: int, stop: int) -> NDArray[np.float32] | None:
-        """Return the sum (rows, n) of all streams by motions from sample `start` to `stop`; None where it is silent."""
-        if not motions:
+    def _block(self, receiver: int, k: int) -> NDArray[np.float32] | None:
+        """Return block k of all streams at a head's ears, (channels, n); None where it is silent."""
+        filters = self._ears[receiver]
+        start, stop = k * filters.block, (k + 1) * filters.block
+        towards = self._approach(receiver, _grid(start, stop))
+        if towards is None:
             return None
-        ahead, gains = zip(*motions, strict=True)
-        motion = Motion(np.stack(ahead), np.stack(gains))
+        clock = self.signals.crossings.clock(filters.instants(k))
+        end = self._scene.receivers[receiver]
+        directions = own_directions(end, self._tail.arrivals, clock + end.clock_error(clock))
+        ahead = self._rate * (towards[0] - filters.lateness(directions)).swapaxes(1, 2)
+        # A listener for each wave at each ear: filters are shared by waves that have arrived there.
+        ahead = ahead.reshape(-1, ahead.shape[2], 1)
+        waves = self._summed(Motion(ahead, np.broadcast_to(towards[1][:, None], ahead.shape)), start, stop)
+        if waves is None:
+            return None
+        with with_blas_threads(1):
+            return filters.filtered(waves.reshape(-1, directions.shape[1], stop - start), directions)
+
+    def _summed(self, motion: Motion, start: int, stop: int) -> NDArray[np.float32] | None:
+        """Return the sum (rows, n) of streams by motion from sample `start` to `stop`; None where it is silent."""
         (least, most), half = motion.reach, self.signals.between.half + 1
         first = start - NODE + least - half
         streams = self._of(waves=True).read(first, stop + NODE + most + half)
         return None if streams is None else self.signals.waves.received(streams, first, motion, start, stop)
 
     def _motions(self, receiver: int, grid: NDArray[np.int64]) -> list[tuple[Floats, Floats]]:
-        """Return the advance of streams, samples, and gains (N, M) by row of a receiver; none out of the zone.
+        """Return the advance of streams, samples, and gains (N, M) by row of a receiver; none out of the zone."""
+        towards = self._approach(receiver, grid)
+        if towards is None:
+            return []
+        clock = self.signals.crossings.clock(grid)
+        times = clock + self._scene.receivers[receiver].clock_error(clock)
+        by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
+        return [(towards[0] * self._rate, gains * towards[1][:, None]) for gains in by_row]
 
-        A head has a row for each filter of each ear.
-        """
+    def _approach(self, receiver: int, grid: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
+        """Return the advance of streams (N, M), s, and the zone's weight (N,) at a receiver; None out of the zone."""
         end, zones, c = self._scene.receivers[receiver], self._tail.receiver_zones, self._scene.air.speed_of_sound
         weight = self.signals.crossings.weights(receiver, grid).get(self._zone)
         if weight is None:
-            return []
+            return None
         clock = self.signals.crossings.clock(grid)
         times = clock + end.clock_error(clock)
         ahead = (end.trajectory.position(times) - zones.centres[self._zone]) @ self._tail.arrivals.T / c
         # Where the zone is not heard it does not matter where in it the receiver were.
-        ahead = np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None]
-        if receiver in self._ears:
-            own = partial(self._own_directions, end)
-            motions = self._ears[receiver].motions(own, grid, self._rate)
-            return [((ahead - late) * self._rate, gains * weight[:, None]) for late, gains in motions]
-        by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
-        return [(ahead * self._rate, gains * weight[:, None]) for gains in by_row]
-
-    def _own_directions(self, end: Receiver, samples: NDArray[np.int64]) -> Floats:
-        """Return the streams' directions (N, M, 3) in a receiver's own frame at samples (N,)."""
-        clock = self.signals.crossings.clock(samples)
-        return own_directions(end, self._tail.arrivals, clock + end.clock_error(clock))
+        return np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None], weight
 
     def _of(self, *, waves: bool) -> Streams:
         """Return the streams of plane waves, or of what stands still."""
