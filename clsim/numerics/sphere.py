@@ -253,13 +253,13 @@ def _levels(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def table_directions(rows: int) -> Floats:
-    """Return the directions (2 rows², 3) of a table with so many circles of latitude, see `looked_up`."""
+    """Return the directions (2 rows², 3) of a table with so many circles of latitude, see `table_values`."""
     angle = np.pi / rows * np.stack(np.meshgrid(np.arange(rows) + 0.5, np.arange(2 * rows), indexing="ij"))
     across, (colatitude, azimuth) = np.sin(angle[0]), angle
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.cos(colatitude)], axis=2).reshape(-1, 3)
 
 
-def looked_up(table: NDArray[np.float32], directions: Floats) -> NDArray[np.float32]:
+def table_values(table: NDArray[np.float32], directions: Floats) -> NDArray[np.float32]:
     """Return values (m, u) in unit vectors (..., 3) from those (2 rows², u) of `table_directions`.
 
     By cubics through four values along each angle. Beyond a pole, circles go on down the opposite azimuth.

@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from clsim.render.plan import Plan
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
+    from clsim.tail.ears import Blocks
     from clsim.tail.noise import Responses
     from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
 _RECEIVERS = 16  # of them at a time
-_KEPT = 2  # blocks of ears
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +123,7 @@ class _ZoneTail:
         self.streams: dict[bool, Streams] = {}
         with with_blas_threads(1):
             self._ears = ears_among(self._scene, self._moving, self._rate, self.signals.highest)
-        self._blocks: dict[int, dict[int, NDArray[np.float32] | None]] = {}
+        self._blocks: dict[int, Blocks] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add it from sample `start` on to the pressure (receivers, n)."""
@@ -139,8 +139,9 @@ class _ZoneTail:
             plain = [r for r in self._moving if r not in self._ears and self._zone in crossed(r, grid)]
             for group in range(0, len(plain), _RECEIVERS):
                 self._add_moving(some, plain[group : group + _RECEIVERS], start + first)
-            for head in self._ears:
-                self._add_ears(some, head, start + first)
+            for head, filters in self._ears.items():
+                kept, made = self._blocks.setdefault(head, {}), partial(self._block, head)
+                some[self._rows[head]] += filters.joined(made, kept, start + first, some.shape[1])
 
     def _add_moving(self, pressure: NDArray[Any], receivers: list[int], start: int) -> None:
         """Add all streams at moving receivers from sample `start` on to the pressure (receivers, n)."""
@@ -157,22 +158,6 @@ class _ZoneTail:
         if received is not None:
             pressure[list(found)] += received
 
-    def _add_ears(self, pressure: NDArray[Any], receiver: int, start: int) -> None:
-        """Add all streams at a head from sample `start` on to the pressure (receivers, n)."""
-        filters, blocks = self._ears[receiver], self._blocks.setdefault(receiver, {})
-        total = np.zeros((len(self._rows[receiver]), pressure.shape[1]), np.float32)
-        first, last = start + filters.lead, start + pressure.shape[1] + filters.lead
-        # Blocks of a fixed grid, added in order, so that samples do not depend on what is asked for.
-        for k in range((first - filters.size) // filters.block + 1, -(-last // filters.block)):
-            if k not in blocks:
-                blocks[k] = self._block(receiver, k)
-            made, begin = blocks[k], k * filters.block - first
-            if made is not None:
-                part = made[:, max(-begin, 0) : max(pressure.shape[1] - begin, 0)]
-                total[:, max(begin, 0) : max(begin, 0) + part.shape[1]] += part
-        self._blocks[receiver] = {k: blocks[k] for k in sorted(blocks)[-_KEPT:]}
-        pressure[self._rows[receiver]] += total
-
     def _block(self, receiver: int, k: int) -> NDArray[np.float32] | None:
         """Return block k of all streams at a head's ears, (channels, n); None where it is silent."""
         filters = self._ears[receiver]
@@ -180,9 +165,8 @@ class _ZoneTail:
         towards = self._approach(receiver, _grid(start, stop))
         if towards is None:
             return None
-        clock = self.signals.crossings.clock(filters.instants(k))
-        end = self._scene.receivers[receiver]
-        directions = own_directions(end, self._tail.arrivals, clock + end.clock_error(clock))
+        times = self.signals.crossings.times(receiver, filters.instants(k))
+        directions = own_directions(self._scene.receivers[receiver], self._tail.arrivals, times)
         ahead = self._rate * (towards[0] - filters.lateness(directions)).swapaxes(1, 2)
         # A listener for each wave at each ear: filters are shared by waves that have arrived there.
         ahead = ahead.reshape(-1, ahead.shape[2], 1)
@@ -204,8 +188,7 @@ class _ZoneTail:
         towards = self._approach(receiver, grid)
         if towards is None:
             return []
-        clock = self.signals.crossings.clock(grid)
-        times = clock + self._scene.receivers[receiver].clock_error(clock)
+        times = self.signals.crossings.times(receiver, grid)
         by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
         return [(towards[0] * self._rate, gains * towards[1][:, None]) for gains in by_row]
 
@@ -215,8 +198,7 @@ class _ZoneTail:
         weight = self.signals.crossings.weights(receiver, grid).get(self._zone)
         if weight is None:
             return None
-        clock = self.signals.crossings.clock(grid)
-        times = clock + end.clock_error(clock)
+        clock, times = self.signals.crossings.clock(grid), self.signals.crossings.times(receiver, grid)
         ahead = (end.trajectory.position(times) - zones.centres[self._zone]) @ self._tail.arrivals.T / c
         # Where the zone is not heard it does not matter where in it the receiver were.
         return np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None], weight

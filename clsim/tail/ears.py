@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.sphere import fibonacci_sphere, looked_up, table_directions
+from clsim.numerics.sphere import fibonacci_sphere, table_directions, table_values
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.streams import NODE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
     from clsim.scene.scene import Scene
+
+    Blocks = dict[int, NDArray[np.float32] | None]
 
 _DIRECTIONS = 600  # over which responses are taken apart
 _EVEN = 512  # steps between frequencies: impulses of twice as many samples
@@ -29,6 +31,7 @@ _TURNING = 0.005  # s, between the instants at which directions are looked up
 _ROWS = 72  # circles of latitude of the table of weights, 2.5 degrees apart: -41 dB for a KU 100
 _PARTS = 8  # in which the table is made, to save memory
 _BLOCK = 4096  # samples that are filtered at a time, at least
+_KEPT = 2  # blocks
 _FADE = 1.25  # of the end of the band, at which filters end
 
 
@@ -44,6 +47,26 @@ class EarFilters:
     spectra: NDArray[np.complex64]  # (R, F) of the filters, at the size of a block and its end
     size: int  # of the transforms
     lead: int  # taps before time 0
+
+    def joined(
+        self, make: Callable[[int], NDArray[np.float32] | None], kept: Blocks, start: int, count: int
+    ) -> NDArray[np.float32]:
+        """Return samples (C, n) from `start` on of blocks as `filtered` returns them, None of silence.
+
+        They lie on a fixed grid and are added in order, so that samples do not depend on what is asked for.
+        """
+        total = np.zeros((len(self.directivity.channels), count), np.float32)
+        first = start + self.lead
+        for k in range((first - self.size) // self.block + 1, -(-(first + count) // self.block)):
+            if k not in kept:
+                kept[k] = make(k)
+            made, begin = kept[k], k * self.block - first
+            if made is not None:
+                part = made[:, max(-begin, 0) : count - begin]
+                total[:, max(begin, 0) : max(begin, 0) + part.shape[1]] += part
+        for old in sorted(kept)[:-_KEPT]:
+            del kept[old]
+        return total
 
     def instants(self, k: int) -> NDArray[np.int64]:
         """Return the samples (n + 1,) of block k and its end at which directions are looked up."""
@@ -64,7 +87,7 @@ class EarFilters:
         from scipy.fft import irfft, rfft
 
         channels, count, _ = waves.shape
-        weights = looked_up(self.table, directions).reshape(*directions.shape[:2], channels, -1)
+        weights = table_values(self.table, directions).reshape(*directions.shape[:2], channels, -1)
         weights = weights.transpose(2, 0, 3, 1)  # (C, n + 1, R, M)
         parts = np.ascontiguousarray(waves.reshape(channels, count, -1, self.step).swapaxes(1, 2))
         ramp = (np.arange(self.step) / self.step).astype(np.float32)

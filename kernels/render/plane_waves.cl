@@ -49,7 +49,7 @@ __kernel void plane_waves(__global const float* streams,  // [total][stride]
     const int node = first / NODE, inside = first % NODE;
     const float middle = (float)inside + 0.5f * (LANES - 1);
     const vec beside = RAMP - 0.5f * (LANES - 1);
-    const long own = listener * (long)count % total * stride;
+    const long own = listener * (long)count % total * (long)stride;
     vec sum = 0.0f;
     for (int m = 0; m < count; m++) {
         const long at = (listener * (long)nodes + node) * count + m;

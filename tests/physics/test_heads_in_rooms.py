@@ -9,7 +9,7 @@ import pytest
 from scipy.special import spherical_jn
 
 import clsim
-from clsim.numerics.sphere import fibonacci_sphere, looked_up, real_harmonics, table_directions
+from clsim.numerics.sphere import fibonacci_sphere, real_harmonics, table_directions, table_values
 from clsim.render.diffuse_tail import DiffuseTail
 
 RATE = 48e3
@@ -205,10 +205,10 @@ def test_the_sphere_s_ears_are_coherent_in_a_diffuse_field_as_computed_by_modes(
     assert np.abs((cross / power).imag).max() < 2e-3
 
 
-def test_values_are_looked_up_between_directions():
+def test_values_are_table_values_between_directions():
     """Harmonics of order 8 all over the sphere and at its poles: cubics miss (n h)**4 3 / 128 at angles h apart."""
     towards = np.concatenate([fibonacci_sphere(3000), [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, -1e-17, 0.0)]])
-    found = looked_up(real_harmonics(8, table_directions(72)).astype(np.float32), towards)
+    found = table_values(real_harmonics(8, table_directions(72)).astype(np.float32), towards)
     # Twice that: along both angles.
     assert np.abs(found - real_harmonics(8, towards)).max() <= 2.0 * 3.0 / 128.0 * (8.0 * np.pi / 72.0) ** 4
 
