@@ -85,7 +85,7 @@ class Passage:
 
 def _dot(a: Floats, b: Floats) -> Floats:
     """Return the products (...) of vectors (..., 3), summed as `numpy.sum` does, without what it costs for three."""
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2] + 0.0)  # never -0
 
 
 class LegTable(Protocol):
@@ -345,9 +345,10 @@ def arrivals_by(
 
     def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
         """Return the time that sound takes which was emitted at a time (s), and how fast that time grows with it."""
-        direction, sound, _ = passage(p, t, source.position(emission_time))
+        flat, shape = emission_time.ravel(), (*emission_time.shape, 3)
+        direction, sound, _ = passage(p, t, source.position(flat).reshape(shape))
         time = sound.time if noise is None else sound.time + noise[0][p, t]
-        return time, sound.growth(direction, source.velocity(emission_time))
+        return time, sound.growth(direction, source.velocity(flat).reshape(shape))
 
     noise = _noise(mirrored_to, medium, ends, times)
     delay = passage(*whole, source.position(times)[None])[1].time

@@ -249,12 +249,12 @@ def picked_paths(
         times[[0, -1]] = 0.0, last
         share = -(-count // (len(pairs) * instants))
         together = instants if paths.family.one_by_one else max(_IN_CACHE // max(len(start), 1), 1)
-        for some in (times[i : i + together] for i in range(0, instants, together)):
-            found = paths.arrivals(some, tracks.kinematics)
-            received = (some >= start[:, None]) & (some < end[:, None])
-            level = np.where(received, np.abs(paths.response(found, some, at_centre)[..., 0]), 0.0)
+        for part in (times[i : i + together] for i in range(0, instants, together)):
+            found = paths.arrivals(part, tracks.kinematics)
+            received = (part >= start[:, None]) & (part < end[:, None])
+            level = np.where(received, np.abs(paths.response(found, part, at_centre)[..., 0]), 0.0)
             level[level < _SILENT] = 0.0
-            yield from _drawn(paths, (found, some, level), share, rng)
+            yield from _drawn(paths, (found, part, level), share, rng)
 
 
 def _drawn(

@@ -170,8 +170,8 @@ class _Images:
 
     def arrive(self, start: Floats) -> Floats:
         """Return the directions in which sound arrives, turned by each image's matrix, `(paths, times, 3)`."""
-        known = self._left is not None and self._left[0] is start
-        direction = self._left[1] if known else straight(start, self._mirrored)[1]
+        left = self._left
+        direction = left[1] if left is not None and left[0] is start else straight(start, self._mirrored)[1]
         return np.asarray(np.einsum("pij,ptj->pti", self._matrix, direction))
 
     def seen(self) -> Floats:
