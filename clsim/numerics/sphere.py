@@ -262,7 +262,9 @@ def table_directions(rows: int) -> Floats:
 def table_values(table: NDArray[np.float32], directions: Floats) -> NDArray[np.float32]:
     """Return values (m, u) in unit vectors (..., 3) from those (2 rows², u) of `table_directions`.
 
-    By cubics through four values along each angle. Beyond a pole, circles go on down the opposite azimuth.
+    By cubics through four values along each angle (M. Abramowitz, I. A. Stegun, "Handbook of Mathematical Functions",
+    1964, equation 25.2.13). Beyond a pole, circles go on down the opposite azimuth (P. E. Merilees, Atmosphere 11 (1),
+    13-20, 1973).
     """
     from scipy.sparse import csr_array
 
