@@ -252,6 +252,40 @@ def _levels(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
     return values[order][new], label
 
 
+def table_directions(rows: int) -> Floats:
+    """Return the directions (2 rows², 3) of a table with so many circles of latitude, see `table_values`."""
+    angle = np.pi / rows * np.stack(np.meshgrid(np.arange(rows) + 0.5, np.arange(2 * rows), indexing="ij"))
+    across, (colatitude, azimuth) = np.sin(angle[0]), angle
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.cos(colatitude)], axis=2).reshape(-1, 3)
+
+
+def table_values(table: NDArray[np.float32], directions: Floats) -> NDArray[np.float32]:
+    """Return values (m, u) in unit vectors (..., 3) from those (2 rows², u) of `table_directions`.
+
+    By cubics through four values along each angle (M. Abramowitz, I. A. Stegun, "Handbook of Mathematical Functions",
+    1964, equation 25.2.13). Beyond a pole, circles go on down the opposite azimuth (P. E. Merilees, Atmosphere 11 (1),
+    13-20, 1973).
+    """
+    from scipy.sparse import csr_array
+
+    rows = math.isqrt(len(table) // 2)
+    colatitude, azimuth = _angles(directions.reshape(-1, 3))
+    places = np.stack([colatitude * rows / np.pi - 0.5, azimuth * rows / np.pi])
+    whole = np.floor(places)
+    x = places - whole
+    inner, outer = x * (x - 1.0), (x + 1.0) * (x - 2.0)
+    cubics = np.stack(
+        [inner * (2.0 - x) / 6.0, outer * (x - 1.0) / 2.0, -outer * x / 2.0, inner * (x + 1.0) / 6.0], axis=2
+    )
+    row, column = whole.astype(np.int32)[:, :, None] + np.arange(-1, 3, dtype=np.int32)
+    beyond = (row < 0) | (row >= rows)
+    row = np.where(row < 0, -1 - row, np.where(row < rows, row, 2 * rows - 1 - row))
+    index = row[:, :, None] * 2 * rows + (column[:, None] + rows * beyond[:, :, None]) % (2 * rows)
+    factors = (cubics[0][:, :, None] * cubics[1][:, None]).astype(np.float32)
+    starts = 16 * np.arange(len(row) + 1)
+    return np.asarray(csr_array((factors.ravel(), index.ravel(), starts), shape=(len(row), len(table))) @ table)
+
+
 def real_harmonics(order: int, directions: Floats) -> Floats:
     """Evaluate real spherical harmonics up to an order, semi-normalised (SN3D), in ACN order.
 

@@ -254,8 +254,8 @@ PROGRAMS = {
     "plane_waves": Program(
         (*_ROUNDING, "common/vector.h", "render/plane_waves.cl"),
         {
-            "streams": taken("float", "count, stride"),
-            "count": INT, "stride": INT, "lead": INT,
+            "streams": taken("float", "total, stride"),
+            "count": INT, "total": INT, "stride": INT, "lead": INT,
             "whole": taken("int", "listeners, nodes, count"),
             "motion": taken("float4", "listeners, nodes, count"),
             "nodes": INT,

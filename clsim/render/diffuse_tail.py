@@ -35,14 +35,14 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.paths.path_set import PathSet
     from clsim.render.plan import Plan
-    from clsim.scene.ends import Receiver
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
+    from clsim.tail.ears import Blocks
     from clsim.tail.noise import Responses
     from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
-_RECEIVERS = 16  # of them, or filters of ears, at a time
+_RECEIVERS = 16  # of them at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,8 +121,9 @@ class _ZoneTail:
         first = plan.first_rows.tolist()
         self._rows = {r: range(first[r], first[r + 1]) for r in there}
         self.streams: dict[bool, Streams] = {}
-        with with_blas_threads(1):  # as workers have: bits depend on it
+        with with_blas_threads(1):
             self._ears = ears_among(self._scene, self._moving, self._rate, self.signals.highest)
+        self._blocks: dict[int, Blocks] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add it from sample `start` on to the pressure (receivers, n)."""
@@ -138,8 +139,9 @@ class _ZoneTail:
             plain = [r for r in self._moving if r not in self._ears and self._zone in crossed(r, grid)]
             for group in range(0, len(plain), _RECEIVERS):
                 self._add_moving(some, plain[group : group + _RECEIVERS], start + first)
-            for head in self._ears:
-                self._add_ears(some, head, start + first)
+            for head, filters in self._ears.items():
+                kept, made = self._blocks.setdefault(head, {}), partial(self._block, head)
+                some[self._rows[head]] += filters.joined(made, kept, start + first, some.shape[1])
 
     def _add_moving(self, pressure: NDArray[Any], receivers: list[int], start: int) -> None:
         """Add all streams at moving receivers from sample `start` on to the pressure (receivers, n)."""
@@ -149,61 +151,57 @@ class _ZoneTail:
             for r in receivers
             for row, motion in zip(self._rows[r], self._motions(r, _grid(start, stop)), strict=False)
         }
-        received = self._received(list(found.values()), start, stop)
+        if not found:
+            return
+        ahead, gains = zip(*found.values(), strict=True)
+        received = self._summed(Motion(np.stack(ahead), np.stack(gains)), start, stop)
         if received is not None:
             pressure[list(found)] += received
 
-    def _add_ears(self, pressure: NDArray[Any], receiver: int, start: int) -> None:
-        """Add all streams at a head from sample `start` on to the pressure (receivers, n)."""
+    def _block(self, receiver: int, k: int) -> NDArray[np.float32] | None:
+        """Return block k of all streams at a head's ears, (channels, n); None where it is silent."""
         filters = self._ears[receiver]
-        first = start + filters.lead + 1 - filters.taps.shape[1]
-        last = start + pressure.shape[1] + filters.lead
-        motions = self._motions(receiver, _grid(first, last))
-        parts = [
-            self._received(motions[group : group + _RECEIVERS], first, last)
-            for group in range(0, len(motions), _RECEIVERS)
-        ]
-        given = [part for part in parts if part is not None]
-        if given:
-            pressure[self._rows[receiver]] += filters.through(np.concatenate(given))
-
-    def _received(self, motions: list[tuple[Floats, Floats]], start: int, stop: int) -> NDArray[np.float32] | None:
-        """Return the sum (rows, n) of all streams by motions from sample `start` to `stop`; None where it is silent."""
-        if not motions:
+        start, stop = k * filters.block, (k + 1) * filters.block
+        towards = self._approach(receiver, _grid(start, stop))
+        if towards is None:
             return None
-        ahead, gains = zip(*motions, strict=True)
-        motion = Motion(np.stack(ahead), np.stack(gains))
+        times = self.signals.crossings.times(receiver, filters.instants(k))
+        directions = own_directions(self._scene.receivers[receiver], self._tail.arrivals, times)
+        ahead = self._rate * (towards[0] - filters.lateness(directions)).swapaxes(1, 2)
+        # A listener for each wave at each ear: filters are shared by waves that have arrived there.
+        ahead = ahead.reshape(-1, ahead.shape[2], 1)
+        waves = self._summed(Motion(ahead, np.broadcast_to(towards[1][:, None], ahead.shape)), start, stop)
+        if waves is None:
+            return None
+        with with_blas_threads(1):
+            return filters.filtered(waves.reshape(-1, directions.shape[1], stop - start), directions)
+
+    def _summed(self, motion: Motion, start: int, stop: int) -> NDArray[np.float32] | None:
+        """Return the sum (rows, n) of streams by motion from sample `start` to `stop`; None where it is silent."""
         (least, most), half = motion.reach, self.signals.between.half + 1
         first = start - NODE + least - half
         streams = self._of(waves=True).read(first, stop + NODE + most + half)
         return None if streams is None else self.signals.waves.received(streams, first, motion, start, stop)
 
     def _motions(self, receiver: int, grid: NDArray[np.int64]) -> list[tuple[Floats, Floats]]:
-        """Return the advance of streams, samples, and gains (N, M) by row of a receiver; none out of the zone.
+        """Return the advance of streams, samples, and gains (N, M) by row of a receiver; none out of the zone."""
+        towards = self._approach(receiver, grid)
+        if towards is None:
+            return []
+        times = self.signals.crossings.times(receiver, grid)
+        by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
+        return [(towards[0] * self._rate, gains * towards[1][:, None]) for gains in by_row]
 
-        A head has a row for each filter of each ear.
-        """
+    def _approach(self, receiver: int, grid: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
+        """Return the advance of streams (N, M), s, and the zone's weight (N,) at a receiver; None out of the zone."""
         end, zones, c = self._scene.receivers[receiver], self._tail.receiver_zones, self._scene.air.speed_of_sound
         weight = self.signals.crossings.weights(receiver, grid).get(self._zone)
         if weight is None:
-            return []
-        clock = self.signals.crossings.clock(grid)
-        times = clock + end.clock_error(clock)
+            return None
+        clock, times = self.signals.crossings.clock(grid), self.signals.crossings.times(receiver, grid)
         ahead = (end.trajectory.position(times) - zones.centres[self._zone]) @ self._tail.arrivals.T / c
         # Where the zone is not heard it does not matter where in it the receiver were.
-        ahead = np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None]
-        if receiver in self._ears:
-            own = partial(self._own_directions, end)
-            with with_blas_threads(1):
-                motions = self._ears[receiver].motions(own, grid, self._rate)
-            return [((ahead - late) * self._rate, gains * weight[:, None]) for late, gains in motions]
-        by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
-        return [(ahead * self._rate, gains * weight[:, None]) for gains in by_row]
-
-    def _own_directions(self, end: Receiver, samples: NDArray[np.int64]) -> Floats:
-        """Return the streams' directions (N, M, 3) in a receiver's own frame at samples (N,)."""
-        clock = self.signals.crossings.clock(samples)
-        return own_directions(end, self._tail.arrivals, clock + end.clock_error(clock))
+        return np.clip(ahead, -zones.reach / c, zones.reach / c) + (times - clock)[:, None], weight
 
     def _of(self, *, waves: bool) -> Streams:
         """Return the streams of plane waves, or of what stands still."""

@@ -7,9 +7,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from clsim.numerics.sphere import fibonacci_sphere
+from clsim.numerics.sphere import fibonacci_sphere, table_directions, table_values
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.streams import NODE
 
@@ -21,12 +20,18 @@ if TYPE_CHECKING:
     from clsim.arrays import Floats
     from clsim.scene.scene import Scene
 
+    Blocks = dict[int, NDArray[np.float32] | None]
+
 _DIRECTIONS = 600  # over which responses are taken apart
 _EVEN = 512  # steps between frequencies: impulses of twice as many samples
 _EACH = 2  # of these from one at which weights are found to the next
-_LEFT = 1e-3  # of the energy of all responses, that components leave out
+_LEFT = 9e-4  # of the energy of all responses, that components leave out
 _QUIET = 1e-5  # of the energy of all components, that is cut off before and after
 _TURNING = 0.005  # s, between the instants at which directions are looked up
+_ROWS = 72  # circles of latitude of the table of weights, 2.5 degrees apart: -41 dB for a KU 100
+_PARTS = 8  # in which the table is made, to save memory
+_BLOCK = 4096  # samples that are filtered at a time, at least
+_KEPT = 2  # blocks
 _FADE = 1.25  # of the end of the band, at which filters end
 
 
@@ -36,49 +41,61 @@ class EarFilters:
 
     directivity: ChannelDirectivity
     speed_of_sound: float  # m/s
-    frequencies: Floats  # (F,) at which weights are found, Hz
-    fade: Floats  # (F,) of the band's upper end
-    projection: Floats  # (2 F, R) from real and imaginary parts of responses to weights
-    taps: NDArray[np.float32]  # (R, L)
+    step: int  # samples between the instants at which directions are looked up
+    block: int  # samples that are filtered at a time
+    table: NDArray[np.float32]  # (directions, C R) weights
+    spectra: NDArray[np.complex64]  # (R, F) of the filters, at the size of a block and its end
+    size: int  # of the transforms
     lead: int  # taps before time 0
 
-    def weights(self, directions: Floats) -> Floats:
-        """Return the weights (C, ..., R) of the filters for sound from directions (..., 3) in the head's frame."""
-        channels = range(len(self.directivity.channels))
-        response = self.fade * self.directivity.aligned(directions, self.frequencies, self.speed_of_sound, channels)
-        return np.asarray(np.concatenate([response.real, response.imag], axis=-1) @ self.projection)
+    def joined(
+        self, make: Callable[[int], NDArray[np.float32] | None], kept: Blocks, start: int, count: int
+    ) -> NDArray[np.float32]:
+        """Return samples (C, n) from `start` on of blocks as `filtered` returns them, None of silence.
+
+        They lie on a fixed grid and are added in order, so that samples do not depend on what is asked for.
+        """
+        total = np.zeros((len(self.directivity.channels), count), np.float32)
+        first = start + self.lead
+        for k in range((first - self.size) // self.block + 1, -(-(first + count) // self.block)):
+            if k not in kept:
+                kept[k] = make(k)
+            made, begin = kept[k], k * self.block - first
+            if made is not None:
+                part = made[:, max(-begin, 0) : count - begin]
+                total[:, max(begin, 0) : max(begin, 0) + part.shape[1]] += part
+        for old in sorted(kept)[:-_KEPT]:
+            del kept[old]
+        return total
+
+    def instants(self, k: int) -> NDArray[np.int64]:
+        """Return the samples (n + 1,) of block k and its end at which directions are looked up."""
+        return k * self.block + np.arange(0, self.block + 1, self.step)
 
     def lateness(self, directions: Floats) -> Floats:
-        """Return the delays (C, ...) behind the centre, s, that go with the weights."""
-        return np.moveaxis(self.directivity.lateness(directions, self.speed_of_sound), -1, 0)
+        """Return delays (C, N, M) behind the centre, s, at the nodes of a block, for directions (n + 1, M, 3)."""
+        late = np.moveaxis(self.directivity.lateness(directions, self.speed_of_sound), -1, 0)
+        before, part = np.divmod(np.arange(0, self.block + 1, NODE), self.step)
+        share = part[:, None] / self.step
+        return np.asarray((1.0 - share) * late[:, before] + share * late[:, np.minimum(before + 1, late.shape[1] - 1)])
 
-    def motions(
-        self, own: Callable[[NDArray[np.int64]], Floats], grid: NDArray[np.int64], rate: float
-    ) -> list[tuple[Floats, Floats]]:
-        """Return lateness, s, and weights (N, M) of each filter, ear by ear, at samples (N,) of nodes.
+    def filtered(self, waves: NDArray[np.float32], directions: Floats) -> NDArray[np.float32]:
+        """Return a block (C, n) from `lead` samples before it on, of the waves (C, M, n) at each ear.
 
-        own: directions (n, M, 3) in the head's frame at samples (n,). Both are joined from a wider grid.
+        Weights are linear between the instants, at which waves come from directions (n + 1, M, 3) in the head's frame.
         """
-        wide = NODE * max(round(_TURNING * rate / NODE), 1)
-        few = wide * np.arange(grid[0] // wide, -(-grid[-1] // wide) + 2)
-        directions = own(few)
-        before, part = np.divmod(grid - few[0], wide)
-        part = (part / wide)[:, None]
-        # Products of one size, so that no bit depends on how many nodes are asked for.
-        each = np.stack([self.weights(one) for one in directions], axis=1)
-        late, weights = self.lateness(directions), np.moveaxis(each, -1, 1)
-        late, weights = ((1.0 - part) * v[..., before, :] + part * v[..., before + 1, :] for v in (late, weights))
-        return [(of_ear, weight) for of_ear, all_of_it in zip(late, weights, strict=True) for weight in all_of_it]
+        from scipy.fft import irfft, rfft
 
-    def through(self, parts: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the sound (C, n) of what each filter is given, (C R, n + L - 1), from L - 1 - `lead` samples ahead."""
-        count = self.taps.shape[1]
-        out = np.zeros((len(self.directivity.channels), parts.shape[1] - count + 1), np.float32)
-        for i, part in enumerate(parts):
-            channel, r = divmod(i, len(self.taps))
-            # Sums of a fixed length, so that samples do not depend on what is asked for.
-            out[channel] += np.einsum("nt,t->n", sliding_window_view(part, count), self.taps[r, ::-1])
-        return out
+        channels, count, _ = waves.shape
+        weights = table_values(self.table, directions).reshape(*directions.shape[:2], channels, -1)
+        weights = weights.transpose(2, 0, 3, 1)  # (C, n + 1, R, M)
+        parts = np.ascontiguousarray(waves.reshape(channels, count, -1, self.step).swapaxes(1, 2))
+        ramp = (np.arange(self.step) / self.step).astype(np.float32)
+        mixed = np.concatenate([weights[:, :-1], weights[:, 1:]], axis=3) @ np.concatenate(
+            [parts * (np.float32(1.0) - ramp), parts * ramp], axis=2
+        )
+        spectra = rfft(mixed.swapaxes(1, 2).reshape(channels, -1, self.block), self.size)
+        return np.asarray(irfft(np.einsum("crf,rf->cf", spectra, self.spectra), self.size))
 
 
 def ears_among(scene: Scene, receivers: Sequence[int], rate: float, highest: float) -> dict[int, EarFilters]:
@@ -97,7 +114,7 @@ def ear_filters(directivity: ChannelDirectivity, speed_of_sound: float, rate: fl
 
     Impulse responses of evenly spread directions are a matrix; its largest singular vectors are the filters.
     """
-    from scipy.fft import irfft, rfft
+    from scipy.fft import irfft, next_fast_len, rfft
 
     even = np.linspace(0.0, 0.5 * rate, _EVEN + 1)
     fade = np.cos(0.5 * np.pi * np.clip((even / highest - 1.0) / (_FADE - 1.0), 0.0, 1.0)) ** 2
@@ -111,8 +128,16 @@ def ear_filters(directivity: ChannelDirectivity, speed_of_sound: float, rate: fl
     loud = np.cumsum(np.sum(middle**2, axis=0))
     first, last = np.searchsorted(loud, loud[-1] * np.array([_QUIET, 1.0 - _QUIET])).tolist()
     spectra: Any = rfft(components)[:, ::_EACH]
+    to_weights = np.linalg.pinv(np.concatenate([spectra.real, spectra.imag], axis=1))
+    table = []
+    for some in np.array_split(table_directions(_ROWS), _PARTS):
+        responses = fade[::_EACH] * directivity.aligned(some, met[::_EACH], speed_of_sound, channels)
+        weights = np.concatenate([responses.real, responses.imag], axis=2) @ to_weights
+        table.append(np.concatenate(list(weights), axis=1))
+    step = NODE * max(round(_TURNING * rate / NODE), 1)
+    block = step * -(-_BLOCK // step)
+    size = next_fast_len(block + last - first, real=True)
     return EarFilters(
-        directivity, speed_of_sound, met[::_EACH], fade[::_EACH],
-        np.linalg.pinv(np.concatenate([spectra.real, spectra.imag], axis=1)),
-        np.ascontiguousarray(middle[:, first : last + 1], dtype=np.float32), _EVEN - first,
+        directivity, speed_of_sound, step, block, np.concatenate(table, dtype=np.float32),
+        rfft(middle[:, first : last + 1].astype(np.float32), size), size, _EVEN - first,
     )  # fmt: skip

@@ -158,7 +158,10 @@ _PHASES = 4096  # of a sample, between which the nearest is taken: -70 dB at 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Read positions and gains of M streams for R listeners at N nodes, linear between these."""
+    """Read positions and gains of M streams for R listeners at N nodes, linear between these.
+
+    Listeners read M streams each in turn: the first M, the next M, and the first again after the last.
+    """
 
     ahead: Floats  # (R, N, M) samples by which each stream is read ahead of the clock
     gains: Floats  # (R, N, M) of each stream
@@ -175,7 +178,7 @@ class Waves(Protocol):
     def received(
         self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
     ) -> NDArray[np.float32]:
-        """Return the pressure at listeners (R, n), samples `start` to `stop`, of streams (M, L) from sample `first` on.
+        """Return the pressure at listeners (R, n), samples `start` to `stop`, of streams (K, L) from sample `first` on.
 
         Motion is known at the nodes from that of `start` to the one that is not before `stop`.
         """
@@ -220,8 +223,9 @@ class HostWaves:
         samples = np.arange(start, stop)
         grid = (start // NODE + np.arange(motion.ahead.shape[1])) * NODE
         out = np.zeros((len(motion.ahead), len(samples)), np.float32)
-        for total, ahead, gains in zip(out, motion.ahead, motion.gains, strict=True):
-            for m, stream in enumerate(streams):
+        for i, (total, ahead, gains) in enumerate(zip(out, motion.ahead, motion.gains, strict=True)):
+            for m in range(ahead.shape[1]):
+                stream = streams[(i * ahead.shape[1] + m) % len(streams)]
                 value = self._at(stream, samples - first + np.interp(samples, grid, ahead[:, m]))
                 total += value * np.interp(samples, grid, gains[:, m]).astype(np.float32)
         return out

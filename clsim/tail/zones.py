@@ -259,12 +259,16 @@ class Crossings:
         """Return the times of samples (N,) within the run, s."""
         return np.clip(grid, 0, self.last) / self.sampling_rate
 
+    def times(self, receiver: int, grid: NDArray[np.int64]) -> Floats:
+        """Return the times of samples (N,) by which a receiver moves, s: those of its clock."""
+        clock = self.clock(grid)
+        return clock + self.receivers[receiver].clock_error(clock)
+
     def weights(self, receiver: int, grid: NDArray[np.int64]) -> dict[int, Floats]:
         """Return the weights (N,) at samples (N,) of the zones that a receiver crosses, by zone."""
         key = receiver, int(grid[0]), len(grid)
         if key not in self._found:
-            end, clock = self.receivers[receiver], self.clock(grid)
-            weights = self.zones.weights(end, clock + end.clock_error(clock))
+            weights = self.zones.weights(self.receivers[receiver], self.times(receiver, grid))
             self._found[key] = {zone: weights[zone].copy() for zone in np.flatnonzero(weights.any(axis=1)).tolist()}
         return self._found[key]
 

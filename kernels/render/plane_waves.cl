@@ -34,8 +34,9 @@ static vec at_rest(__global const float* sample, __global const float* bank, flo
     return value;
 }
 
-__kernel void plane_waves(__global const float* streams,  // [count][stride]
-                          int count, int stride,
+__kernel void plane_waves(__global const float* streams,  // [total][stride]
+                          int count, int total,           // streams of a listener, in turn, and of all
+                          int stride,
                           int lead,                       // of `streams`, at the first node
                           __global const int* whole,      // [listeners][nodes][count], samples ahead
                           __global const float4* motion,  // likewise: the rest of them and its slope, gain and its slope
@@ -48,6 +49,7 @@ __kernel void plane_waves(__global const float* streams,  // [count][stride]
     const int node = first / NODE, inside = first % NODE;
     const float middle = (float)inside + 0.5f * (LANES - 1);
     const vec beside = RAMP - 0.5f * (LANES - 1);
+    const long own = listener * (long)count % total * (long)stride;
     vec sum = 0.0f;
     for (int m = 0; m < count; m++) {
         const long at = (listener * (long)nodes + node) * count + m;
@@ -55,7 +57,7 @@ __kernel void plane_waves(__global const float* streams,  // [count][stride]
         if (now.z == 0.0f && now.w == 0.0f) continue;
         const float ahead = now.x + now.y * middle, near = floor(ahead + 0.5f);
         const vec rest = beside * now.y + (ahead - near);
-        __global const float* sample = streams + m * (long)stride + lead + first + whole[at] + (int)near - TAPS / 2;
+        __global const float* sample = streams + own + m * (long)stride + lead + first + whole[at] + (int)near - TAPS / 2;
         const vec value = now.y == 0.0f ? at_rest(sample, bank, ahead - near) : passing(sample, bank, rest);
         sum += (beside * now.w + (now.z + now.w * middle)) * value;
     }

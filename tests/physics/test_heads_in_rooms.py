@@ -9,7 +9,8 @@ import pytest
 from scipy.special import spherical_jn
 
 import clsim
-from clsim.numerics.sphere import fibonacci_sphere
+from clsim.numerics.sphere import fibonacci_sphere, real_harmonics, table_directions, table_values
+from clsim.render.diffuse_tail import DiffuseTail
 
 RATE = 48e3
 PLACE = (20.0, 20.0, 20.0)
@@ -78,6 +79,20 @@ def test_a_turn_acts_on_the_tail_as_on_its_waves():
     scale = np.linalg.norm(after[:, end])
     assert np.linalg.norm((facing - after)[:, end]) <= 10 ** (-28.0 / 20.0) * scale
     assert np.linalg.norm((facing - before)[:, end]) > 0.5 * scale
+
+
+def test_pieces_of_the_tail_at_a_turning_head_are_those_of_the_whole():
+    """Blocks lie on a fixed grid: pieces of any length, and of a run that is resumed, have the same bits."""
+    head = clsim.Receiver.binaural("head", turning(2.0, end=(3.9, 3.1, 2.0)))
+    plan = clsim.plan_render(cube([head], 0.2), 16e3, duration=0.9, tail="auto")
+    whole = np.zeros((2, plan.samples), np.float32)
+    DiffuseTail(plan).begin().add(whole, 0)
+    assert np.abs(whole[:, 8000:]).max() > 0.0
+    for first, size in ((0, 1000), (5003, 4700)):
+        parts, tail = np.zeros_like(whole), DiffuseTail(plan).begin()
+        for start in range(first, plan.samples, size):
+            tail.add(parts[:, start : start + size], start)
+        np.testing.assert_array_equal(parts[:, first:], whole[:, first:])
 
 
 QUARTERS = ((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)), (0.0, 0.0, 0.0, 1.0))
@@ -197,6 +212,14 @@ def test_the_sphere_s_ears_are_coherent_in_a_diffuse_field_as_computed_by_modes(
     expected = np.sum(modes * (-1.0) ** n, axis=0) / np.sum(modes, axis=0)  # ears opposite each other
     np.testing.assert_allclose((cross / power).real, expected, atol=2e-3)
     assert np.abs((cross / power).imag).max() < 2e-3
+
+
+def test_values_are_table_values_between_directions():
+    """Harmonics of order 8 all over the sphere and at its poles: cubics miss (n h)**4 3 / 128 at angles h apart."""
+    towards = np.concatenate([fibonacci_sphere(3000), [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, -1e-17, 0.0)]])
+    found = table_values(real_harmonics(8, table_directions(72)).astype(np.float32), towards)
+    # Twice that: along both angles.
+    assert np.abs(found - real_harmonics(8, towards)).max() <= 2.0 * 3.0 / 128.0 * (8.0 * np.pi / 72.0) ** 4
 
 
 def test_a_decoded_recording_is_what_ears_hear():

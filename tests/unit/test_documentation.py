@@ -70,6 +70,7 @@ OWN = {
     "known_at": "measured",
     "forward_share": "our choice: where one approximation goes over into the other",
     "silhouette_aspects": "derived: lengths and directions of both ends",
+    "table_directions": "even angles",
     "shade": "derived: screens in a row, of which each meets what the last one lets pass",
     "faded": "what the name says",
     "chebyshev_points": "what the name says",

@@ -54,7 +54,7 @@ class DeviceWaves:
             out = self._scratch.take("received", received.nbytes)
             self._kernel(
                 self._queue, work(nodes * NODE // self._lanes, listeners), streams=streams, count=count,
-                stride=streams.shape[1], lead=begin - first, whole=whole.astype(np.int32),
+                total=len(streams), stride=streams.shape[1], lead=begin - first, whole=whole.astype(np.int32),
                 motion=packed, nodes=nodes, bank=self._bank, received=out,
             )  # fmt: skip
             cl.enqueue_copy(self._queue, received, out)
