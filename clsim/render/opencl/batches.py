@@ -11,7 +11,7 @@ from clsim.render.plan import BATCH
 from clsim.tracks.splines import audible_samples
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -282,3 +282,9 @@ def find_activity(active: NDArray[np.int64], count: int, before: int, after: int
     begun = np.bincount(np.clip((active - before - after) // CELL, 0, cells), minlength=cells + 1)
     ended = np.bincount(np.clip(active // CELL + 1, 0, cells), minlength=cells + 1)
     return Activity(np.cumsum(begun - ended)[:-1] > 0)
+
+
+def equal_runs(values: Sequence[int] | NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Return the maximal ranges of equal values."""
+    changes = (np.flatnonzero(np.diff(values)) + 1).tolist()
+    return list(zip([0, *changes], [*changes, len(values)], strict=True))

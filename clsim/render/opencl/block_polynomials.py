@@ -233,3 +233,16 @@ class Residual:
             part = self._squares[s][0] / np.maximum(np.max(about, axis=0), 1e-30)
             largest = max(largest, float(part.max()))
         return largest
+
+
+_FALLING = 5.0  # power of a block's length with which errors of gains fall at most
+
+
+def promising(blocks: NDArray[np.int64], level: int, excess: Floats) -> NDArray[np.int64]:
+    """Return the first levels of blocks that may do where errors at a level are so many times (n,) what they may be.
+
+    Gains at edges and by scatterers bend so much that many levels would be made in vain. What is tried depends on the
+    segment's own error alone, so that chunks do not matter.
+    """
+    length = blocks[level] * np.maximum(excess, 1e-30) ** (-1.0 / _FALLING)
+    return np.asarray(np.minimum(np.searchsorted(-blocks, -length), len(blocks) - 1))

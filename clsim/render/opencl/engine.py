@@ -11,8 +11,8 @@ import numpy as np
 from clsim.errors import ClsimError, DeviceError, warn
 from clsim.opencl.device import check_group, find_device
 from clsim.opencl.launch import Scratch, compiler_of, upload, work
-from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT, Layout, PathBatch, in_batches
-from clsim.render.opencl.block_polynomials import Residual
+from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT, Layout, PathBatch, equal_runs, in_batches
+from clsim.render.opencl.block_polynomials import Residual, promising
 from clsim.render.opencl.branch_signals import Branches, BranchSignals, Limits
 from clsim.render.opencl.environment import has_directivity
 from clsim.render.opencl.host_nodes import HostNodeMaker, PairNodeMaker
@@ -20,8 +20,6 @@ from clsim.render.opencl.nodes import NodeMaker
 from clsim.render.opencl.path_columns import COLUMNS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
 
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
-_FALLING = 5.0  # power of a block's length with which errors of gains fall at most
 _CHANNELS = 16  # of a receiver that are summed at a time
 
 
@@ -250,7 +247,7 @@ class Run:
                     middle = self._start + (at + i + 0.5) * segment
                     self._engine.note_coarse(self._source, float(error[i]), middle / plan.sampling_rate)
                 wanted[:] = level
-            for a, b in _runs(wanted):
+            for a, b in equal_runs(wanted):
                 if wanted[a] > level:
                     self._cover(at + a, at + b, int(wanted[a]))
                 else:
@@ -272,18 +269,13 @@ class Run:
         return np.asarray(np.sqrt(own / np.maximum(own + before, 1e-30)).max(axis=1))
 
     def _levels(self, error: Floats, level: int) -> NDArray[np.int64]:
-        """Return the levels of blocks to try next for segments with errors (segments,): the same where they will do.
-
-        Gains at edges and by scatterers bend so much that many levels would be made in vain: those are left out that an
-        error falling with the power `_FALLING` of the block's length does not allow. A segment's levels depend on
-        nothing but its own errors, so that chunks do not matter.
-        """
+        """Return the levels of blocks to try next for segments with errors (segments,): the same where they will do."""
         wanted = level + (error > self._tolerance)
         if self._skips_levels:
             blocks = np.array([b for b in self._plan.blocks if self._fits(b)])
-            length = blocks[level] * (self._tolerance / np.maximum(error, 1e-30)) ** (1.0 / _FALLING)
-            near = np.minimum(np.searchsorted(-blocks, -length), len(blocks) - 1)
-            wanted = np.where(wanted > level, np.maximum(wanted, near), level)
+            wanted = np.where(
+                wanted > level, np.maximum(wanted, promising(blocks, level, error / self._tolerance)), level
+            )
         return np.asarray(wanted)
 
     def _fits(self, block: int) -> bool:
@@ -390,9 +382,3 @@ class Run:
             self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._gains,
             polynomials=nodes.polynomials, slots=self._batch.count,
         )  # fmt: skip
-
-
-def _runs(values: Sequence[int] | NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Return the maximal ranges of equal values."""
-    changes = (np.flatnonzero(np.diff(values)) + 1).tolist()
-    return list(zip([0, *changes], [*changes, len(values)], strict=True))
