@@ -254,26 +254,24 @@ def picked_paths(
             received = (part >= start[:, None]) & (part < end[:, None])
             level = np.where(received, np.abs(paths.response(found, part, at_centre)[..., 0]), 0.0)
             level[level < _SILENT] = 0.0
-            yield from _drawn(paths, (found, part, level), share, rng)
+            for rows, at, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
+                yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
 
 
 def _drawn(
-    paths: PairPaths, at: tuple[Arrivals, Floats, Floats], share: int, rng: np.random.Generator
-) -> Iterator[Picked]:
-    """Yield `share` paths of each instant (T,), of their arrivals and levels (P, T) there."""
-    found, times, level = at
+    level: Floats, times: Floats, share: int, rng: np.random.Generator, *, together: bool
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats, tuple[int, ...]]]:
+    """Yield rows of `share` paths of each instant by their levels (P, T): rows, instants, times, scales, firsts."""
     drawn = [(t, *_picked(level[:, t], share, rng)) for t in np.flatnonzero(level.any(axis=0)).tolist()]
     most = max((len(rows) for _, rows, _ in drawn), default=1)
-    each = max(_TOGETHER // most, 1) if paths.family.one_by_one else 1
+    each = 1 if together else max(_TOGETHER // most, 1)
     for begin in range(0, len(drawn), each):
         part = drawn[begin : begin + each]
         counts = [len(rows) for _, rows, _ in part]
         scale = np.concatenate([np.sqrt(standing) / np.linalg.norm(level[:, t]) for t, _, standing in part])
         rows = np.concatenate([rows for _, rows, _ in part])
-        instant = np.repeat([t for t, _, _ in part], counts)[:, None]
-        when = times[instant] if paths.family.one_by_one else times[instant[0]]
-        first = tuple(np.cumsum([0, *counts]).tolist())
-        yield Picked(paths.part(rows), found.part(rows[:, None], instant), when, scale[:, None], first)
+        at = np.repeat([t for t, _, _ in part], counts)[:, None]
+        yield rows, at, times[at[0] if together else at], scale[:, None], tuple(np.cumsum([0, *counts]).tolist())
 
 
 def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:

@@ -409,8 +409,8 @@ MUTANTS = {
     "off_by_one": ("branches", "tap_count - 1 - k]", "tap_count - k]"),
     "no_barrier": (
         "render",
-        "#endif\n                }\n                SYNCHRONISE;",
-        "#endif\n                }",
+        "                }\n#endif\n                SYNCHRONISE;",
+        "                }\n#endif",
     ),
     "not_cleared": (),
 }

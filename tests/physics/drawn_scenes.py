@@ -21,7 +21,7 @@ KINDS = ("factors", "absorption", "impedance", "echo", "mixed")
 SAMPLES = 120  # compared, of each receiver
 OCTAVES = (125.0, 250.0, 500.0, 1e3, 2e3, 4e3)
 REMOVED = re.compile(r"(-\d+) dB of its energy lies above")
-FIGURE = re.compile(r"(?:within|by up to|are wrong by) (-\d+(?:\.\d+)?) dB")
+FIGURE = re.compile(r"(?:approximated to|by up to|are wrong by) (-\d+(?:\.\d+)?) dB")
 
 
 @dataclass(frozen=True)

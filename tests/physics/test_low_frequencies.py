@@ -17,8 +17,8 @@ from clsim.render.render import record
 PROMISED_DB = -86.0  # of the root of the sum of the squares of all paths, at defaults
 QUIET = (
     "ignore:the material .absorption table. covers", "ignore:sources.0..signal. .* is low for paths",
-    "ignore:signals.0.. .* of its energy lies above", "ignore:source 0. air, walls and directivities .* within -8[6-9]",
-    "ignore:source 0. air, walls and directivities .* within -9",
+    "ignore:signals.0.. .* of its energy lies above", "ignore:source 0. air, walls and directivities .* approximated to -8[6-9]",
+    "ignore:source 0. air, walls and directivities .* approximated to -9",
 )  # fmt: skip
 pytestmark = [pytest.mark.filterwarnings(one) for one in QUIET]
 
