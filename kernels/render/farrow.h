@@ -109,7 +109,9 @@ static void add_paths(__global const float* branches, int stride, const int rows
     for (int p = 0; p < BATCH; p++) {
 #pragma unroll
         for (int j = 0; j < WIDE; j++) {
-            const wide sample = (wide)(RAMP, RAMP + 8.0f) + (16.0f * j - 0.5f * (SUBBLOCK - 1));
+            wide sample;
+            sample.lo = RAMP + (16.0f * j - 0.5f * (SUBBLOCK - 1));
+            sample.hi = sample.lo + 8.0f;
             const wide mu = (sample * paths->curve[p] + paths->rate[p]) * sample + paths->fraction[p];
             __global const float* row = branches + PLACE(-paths->whole[p], stride) + 16 * j + (rows - 1) * (long)stride;
             wide sound = *(__global const loose_wide*)row;

@@ -51,7 +51,9 @@ SWEEP = clsim.Signal.chirp(37e3, 43e3, 0.02, RATE, window="tukey")
 # Paths of a batch, to which scenes are filled up: at least as many as workers share. `make drivers` has 64, as by default.
 BATCHES = {"pulses.cpu": 64, "crowd.cpu": 64, "plain.gpu": 32, "pulses.gpu": 32}
 # Terms of sixteen paths of an envelope lie side by side.
-BATCHES |= {f"{name}.{layout}": 16 for name in ("baseband", "baseband_pulses") for layout in ("cpu", "gpu")}
+BATCHES |= {
+    f"{name}.{layout}": 16 for name in ("baseband", "baseband_bend", "baseband_pulses") for layout in ("cpu", "gpu")
+}
 FEWEST = 64 if os.environ.get("CLSIM_ALL_DRIVERS") else 8
 LAYOUTS = {"cpu": CPU_LAYOUT, "gpu": GPU_LAYOUT}
 DISPERSING, WINDY = clsim.Air(dispersion=True), clsim.Air(wind=(9.0, -4.0, 1.0))
@@ -163,14 +165,19 @@ def mesh(device: str) -> Plan:
     return plan(clsim.find_paths(of, 1, diffraction=2, resolution=1e-3), device, responses="centre")
 
 
-@scene
-def bend(device: str) -> Plan:
-    """Nodes of paths over edges, and over ends of them, in air that rests."""
+def over_edges() -> PathSet:
+    """Find paths over edges, and over ends of them, in air that rests."""
     corners = [(0.08, 0.02, 0.0), (0.08, 0.06, 0.0), (0.08, 0.06, 0.1)]
     screen = clsim.MeshRoom(corners, [(0, 1, 2)], REAL[0])
     way, ear = LINE((0.05, 0.04, 0.05), (0.05, 0.08, 0.05), 0.04), LINE((0.10, 0.08, 0.05), (0.10, 0.09, 0.05), 0.04)
     of = clsim.Scene(screen, clsim.Air(), [clsim.Source("s", SWEEP, way)], [clsim.Receiver("r", ear)])
-    return plan(clsim.find_paths(of, 0, diffraction=1, resolution=1e-3), device, responses="centre")
+    return clsim.find_paths(of, 0, diffraction=1, resolution=1e-3)
+
+
+@scene
+def bend(device: str) -> Plan:
+    """Nodes of paths over edges."""
+    return plan(over_edges(), device, responses="centre")
 
 
 @scene
@@ -228,6 +235,12 @@ def envelopes(device: str, of: clsim.Scene | PathSet, **options: Any) -> Plan:
 def baseband(device: str) -> Plan:
     """Complex envelopes, in wind."""
     return envelopes(device, world(walls=[CURTAIN, *REAL[1:]], air=WINDY), blocks=(96,))
+
+
+@scene
+def baseband_bend(device: str) -> Plan:
+    """Complex envelopes round edges, whose functions of frequency come in pairs."""
+    return envelopes(device, over_edges(), blocks=(96,))
 
 
 @scene
