@@ -145,7 +145,7 @@ class HostNodeMaker:
         audible = (first < begins + block) & (last > begins)
         made[:, terms:] = np.where(audible.T[:, None], made[:, terms:], 0.0)
         loud = np.abs(sized).sum(axis=0)[:, 1:-2] * audible
-        sounds = audible & _sounds(filters, times, delay, rate, 1 if terms == 8 else 0)
+        sounds = audible & _sounds(filters, times, delay, rate)
         squares = _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block)
         return whole, made, _Found(squares, float(delay.min()), float(delay.max()))
 
@@ -195,15 +195,13 @@ def _strengths(basis: Basis, count: int) -> Floats:
     return np.repeat(basis.strengths, count // len(basis))
 
 
-def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float, inner: int) -> NDArray[np.bool_]:
+def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float) -> NDArray[np.bool_]:
     """Return a mask (paths, blocks) of the blocks of nodes (paths, blocks + 3) in which the signal can arrive.
 
-    By the nodes at a block's ends if `inner` is 1, by those beside them if it is 0.
+    By the nodes beside a block: of paths over two edges its own would leave too few blocks to judge by.
     """
     first, last = filters.emitted_between(rate)
-    emitted, blocks = times - delay, len(times) - 3
-    ends, begins = emitted[:, 3 - inner :][:, :blocks], emitted[:, inner:][:, :blocks]
-    return np.asarray((ends >= first) & (begins <= last))
+    return np.asarray((times[3:] - delay[:, 3:] >= first) & (times[:-3] - delay[:, :-3] <= last))
 
 
 def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:
