@@ -23,6 +23,7 @@ AS_USERS = [
     "heads.cpu",
     "doubled.cpu",
     "baseband_pulses.cpu",
+    "baseband_bend.cpu",
     "pairs.cpu",
     "plain.gpu",
 ]
