@@ -22,8 +22,11 @@ def theirs(room: Any, source: np.ndarray, ear: np.ndarray) -> float:
     room.set_ray_tracing(receiver_radius=0.5, n_rays=20_000, energy_thres=1e-6)
     room.add_source(source)
     room.add_microphone(ear)
-    room.compute_rir()
-    return float(measure_rt60(without_modes(room.rir[0][0]), fs=int(RATE), decay_db=30))
+    found = []
+    for _ in range(4):  # its rays are drawn anew: a single time scatters by 2 %, seldom by 6 %
+        room.compute_rir()
+        found.append(measure_rt60(without_modes(room.rir[0][0]), fs=int(RATE), decay_db=30))
+    return float(np.mean(found))
 
 
 def without_modes(response: np.ndarray) -> np.ndarray:
