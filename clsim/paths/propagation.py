@@ -340,15 +340,15 @@ def arrivals_by(
         """Departure of sound from `start` (m): direction, effect of the medium on the path, its means along it."""
         length, direction = leg_table.leave(p, t, start)
         means = medium.means(leg_table, p, t, start)
-        apart = start if medium.wind is None else receiver_at[t] - start  # of no matter without wind
-        return direction, medium.passage(length, apart, means), means
+        # Without wind only the length matters.
+        return direction, medium.passage(length, start if medium.wind is None else receiver_at[t] - start, means), means
 
     def travel(p: Any, t: Any, emission_time: Floats) -> tuple[Floats, Floats]:
         """Return the time that sound takes which was emitted at a time (s), and how fast that time grows with it."""
         flat, shape = emission_time.ravel(), (*emission_time.shape, 3)
         direction, sound, _ = passage(p, t, source.position(flat).reshape(shape))
-        time = sound.time if noise is None else sound.time + noise[0][p, t]
-        return time, sound.growth(direction, source.velocity(flat).reshape(shape))
+        growth = sound.growth(direction, source.velocity(flat).reshape(shape))
+        return (sound.time if noise is None else sound.time + noise[0][p, t]), growth
 
     noise = _noise(mirrored_to, medium, ends, times)
     delay = passage(*whole, source.position(times)[None])[1].time

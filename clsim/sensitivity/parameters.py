@@ -36,7 +36,7 @@ WITHOUT_DERIVATIVE = {
     "healing and simplification of meshes": "walls and edges stay those that were found",
     "displacement of walls next to edges": "refused in scenes with diffracted paths",
     "noise and converters of receivers": "left out: the derivative is that of the signal before noise and rounding",
-    "the diffuse tail": "left out, and told in a note: the derivative is that of the sound over paths",
+    "the diffuse tail": "left out, which a note says: the derivative is that of the sound over paths",
     "ends that bodies carry": "they stay where they are as `bodies[i].position` changes",
 }
 _AXES = "xyz"
