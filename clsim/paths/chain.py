@@ -31,6 +31,7 @@ _IDENTITIES = {
     "static exact edge": "diffraction.exact.ExactEdgePaths",
     "static edge pair": "diffraction.double.DoubleEdgePaths",
     "static edge gap": "vertices.gap_pair.GapPaths",
+    "static edge and end": "vertices.edge_end.EdgeEndPaths",
     "static scatterer": "scattering.family.ScatteredPaths",
     "static edge scatterer": "vertices.edge_scatterer.EdgeScattererPaths",
     "static scatterer edge": "vertices.edge_scatterer.ScattererEdgePaths",

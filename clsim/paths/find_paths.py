@@ -21,6 +21,7 @@ from clsim.paths.search.body_edge_gaps import moving_gap_paths
 from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths
 from clsim.paths.search.body_edges import moving_edge_paths
 from clsim.paths.search.corner_events import at_one_time
+from clsim.paths.search.edge_ends import end_edge_paths
 from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
 from clsim.paths.search.edges import double_edge_paths, edge_paths, gap_edge_paths
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
@@ -165,8 +166,8 @@ def _specular_paths(scene: Scene, search: PathOptions) -> PathFamily:
     return find(scene, scene.room, search)
 
 
-_KINDS = 0, 1, 3  # of paths over edges, by `diffraction`
-OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths
+_KINDS = 0, 1, 4  # of paths over edges, by `diffraction`
+OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths, end_edge_paths
 OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet

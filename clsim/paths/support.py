@@ -58,6 +58,7 @@ SUPPORT = {  # by `Chain.kind`
     "static exact edge": Support('one edge, `diffraction_model="btm"`', (HOST, HOST, HOST, HOST)),
     "static edge pair": Support("two edges of one face", _BEHIND_BODIES, refusal=_TWO_EDGES),
     "static edge gap": Support("two edges with air between", _BEHIND_BODIES, refusal=_TWO_EDGES),
+    "static edge and end": Support("an edge and an end of another", _BEHIND_BODIES, refusal=_TWO_EDGES),
     "static scatterer": Support("a scatterer", (DEVICE, DEVICE, REFUSED, REFUSED), "scatterers", _SCATTERERS),
     "static scatterer pair": Support("two scatterers", (HOST, REFUSED, REFUSED, REFUSED), refusal=_TWO_SCATTERERS),
     "static edge scatterer": Support(

@@ -114,6 +114,20 @@ class TrajectoryTables:
         return contract_delay(medium, lambda emitted: self.position(source, emitted), mirrored, receiver_at, time)
 
 
+def with_points(tables: TrajectoryTables, row: int, places: Floats) -> TrajectoryTables:
+    """Return tables of one of the ends, and of places (n, 3) at rest in the place of receivers, m."""
+    count, still = len(places), np.zeros((len(places), 9))
+    first = len(tables.knots), len(tables.speeds)
+    points = np.column_stack([first[0] + np.arange(count), first[1] + np.arange(count), np.ones(count, dtype=np.int64)])
+    return TrajectoryTables(
+        np.concatenate([tables.places[[row]], points]),
+        np.concatenate([tables.scales[[row]], np.tile([0.0, 1.0, 0.0], (count, 1))]),
+        np.concatenate([tables.knots, np.column_stack([places, still])]),
+        np.concatenate([tables.speeds, np.zeros(count)]),
+        np.concatenate([tables.mounts[[row]], np.zeros((count, 4))]),
+    )
+
+
 def trajectory_tables(
     source: Motion, receivers: Sequence[Motion], mounts: Sequence[Mount | None] = ()
 ) -> TrajectoryTables:

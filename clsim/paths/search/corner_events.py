@@ -18,6 +18,7 @@ from clsim.paths.chain import Chain
 from clsim.paths.family import ends_at
 from clsim.paths.search.edge_chains import SAME_DELAY, delays_of
 from clsim.paths.vertices.edge import EdgeVertex
+from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.visibility.edge_intervals import LONGEST, STEP, indistinct
 
@@ -87,6 +88,8 @@ def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
             continue
         ends = group[over_ends[group]]
         for number in np.unique(events.family[ends]).tolist():
+            if isinstance(chains[number].vertex, EdgeEndVertex):
+                continue  # the field depends on the sides of terms at the other edge alone
             mine = ends[events.family[ends] == number]
             links, rows = chains[number].links(events.row[mine]), events.row[mine]
             lit, corner = columns.setdefault(

@@ -16,6 +16,7 @@ from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.legs.static import StaticLeg
 from clsim.paths.search.mesh import image_isometries
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
+from clsim.paths.vertices.edge_end import OF_LAST, EdgeEndVertex
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.vertices.gap_pair import GapPairVertex
@@ -54,16 +55,24 @@ def edge_pair_chain(scene: Scene, order: int, rows: Found) -> Chain:
 
 def gap_chain(scene: Scene, order: int, rows: Found) -> Chain:
     """Make paths over two edges with air between."""
+    return _chain(scene, order, rows, GapPairVertex(**_gaps(scene, order, rows)))
+
+
+def end_chain(scene: Scene, order: int, rows: Found) -> Chain:
+    """Make paths over an edge and an end of another one."""
+    return _chain(scene, order, rows, EdgeEndVertex(**_gaps(scene, order, rows)))
+
+
+def _gaps(scene: Scene, order: int, rows: Found) -> dict[str, Any]:
+    """Columns of `GapPairVertex`."""
     columns, walls = _both_edges(scene, rows), scene.room.as_mesh().walls
     between = np.full((len(rows), order), -1, dtype=np.int32)
     for row, r in zip(between, rows, strict=True):
         row[: len(r["between"])] = r["between"]
     met = np.array([len(r["before"]) + len(r["after"]) + len(r["between"]) for r in rows], dtype=np.int64)
     seen = seen_frames(walls, scene.room.edges(), columns["last"].edge, between)
-    held: dict[str, Any] = {
-        name: read_only(x) for name, x in (("seen", seen), ("between", between), ("budget", order - met))
-    }
-    return _chain(scene, order, rows, GapPairVertex(**columns, **held))
+    held = (("seen", seen), ("between", between), ("budget", order - met))
+    return columns | {name: read_only(x) for name, x in held}
 
 
 def _both_edges(scene: Scene, rows: Found) -> dict[str, Any]:
@@ -97,7 +106,8 @@ def _chain(scene: Scene, order: int, rows: Found, vertex: EdgeVertex) -> Chain:
         first, last = r["edges"]
         things = [first, *r["between"], last] if r["faces"][0] >= 0 else [first]
         if r["end_of"] >= 0:
-            things = [edges + 2 * first + r["end_of"]]
+            of = -1 if r["end_of"] >= OF_LAST else 0
+            things[of] = edges + 2 * r["edges"][of] + r["end_of"] % OF_LAST
         objects[i, : n + m + len(things)] = [*r["before"], *things, *r["after"][::-1]]
         met = [DIFFRACTION, *[SPECULAR] * len(r["between"]), DIFFRACTION][: len(things)]
         kinds[i, : n + m + len(things)] = [SPECULAR] * n + met + [SPECULAR] * m

@@ -45,7 +45,7 @@ def gap_candidates(
 
     longest: time that sound takes at most, s.
     """
-    edges, pairs = finder.edges, _apart(finder)
+    edges, pairs = finder.edges, apart(finder)
     if not len(pairs):
         return
     balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
@@ -56,7 +56,7 @@ def gap_candidates(
     for done, (b, n, m) in enumerate(numbers):
         if n == m == 0:
             kept = pairs[b + fewest[pairs].sum(axis=1) <= order]
-            gaps = open_gaps(finder.query.walls, edges, *_between(kept, from_edge, b), match.cones(order - b))
+            gaps = open_gaps(finder.query.walls, edges, *between_edges(kept, from_edge, b), match.cones(order - b))
         parts: list[EdgeCandidates] = []
         for i in np.flatnonzero(n + m + b + fewest[gaps.pair].sum(axis=1) <= order).tolist():
             parts += match.candidates(gaps, i, n, m)
@@ -67,16 +67,16 @@ def gap_candidates(
             yield (done + 1) / len(numbers), EdgeCandidates.joined(parts)
 
 
-def _apart(finder: EdgeSearch) -> Ints:
+def apart(finder: EdgeSearch) -> Ints:
     """List edges (n, 2), in either order, that share no face and do not meet."""
     edges, near = finder.edges, _NEAR * finder.query.walls.size
     ends = np.stack([edges.start, edges.stop], axis=1)
-    apart = ~(edges.faces[:, None, :, None] == edges.faces[None, :, None, :]).any(axis=(2, 3))
-    apart &= segments_apart(ends, edges.start, edges.stop) > near
-    return np.argwhere(apart)
+    separate = ~(edges.faces[:, None, :, None] == edges.faces[None, :, None, :]).any(axis=(2, 3))
+    separate &= segments_apart(ends, edges.start, edges.stop) > near
+    return np.argwhere(separate)
 
 
-def _between(pairs: Ints, from_edge: list[Sides], count: int) -> tuple[Ints, NDArray[np.int32]]:
+def between_edges(pairs: Ints, from_edge: list[Sides], count: int) -> tuple[Ints, NDArray[np.int32]]:
     """List pairs of edges (n, 2) and a number of walls (n, count) by which either may be reached from the other."""
     which, walls = [np.empty((0, 2), dtype=np.int64)], [np.empty((0, count), dtype=np.int32)]
     for one, other in pairs.tolist():

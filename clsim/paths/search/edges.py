@@ -23,6 +23,7 @@ from clsim.paths.search.mesh import (
 )
 from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch, Pieces, find_pieces
@@ -61,7 +62,7 @@ def edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]
 
     A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
     """
-    rows, order, within = _rows_of(scene, search, others, edges_and_ends)
+    rows, order, within = rows_of(scene, search, others, edges_and_ends)
     return with_swaps(edge_chain(scene, search.diffraction_model, order, rows), within)
 
 
@@ -72,7 +73,7 @@ def double_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamil
     is taken.
     """
     check_support("static edge pair", scene.air)
-    rows, order, within = _rows_of(scene, search, others, edge_pairs)
+    rows, order, within = rows_of(scene, search, others, edge_pairs)
     return with_swaps(edge_pair_chain(scene, order, rows), within)
 
 
@@ -81,11 +82,11 @@ def gap_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, 
 
     others: paths without edges and over one, whose times are taken as by `double_edge_paths`.
     """
-    rows, order, within = _rows_of(scene, search, others, gap_candidates)
+    rows, order, within = rows_of(scene, search, others, gap_candidates)
     return with_swaps(gap_chain(scene, order, rows), within)
 
 
-def _rows_of(
+def rows_of(
     scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], kind: Kind
 ) -> tuple[list[dict[str, Any]], int, float]:
     """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
@@ -173,7 +174,7 @@ def _may_reach(
     for wall in sequence.T:
         image = mirrored(walls, wall, image)
     reaches &= ~np.any(
-        _in_planes(walls, edges.start[edge], sequence) & _in_planes(walls, edges.stop[edge], sequence), axis=1
+        in_planes(walls, edges.start[edge], sequence) & in_planes(walls, edges.stop[edge], sequence), axis=1
     )
     r, angle, _ = edges.cylindrical(np.full(len(image), edge), image)
     beyond = np.maximum(-angle, angle - np.pi * edges.n[edge])
@@ -181,7 +182,7 @@ def _may_reach(
     return reaches & (depth <= sphere[1] + _ON * walls.size)
 
 
-def _in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
+def in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Mask of walls of sequences (n, N) in whose plane a place (3,) lies, as seen by the walls behind each."""
     found, seen = np.zeros(sequence.shape, dtype=bool), np.tile(place, (len(sequence), 1))
     for k in range(sequence.shape[1] - 1, -1, -1):
@@ -230,7 +231,7 @@ def _requested(finder: EdgeSearch, sides: tuple[Sides, list[Sides]], order: int,
                 before, after = sides[0][both[0]][n], to_receiver[both[1]][m]
                 if end >= 0:  # nothing comes to an end by a wall that it lies in
                     place = (edges.start, edges.stop)[end][both[0]]
-                    before, after = (x[~_in_planes(walls, place, x).any(axis=1)] for x in (before, after))
+                    before, after = (x[~in_planes(walls, place, x).any(axis=1)] for x in (before, after))
                 i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
                 pair, faces = (np.tile(x, (len(i), 1)) for x in (both, face))
                 ends, to, none = np.full(len(i), end), np.full(len(i), receiver), np.empty((len(i), 0), np.int32)
@@ -272,12 +273,13 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, adjacent: _Adjac
     begin, end = pieces.begin.copy(), pieces.end.copy()
     for i in range(1, len(pieces.row)):
         row = pieces.row[i]
-        if row != pieces.row[i - 1] or begin[i] != end[i - 1] or wanted.end[row] >= 0:
+        over_end = wanted.end[row] >= 0 and not wanted.over_ends_of_pairs
+        if row != pieces.row[i - 1] or begin[i] != end[i - 1] or over_end:
             continue  # paths over ends go on smoothly where a partner begins
         before, after = wanted.before[row].tolist(), wanted.after[row][::-1].tolist()
         time = float(begin[i])
         for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():
-            if term not in (TERMS, *ENDS_BESIDE):
+            if term not in ENDS_BESIDE and (term != TERMS or wanted.over_ends_of_pairs):
                 through = (*before, *_instead(edges, wanted, row, term), *after)
                 time = adjacent.nearest(int(wanted.receiver[row]), through, float(begin[i]), within)
             if time != begin[i]:
@@ -296,14 +298,19 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, adjacent: _Adjac
 
 def _instead(edges: Edges, wanted: EdgeCandidates, row: int, term: int) -> list[int]:
     """Interactions of a term's partner in place of the edges: faces in turn, or the other one of two edges."""
-    (one, other), shared = wanted.edge[row].tolist(), int(wanted.face[row, 0])
-    if shared in (0, 1):
-        return [-1 - (other if term < TERMS else one)]
+    (one, other), shared, end = wanted.edge[row].tolist(), int(wanted.face[row, 0]), int(wanted.end[row])
+    if end >= 0 and term == TERMS:  # where the path over both edges takes over
+        return [-1 - one, *wanted.between[row].tolist(), -1 - other]
     second = term > TERMS
+    met = [-1 - one, -1 - other]
+    if end >= 0:
+        met[end // OF_LAST] = -1 - len(edges) - 2 * (one, other)[end // OF_LAST] - end % OF_LAST
     edge, term = (other, term - TERMS - 1) if second else (one, term)
     faces, count = edges.faces[edge].tolist(), int(adjacent_reflections(edges.n[edge])[term])
     bounces = [int(faces[(term + bounce) % 2]) for bounce in range(count)]
     if shared < 0:
         return bounces
     between = wanted.between[row].tolist()
-    return [-1 - one, *between, *bounces] if second else [*bounces, *between, -1 - other]
+    if shared in (0, 1):
+        return [met[0] if second else met[1]]
+    return [met[0], *between, *bounces] if second else [*bounces, *between, met[1]]

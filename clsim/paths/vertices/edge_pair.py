@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from clsim.paths.vertices.edge_pair_events import EdgePairEvents
     from clsim.scene.scene import Scene
 
+    FaceTerms = tuple[Floats, list[Any], list[Any]]
+
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
 
@@ -127,26 +129,32 @@ class EdgePairVertex(EdgeVertex):
         beyond = self.beyond()
         received, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
         edge_paths = path_over_edge(r_s, z_s, *received), path_over_edge(r_r, z_r, *sent)
-        face = self.shared[:, :, None] * np.pi * np.stack([self.n, self.last.n], axis=1)[:, :, None]
-        edges = (
-            (self.n, t_s, face[:, 0], self.lit, self.faces),
-            (self.last.n, face[:, 1], t_r, self.last.lit, self.last.faces),
-        )
         tie = double_tie(
             edge_paths[0],
             r_s * edge_paths[0].length / (r_s + received[0]),
             r_r * edge_paths[1].length / (r_r + sent[0]),
         )
-        found = [
-            self._terms(edge, edge_path.breadth, by_face, at)
-            for edge, edge_path, by_face in zip(edges, edge_paths, ((2, 3), (3, 2)), strict=True)
-        ]
+        found = self.face_terms((t_s, t_r), (edge_paths[0].breadth, edge_paths[1].breadth), at)
+        return self.over_face(found, tie, wave, edge_paths[0].length)
+
+    def face_terms(self, angles: Pair, breadths: Pair, at: SceneResponse, own: int = -1) -> list[FaceTerms]:
+        """Terms of both edges, from ends at angles (P, T); own: that of 0 and 1 whose sides its angles tell."""
+        face = self.shared[:, :, None] * np.pi * np.stack([self.n, self.last.n], axis=1)[:, :, None]
+        edges = (
+            (self.n, angles[0], face[:, 0], self.lit, self.faces),
+            (self.last.n, face[:, 1], angles[1], self.last.lit, self.last.faces),
+        )
+        columns = zip(edges, breadths, ((2, 3), (3, 2)), strict=True)
+        return [self._terms(edge, breadth, by_face, at, i == own) for i, (edge, breadth, by_face) in enumerate(columns)]
+
+    def over_face(self, found: list[FaceTerms], tie: Floats, wave: Floats, length: Floats) -> Any:
+        """Field (P, T, F) of the products of terms, of paths of a length (P, T), m."""
         (first, before, _), (last, after, last_factors) = found
         field: Any = np.zeros(wave.shape, dtype=np.complex128)
         for i, weight in enumerate(before):
             for j, other in enumerate(after):
                 field += 0.25 * weight * other * double_transition(first[..., i], last[..., j], tie, wave)
-        field /= edge_paths[0].length[..., None]
+        field /= length[..., None]
         both = 1.0 + np.where(self.shared[:, 1, None, None] == 1, last_factors[1], last_factors[0])
         twice = np.where((self.n < 1.0)[:, None], self.lit[:, :2], self.lit[:, 2:])
         both = np.where(np.any(twice, axis=1)[:, None, None], both, 1.0)
@@ -154,14 +162,16 @@ class EdgePairVertex(EdgeVertex):
 
     @staticmethod
     def _terms(
-        edge: tuple[Any, ...], breadth: Floats, by_face: tuple[int, int], at: SceneResponse
-    ) -> tuple[Floats, list[Any], list[Any]]:
+        edge: tuple[Any, ...], breadth: Floats, by_face: tuple[int, int], at: SceneResponse, own: bool
+    ) -> FaceTerms:
         """Return roots (P, T, 2), weights (P, T, F) of the two kinds of terms at an edge, and its faces' factors.
 
         Along the shared face a term by a face has the root of one past the edge: `by_face` are those of 0 and 1.
         """
         n, came, went, lit, faces = edge
-        weight, root = wedge_terms(n[:, None], lit_angles(n[:, None], came, went), lit[:, None])
+        angles = lit_angles(n[:, None], came, went)
+        sides = np.where(angles < 0.0, -1, 1) * np.abs(lit)[:, None] if own else lit[:, None]
+        weight, root = wedge_terms(n[:, None], angles, sides)
         factors = [
             face_factor(walls, np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape), at) for walls in faces.T
         ]

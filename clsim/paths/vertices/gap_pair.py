@@ -29,9 +29,11 @@ if TYPE_CHECKING:
     from clsim.paths.vertices.edge import EdgeVertex, Triple
     from clsim.paths.vertices.gap_events import GapEvents
 
-_AT_ONCE = 100_000  # nodes and frequencies
+    Terms = tuple[Floats, Floats, Floats, list[Any]]
+
+AT_ONCE = 100_000  # nodes and frequencies
 ACROSS_AIR = 2  # in place of the faces that edges share
-_LEAVING, _COMING = np.array([1.0, -1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0, 1.0])  # d(lit angle) / d(angle)
+LEAVING, COMING = np.array([1.0, -1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0, 1.0])  # d(lit angle) / d(angle)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +166,7 @@ def gap_field(
     The product of the terms of either edge, each as if the other were an end of its way, with one transition for both.
     Products that stand for more reflections than are asked for are left out: so are their partners, over one edge.
     """
-    count = max(1, min(len(pair), wave.size // _AT_ONCE))
+    count = max(1, min(len(pair), wave.size // AT_ONCE))
     if count > 1:
         rows = np.array_split(np.arange(len(pair)), count)
 
@@ -180,11 +182,19 @@ def gap_field(
         ]  # fmt: skip
         return np.concatenate(parts)
     ((r_s, t_s, _), (r_r, t_r, _)), whole = ends, legs[0] + legs[1] + legs[2]
-    found = (
-        _terms(pair, (t_s, between[0]), r_s / legs[0], legs[0], _LEAVING, whole, at),
-        _terms(pair.last, (between[1], t_r), r_r / legs[2], legs[2], _COMING, whole, at),
+    slopes = r_s / legs[0], r_r / legs[2]
+    breadths = (
+        2.0 * leg * (whole - leg) / whole * slope**2 for leg, slope in zip((legs[0], legs[2]), slopes, strict=True)
     )
+    angles = (t_s, between[0]), (between[1], t_r)
+    columns = zip((pair, pair.last), angles, slopes, breadths, (LEAVING, COMING), strict=True)
+    first, last = (terms_of(*given, at) for given in columns)
     tie = between[2] * np.sqrt(legs[0] * legs[2] / ((legs[0] + legs[1]) * (legs[1] + legs[2])))
+    return product_of_terms(pair, (first, last), tie, wave) / whole[..., None]
+
+
+def product_of_terms(pair: GapPairVertex, found: tuple[Terms, Terms], tie: Floats, wave: Floats) -> Any:
+    """Sum the products (P, T, F) of the terms of both edges that are kept."""
     (first, one, side, before), (last, other, last_side, after) = found
     met = [adjacent_reflections(edge.n) for edge in (pair, pair.last)]
     i, j = np.divmod(np.arange(16), 4)
@@ -198,14 +208,17 @@ def gap_field(
         for factor in (before[mine], after[theirs]):
             if factor is not None:
                 made[..., term, :] *= factor
-    return made.sum(axis=-2) / whole[..., None]
+    return made.sum(axis=-2)
 
 
-def _terms(
-    edge: EdgeVertex, angles: Pair, slope: Floats, leg: Floats, turns: Floats, whole: Floats, at: SceneResponse
-) -> tuple[Floats, Floats, Floats, list[Any]]:
-    """Roots and weights (P, T, 4) of the terms at an edge, their sides and directions together, and faces' factors."""
-    weight, root = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], *angles), edge.lit[:, None])
-    breadth = 2.0 * leg * (whole - leg) / whole * slope**2
+def terms_of(
+    edge: EdgeVertex, angles: Pair, slope: Floats, breadth: Floats, turns: Floats, at: SceneResponse, own: bool = False
+) -> Terms:
+    """Roots and weights (P, T, 4) of the terms at an edge, their sides and directions together, and faces' factors.
+
+    own: whether the angles, and not the edge, tell on which side each term is.
+    """
+    lit = None if own else edge.lit[:, None]
+    weight, root = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], *angles), lit)
     factors = adjacent_factors(edge.n, edge.faces, angles, slope, at)
     return root * np.sqrt(breadth)[..., None], weight, np.where(weight > 0.0, -turns, turns), factors

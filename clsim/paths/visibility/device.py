@@ -64,7 +64,8 @@ class DeviceSearch:
         import pyopencl as cl
 
         self._query = query
-        self._info, handle = device or find_device(None)
+        self._device = device or find_device(None)
+        self._info, handle = self._device
         self._compiler = compiler_of(handle)
         self._queue = cl.CommandQueue(self._compiler.context)
         walls, ends = query.walls, query.trajectory_tables
@@ -81,6 +82,10 @@ class DeviceSearch:
         }  # fmt: skip
         if query.medium.wind is not None:
             self._arguments["wind"] = self._upload(np.array(query.medium.wind))
+
+    def asked(self, query: VisibilityQuery) -> DeviceSearch:
+        """Make the same of another query."""
+        return DeviceSearch(query, self._device)
 
     def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
         """Return the intervals in which paths are valid; arguments as in `find_intervals`."""

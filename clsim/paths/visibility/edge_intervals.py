@@ -13,6 +13,7 @@ from clsim.acoustics.edge_gap import FOUND, NEWTON, STEPS
 from clsim.errors import InputError
 from clsim.paths.search.edge_chains import joined_over_ends
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
+from clsim.paths.visibility.edge_ends import EndVisibility
 from clsim.paths.visibility.edge_gaps import IN_AIR, OVERLAP, SMALL, SPARE, GapVisibility, seen_frames
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, ENDS_BESIDE, FAR, SIDES, EdgeVisibility, FaceLegs
 from clsim.paths.visibility.intervals import (
@@ -62,9 +63,13 @@ class EdgeSearch:
     device: DeviceSearch | None  # of the same query; NumPy when None
     air: NDArray[np.int64]  # (W,) on which side of each wall paths can be, see `air_sides`
 
-    def find(self, candidates: EdgeCandidates) -> Intervals:
-        """Return the intervals in which candidates are there."""
-        found = self._there(candidates)
+    def find(self, candidates: EdgeCandidates, side: int | None = None) -> Intervals:
+        """Return the intervals in which candidates are there, or one side of them."""
+        if side is None:
+            found = self._there(candidates)
+        else:
+            row, receiver = np.arange(len(candidates.edge)), candidates.receiver
+            found = self._find(candidates, side, row, (self.query.first[receiver], self.query.last[receiver]))
         row, walls = found.path, self.query.walls
         stance = self.visibility(candidates).stance(
             self.query, row, 0.5 * (found.begin + found.end), np.zeros(len(row))
@@ -73,11 +78,13 @@ class EdgeSearch:
             in_air(walls, self.air, sequence[row], end)
             for sequence, end in zip((candidates.before, candidates.after), stance.ends, strict=True)
         ]
-        kept = np.flatnonzero(met[0] & met[1])
+        kept = np.flatnonzero(met[0] & met[1] if side is None else met[side])
         return Intervals(row[kept], found.begin[kept], found.end[kept], found.evaluations)
 
     def visibility(self, candidates: EdgeCandidates) -> EdgeVisibility:
         """Make the test of whether candidates are there."""
+        if candidates.over_ends_of_pairs:
+            return EndVisibility.of(self.edges, candidates, self.query.walls)
         if np.any(candidates.face == ACROSS_AIR):
             return GapVisibility.of(self.edges, candidates, self.query.walls)
         return EdgeVisibility(self.edges, candidates)
@@ -92,7 +99,8 @@ class EdgeSearch:
         always = np.arange(len(candidates.edge)), self.query.first[receiver], self.query.last[receiver]
         row, begin, end = candidates.spans or always
         across_air = bool(np.any(candidates.face == ACROSS_AIR))
-        for side in range(4 if across_air else 2):
+        first = 2 if candidates.over_ends_of_pairs else 0  # their legs to endpoints are found before
+        for side in range(first, 4 if across_air else 2):
             found = self._find(candidates, side, row, (begin, end))
             row, begin, end = row[found.path], found.begin, found.end
             evaluations += found.evaluations
@@ -110,7 +118,7 @@ class EdgeSearch:
 
     def _find(self, candidates: EdgeCandidates, side: int, row: Rows, spans: tuple[Floats, Floats]) -> Intervals:
         """Return when one side of some candidates is there within spans of time."""
-        if self.device is None:
+        if self.device is None or candidates.over_ends_of_pairs:
             evaluate = partial(self.visibility(candidates).evaluate, side)
             sequence = row.astype(np.int32)[:, None]
             return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans)
@@ -230,7 +238,7 @@ def indistinct(moved: Floats, resolution: float, size: float) -> Floats:
 def _over_ends(pieces: Pieces) -> Pieces:
     """Join the pieces of paths over ends of edges, see `joined_over_ends`."""
     row, begin, end, sides = pieces.row, pieces.begin, pieces.end, pieces.sides
-    over = pieces.candidates.end[row] >= 0
+    over = (pieces.candidates.end[row] >= 0) & (not pieces.candidates.over_ends_of_pairs)
     some, others = np.flatnonzero(over), np.flatnonzero(~over)
     of_ends = sides[some, :TERMS], sides[some, TERMS], sides[some][:, ENDS_BESIDE]
     kept, starting, ending, lit = joined_over_ends(row[some], begin[some], end[some], *of_ends)

@@ -63,12 +63,17 @@ class EdgeCandidates:
     after: NDArray[np.int32]  # (n, M) walls after the edge from the receiver's side
     edge: Rows  # (n, 2) of the room, from the source's side; the same twice for paths over one edge
     face: Rows  # (n, 2) of each both share, 0 or 1, its n-face; -1 for paths over one edge, `ACROSS_AIR` where none
-    end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself
+    end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself; of the second of two edges 2 and 3
     receiver: Rows  # (n,) to which
     between: NDArray[np.int32]  # (n, B) walls between two edges with air between, from the first one's side
     spans: tuple[Rows, Floats, Floats] | None = (
         None  # rows, and from and up to when these may be there, s; None: always
     )
+
+    @property
+    def over_ends_of_pairs(self) -> bool:
+        """Whether these are paths over an edge and an end of another one."""
+        return bool(np.any((self.end >= 0) & (self.edge[:, 0] != self.edge[:, 1])))
 
     @staticmethod
     def joined(parts: Sequence[EdgeCandidates]) -> EdgeCandidates:
@@ -103,6 +108,7 @@ class EdgeStance:
     ends: tuple[Floats, Floats]  # the source at emission, and the receiver, m
     angles: tuple[Floats, Floats]  # of their images, each about its edge
     distances: tuple[Floats, Floats]  # from its line, m
+    heights: tuple[Floats, Floats]  # along it, m from its start
     course: Course
     places: tuple[Floats, Floats]  # where each path meets each edge, m from its start
     apexes: tuple[Floats, Floats]  # the same in the room
@@ -121,13 +127,13 @@ class EdgeVisibility:
         requested, tables, edges = self.candidates, query.trajectory_tables, self.edges
         row, source = requested.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
         (one, other), end = requested.edge[which].T, requested.end[which]
-        over_end, ends = end >= 0, end * edges.length[one]
+        over_end, ends = (end >= 0) & (one == other), end * edges.length[one]
         at = tables.lifted(row, tables.position(row, time) + PERTURBATIONS[1])
-        r_r, t_r, z_r = edges.cylindrical(other, _imaged(query.walls, requested.after[which], at))
+        r_r, t_r, z_r = edges.cylindrical(other, imaged(query.walls, requested.after[which], at))
         delay = np.zeros(len(which))
         for _ in range(CONTRACTIONS):  # each step by the Mach number of the source
             emitted_at = tables.lifted(source, tables.position(source, time - delay) + PERTURBATIONS[0])
-            r_s, t_s, z_s = edges.cylindrical(one, _imaged(query.walls, requested.before[which], emitted_at))
+            r_s, t_s, z_s = edges.cylindrical(one, imaged(query.walls, requested.before[which], emitted_at))
             course = self.course(which, (r_s, z_s), (r_r, z_r))
             by_end = np.hypot(r_s, ends - z_s) + np.hypot(r_r, ends - z_r)
             length = np.where(over_end, by_end, course.edge_paths[0].length)
@@ -143,7 +149,8 @@ class EdgeVisibility:
         )
         apexes = tuple(edges.start[e] + p[:, None] * edges.along[e] for e, p in zip((one, other), places, strict=True))
         return EdgeStance(
-            (emitted_at, at), (t_s, t_r), (r_s, r_r), course, (places[0], places[1]), (apexes[0], apexes[1]), reach,
+            (emitted_at, at), (t_s, t_r), (r_s, r_r), (z_s, z_r), course, (places[0], places[1]),
+            (apexes[0], apexes[1]), reach,
         )  # fmt: skip
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
@@ -219,7 +226,7 @@ class EdgeVisibility:
         others = lit_angles(self.edges.n[other], back, stance.angles[1])
         sure = near & np.all(np.abs(angles) > (turn + more[0])[:, None], axis=1)
         sure &= ~double | np.all(np.abs(others) > (other_turn + more[1])[:, None], axis=1)
-        beside, passed = _beside(self.edges.n[requested.edge[which].T], np.stack(stance.angles))
+        beside, passed = beside_faces(self.edges.n[requested.edge[which].T], np.stack(stance.angles))
         sure &= np.all(passed > np.stack([turn, other_turn]), axis=0)
         apex = stance.course.edge_paths[0].apex
         inside = np.where(end == 0, apex, self.edges.length[one] - apex)
@@ -258,7 +265,7 @@ class EdgeVisibility:
         return np.stack([np.min(off, axis=0), np.min(on, axis=0)])
 
 
-def _beside(n: Floats, angle: Floats) -> tuple[NDArray[np.int64], Floats]:
+def beside_faces(n: Floats, angle: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return near which face ends are to the middle of the wedge, see `EdgeVisibility.sides`, and up to which turn."""
     off = angle - 0.5 * np.pi * n
     left = np.pi - np.abs(off)
@@ -266,7 +273,7 @@ def _beside(n: Floats, angle: Floats) -> tuple[NDArray[np.int64], Floats]:
     return beside, np.minimum(left, np.abs(left - NEAR_WRAP))
 
 
-def _imaged(walls: Walls, sequence: NDArray[np.int32], places: Floats) -> Floats:
+def imaged(walls: Walls, sequence: NDArray[np.int32], places: Floats) -> Floats:
     """Return places (n, 3) mirrored by walls (n, N), one after the other."""
     for wall in sequence.T:
         places = mirrored(walls, wall, places)

@@ -1,0 +1,243 @@
+"""Paths over an edge and a free end of another edge: where those over two edges run off an end of one.
+
+The end rests. So both sides of a path are found apart: from the source to the end or the edge, and likewise from each
+receiver. A path is active while both are, later by what sound takes from the end to the receiver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clsim.acoustics.diffraction import adjacent_reflections
+from clsim.arrays import spread
+from clsim.paths.propagation import UniformAir
+from clsim.paths.search.edge_chains import end_chain, with_swaps
+from clsim.paths.search.edge_gaps import apart, between_edges
+from clsim.paths.search.edges import in_planes, rows_of
+from clsim.paths.search.gap_parts import open_gaps
+from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
+from clsim.paths.vertices.edge_end import OF_LAST
+from clsim.paths.vertices.gap_pair import ACROSS_AIR
+from clsim.paths.visibility.edge_ends import off_edges
+from clsim.paths.visibility.edge_gaps import seen_frames
+from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidates, imaged
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.chain import Chain
+    from clsim.paths.family import PathFamily
+    from clsim.paths.options import PathOptions
+    from clsim.paths.search.edges import Reached, Sides
+    from clsim.paths.visibility.edge_intervals import EdgeSearch
+    from clsim.scene.scene import Scene
+
+    Rows = NDArray[np.int64]
+
+_NEAR = 1e-7  # of the room's size, up to which an end is on another edge
+_BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
+_AT_ONCE = UniformAir(1e15)  # without delays
+_SAME = 9  # decimals of places that are the same, m
+
+
+def end_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]) -> Chain:
+    """Return every path over an edge and a free end of another one.
+
+    others: paths without edges, over one and over two, whose times are taken as by `double_edge_paths`.
+    """
+    rows, order, within = rows_of(scene, search, others, end_candidates)
+    return with_swaps(end_chain(scene, order, rows), within)
+
+
+def end_candidates(
+    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
+) -> Iterator[tuple[float, EdgeCandidates]]:
+    """Yield candidates over an edge and an end of another one, with the times of both sides, and the share of the work.
+
+    sides, reached, longest: see `gap_candidates`.
+    """
+    movers, edges = [sides[0], *sides[1]], finder.edges
+    fewest = adjacent_reflections(edges.n).min(axis=1)
+    for count, ways in enumerate(_ways(finder, reached, order)):
+        ways = _part(ways, np.flatnonzero(ways.between.shape[1] + fewest[ways.edge].sum(axis=1) <= order))
+        if not len(ways.edge):
+            continue
+        least = ways.between.shape[1] + fewest[ways.edge].sum(axis=1)
+        sights = [_Sight(finder, row, mover, ways, order, longest) for row, mover in enumerate(movers)]
+        for n in range(order + 1):
+            for m in range(order + 1 - n):
+                some = np.flatnonzero(least + n + m <= order)
+                for receiver in range(1, len(movers)) if len(some) else ():
+                    found = _joined(finder, ways, some, (sights[0], sights[receiver]), (n, m))
+                    if len(found.edge):
+                        yield count / (order + 2), found
+
+
+def _part(ways: EdgeCandidates, rows: Rows) -> EdgeCandidates:
+    names = "before", "after", "edge", "face", "end", "receiver", "between"
+    return EdgeCandidates(**{name: getattr(ways, name)[rows] for name in names})
+
+
+def _ways(finder: EdgeSearch, reached: Reached, order: int) -> Iterator[EdgeCandidates]:
+    """Yield ways without sides: over faces that edges share, and across air by 0, 1, … walls."""
+    edges, near = finder.edges, _NEAR * finder.query.walls.size
+    pair, face = edges.pairs()
+    over_faces = _with_ends(finder, pair, face, np.empty((len(pair), 0), dtype=np.int32))
+    _, place, _ = off_edges(edges, over_faces, edges.frames[over_faces.edge[:, 1]], np.arange(len(over_faces.edge)))
+    (mine, mine_face), (theirs, their_face) = _ended(over_faces)
+    ahead = np.einsum("ni,ni->n", place - edges.start[theirs], edges.inward(theirs, their_face)) > near
+    ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
+    ahead &= np.einsum("nei,ni->ne", ends, edges.inward(mine, mine_face)).min(axis=1) > -near
+    yield _part(over_faces, np.flatnonzero(ahead))
+    pairs = apart(finder)
+    balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
+    from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)] if len(pairs) else []
+    for count in range(order + 1) if len(pairs) else ():
+        gaps = open_gaps(finder.query.walls, edges, *between_edges(pairs, from_edge, count))
+        ways = _with_ends(finder, gaps.pair, np.full(gaps.pair.shape, ACROSS_AIR), gaps.walls)
+        free = gaps.fans[0].free  # of the parts that the ends are ends of
+        of_end = np.stack([free[:, 0].any(axis=1), free[:, -1].any(axis=1), free[..., 0].any(axis=1),
+                           free[..., -1].any(axis=1)])  # fmt: skip
+        yield _part(ways, np.flatnonzero(of_end[ways.end, ways.receiver]))
+
+
+def _with_ends(finder: EdgeSearch, pair: Rows, face: Rows, between: NDArray[np.int32]) -> EdgeCandidates:
+    """Make ways over each free end of either edge of pairs (n, 2) that is not on the other edge.
+
+    In the place of receivers they have the numbers of the pairs.
+    """
+    edges, count = finder.edges, len(pair)
+    rows, end = np.tile(np.arange(count), 4), np.repeat(np.arange(4), count)
+    none = np.empty((4 * count, 0), dtype=np.int32)
+    ways = EdgeCandidates(none, none, pair[rows], face[rows], end, rows, between[rows])
+    seen = seen_frames(finder.query.walls, edges, ways.edge[:, 1], ways.between)
+    _, _, (x, y, z) = off_edges(edges, ways, seen, np.arange(len(rows)))
+    mine, theirs = (edge for edge, _ in _ended(ways))
+    beside = np.maximum(np.maximum(-z, z - edges.length[theirs]), 0.0)
+    apart = np.hypot(np.hypot(x, y), beside) > _NEAR * finder.query.walls.size
+    off_line = np.hypot(x, y) > _NEAR * finder.query.walls.size
+    return _part(ways, np.flatnonzero(edges.free[mine, end % OF_LAST] & apart & off_line))
+
+
+def _ended(ways: EdgeCandidates) -> tuple[tuple[Rows, Rows], tuple[Rows, Rows]]:
+    """Edges and shared faces (n,) of the edges that end, and of the other ones."""
+    rows, last = np.arange(len(ways.edge)), (ways.end >= OF_LAST).astype(np.int64)
+    return (ways.edge[rows, last], ways.face[rows, last]), (ways.edge[rows, 1 - last], ways.face[rows, 1 - last])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """When an endpoint is seen, by number of walls: sequences of these (n, N), from and up to when (n,), s.
+
+    Those of request q are from `first[q]` to `first[q + 1]`.
+    """
+
+    first: Rows
+    sequence: NDArray[np.int32]
+    begin: Floats
+    end: Floats
+
+
+class _Sight:
+    """When the source, row 0, or a receiver sees the ends and edges of ways.
+
+    What is beyond an end or an edge is a place at rest in its air: as far from the edge, and along it, as the end.
+    """
+
+    def __init__(
+        self, finder: EdgeSearch, row: int, sides: Sides, ways: EdgeCandidates, order: int, longest: float
+    ) -> None:
+        edges, walls, every = finder.edges, finder.query.walls, np.arange(len(ways.edge))
+        self.row = row
+        seen = seen_frames(walls, edges, ways.edge[:, 1], ways.between)
+        _, _, (x, y, z) = off_edges(edges, ways, seen, every)
+        edge = ways.edge[:, int(row > 0)]
+        ended = (ways.end >= OF_LAST) == (row > 0)
+        self._end = np.where(ended, ways.end % OF_LAST, -1)
+        r = np.where(ended, _BESIDE * walls.size, np.hypot(x, y))
+        z = np.where(ended, self._end * edges.length[edge], z)
+        keys = np.round(np.column_stack([edge, self._end, r, z]), _SAME)
+        _, some, self.request = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        self.request = self.request.ravel()
+        self._edge, self._end, r, z = edge[some], self._end[some], r[some], z[some]
+        half = 0.5 * np.pi * edges.n[self._edge]
+        off = np.cos(half)[:, None] * edges.across[self._edge] + np.sin(half)[:, None] * edges.out[self._edge]
+        place = edges.start[self._edge] + z[:, None] * edges.along[self._edge] + r[:, None] * off
+        query, last = finder.query, float(finder.query.last.max(initial=0.0))
+        span = (-longest, last) if row == 0 else (float(query.first[row - 1]), float(query.last[row - 1]))
+        asked = replace(
+            query, trajectory_tables=with_points(query.trajectory_tables, row, place),
+            medium=query.medium if row == 0 else _AT_ONCE, first=np.full(len(some), span[0]),
+            last=np.full(len(some), span[1]),
+        )  # fmt: skip
+        device = None if finder.device is None else finder.device.asked(asked)
+        self._finder = replace(finder, query=asked, device=device)
+        self._seen = [self._found(sides, n, r / query.medium.speed_of_sound) for n in range(order + 1)]
+
+    def __getitem__(self, count: int) -> _Seen:
+        return self._seen[count]
+
+    def _found(self, sides: Sides, count: int, late: Floats) -> _Seen:
+        """Find when each request is seen by so many walls; late: from an end to the place beyond it (q,), s."""
+        walls, edges, parts = self._finder.query.walls, self._finder.edges, [np.empty((0, count), dtype=np.int32)]
+        for edge, end in zip(self._edge.tolist(), self._end.tolist(), strict=True):
+            sequence = sides[edge][count]
+            if end >= 0 and count:  # nothing comes to an end by a wall that it lies in
+                sequence = sequence[~in_planes(walls, (edges.start, edges.stop)[end][edge], sequence).any(axis=1)]
+            parts.append(sequence)
+        request = np.repeat(np.arange(len(parts) - 1), [len(part) for part in parts[1:]])
+        sequence = np.concatenate(parts)
+        none, same = np.empty((len(request), 0), dtype=np.int32), np.repeat(self._edge[request, None], 2, axis=1)
+        wanted = EdgeCandidates(
+            sequence, none, same, np.full(same.shape, -1), self._end[request], request, none
+        )  # fmt: skip
+        found = self._finder.find(wanted, 0)
+        request = request[found.path]
+        early = np.where((self._end[request] >= 0) & (self._finder.query.medium is not _AT_ONCE), late[request], 0.0)
+        first = np.searchsorted(request, np.arange(len(parts)))
+        return _Seen(first, sequence[found.path], found.begin - early, found.end - early)
+
+
+def _joined(
+    finder: EdgeSearch, ways: EdgeCandidates, some: Rows, sights: tuple[_Sight, _Sight], counts: tuple[int, int]
+) -> EdgeCandidates:
+    """Join both sides of some ways by so many walls each: candidates, with when they may be active."""
+    (before, after), requests = (sight[n] for sight, n in zip(sights, counts, strict=True)), [s.request for s in sights]
+    mine, theirs = requests[0][some], requests[1][some]
+    way, i = spread(before.first, mine)
+    which, j = spread(after.first, theirs[way])
+    way, i = some[way[which]], i[which]
+    receiver = np.full(len(way), sights[1].row - 1)
+    found = replace(
+        _part(ways, way), before=before.sequence[i], after=after.sequence[j], receiver=receiver
+    )
+    begin, end = (_received(finder, found, times) for times in (before.begin[i], before.end[i]))
+    begin, end = np.maximum(begin, after.begin[j]), np.minimum(end, after.end[j])
+    kept = np.flatnonzero(begin < end)
+    return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
+
+
+def _received(finder: EdgeSearch, found: EdgeCandidates, times: Floats) -> Floats:
+    """Compute when (n,) what is at the ends of candidates at times (n,), or at the last edges, is received, s."""
+    edges, query, rows = finder.edges, finder.query, np.arange(len(times))
+    seen = seen_frames(query.walls, edges, found.edge[:, 1], found.between)
+    along, _, (x, y, z_c) = off_edges(edges, found, seen, rows)
+    last, row, edge = found.end >= OF_LAST, found.receiver + 1, found.edge[:, 1]
+    r_c, z_c = np.where(last, 0.0, np.hypot(x, y)), np.where(last, along, z_c)
+    from_end = edges.start[edge] + z_c[:, None] * edges.along[edge]
+    late = np.zeros(len(times))
+    for _ in range(CONTRACTIONS):
+        at = query.trajectory_tables.position(row, times + late) + PERTURBATIONS[1]
+        at = query.trajectory_tables.lifted(row, at)
+        r, _, z = edges.cylindrical(edge, imaged(query.walls, found.after, at))
+        later = query.medium.passage(np.hypot(r + r_c, z - z_c), at - from_end).time - late
+        late = late + later
+        if not np.any(np.abs(later) > CONTRACTED):
+            break
+    return times + late

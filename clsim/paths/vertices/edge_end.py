@@ -1,0 +1,168 @@
+"""An edge and an end of another edge as vertices: sound over both, in either order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from clsim.acoustics.diffraction import (
+    ON_LINE,
+    EdgePath,
+    double_transition,
+    end_detour,
+    end_transition,
+    path_over_edge,
+    transition,
+)
+from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, GapPairVertex, LEAVING, product_of_terms, terms_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.links import Pair
+    from clsim.paths.response import SceneResponse
+    from clsim.paths.vertices.edge import Triple
+
+OF_LAST = 2  # added to the numbers of the ends of last edges
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeEndVertex(GapPairVertex):
+    """Two edges, over a free end of one of which P paths run, with open air or a shared face between.
+
+    Where the shortest path over both edges runs off the end, the path over both goes over into this one. `over_end` is
+    0 for the start of the first edge, 1 for its end, and 2 and 3 for those of the last edge. `shared` is 2 across air.
+    The signs of `lit` count at the edge without the end; at the other one its own angles do.
+    """
+
+    kind: ClassVar[str] = "edge and end"
+    loudest: ClassVar[float] = 18.0
+
+    @property
+    def end_place(self) -> Floats:
+        """NaN (P,): where paths meet both edges is told by `met`."""
+        return np.full(len(self), np.nan)
+
+    @property
+    def of_last(self) -> NDArray[np.bool_]:
+        """Mask (P,) of paths over an end of the last edge."""
+        return self.over_end >= OF_LAST
+
+    @property
+    def objects(self) -> NDArray[np.int64]:
+        """Numbers of the edge and the end among the names, (P, 2)."""
+        count, both = len(self.lines), [self.edge, self.last.edge]
+        ends = [count + 2 * edge + self.over_end % OF_LAST for edge in both]
+        return np.stack([np.where(self.of_last, both[0], ends[0]), np.where(self.of_last, ends[1], both[1])], axis=1)
+
+    def ended_at(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Where the ends are along their edges (P, 1), m, and (P, 3), and r and z (P, 1) about the other edges, m."""
+        ended, other = self._frames()
+        length = self.lines.length[np.where(self.of_last, self.last.edge, self.edge)]
+        along = np.where(self.over_end % OF_LAST == 1, length, 0.0)
+        place = ended[:, 0] + along[:, None] * ended[:, 3]
+        x, y, z = np.moveaxis(np.einsum("pai,pi->pa", other[:, 1:], place - other[:, 0]), 1, 0)
+        return along[:, None], place, np.hypot(x, y)[:, None], z[:, None]
+
+    def _frames(self) -> Pair:
+        """Frames (P, 4, 3) of the edges that end, and of the other ones, as the first edges see them."""
+        of_last = self.of_last[:, None, None]
+        return np.where(of_last, self.seen, self.frame), np.where(of_last, self.frame, self.seen)
+
+    def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
+        """Places on both edges, and lengths, of shortest paths between ends at r and z about them, (P, T) m each."""
+        (along, _, r, z), of_last = self.ended_at(), self.of_last[:, None]
+        (r_f, z_f), (r_n, z_n) = _swapped(of_last, source, receiver)
+        way = path_over_edge(r, z, r_n, z_n)
+        end = np.broadcast_to(along, way.apex.shape)
+        places = np.where(of_last, way.apex, end), np.where(of_last, end, way.apex)
+        return places, np.hypot(r_f, along - z_f) + way.length
+
+    def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
+        """Field (P, T, F) beyond the edge and the end, without its phase, of endpoints at r, θ, z about both."""
+        field, count = np.zeros(wave.shape, dtype=np.complex128), max(1, wave.size // AT_ONCE)
+        kinds = 2 * (self.shared[:, 0] == ACROSS) + self.of_last
+        for kind in range(4):
+            rows = np.flatnonzero(kinds == kind)
+            for some in np.array_split(rows, min(count, max(len(rows), 1))):
+                if len(some):
+                    ends = (tuple(x[some] for x in source), tuple(x[some] for x in receiver))
+                    field[some] = _end_field(self.part(some), ends, kind % 2, kind >= 2, wave[some], at)
+        if self.between.size:
+            towards = self._towards(source, receiver)
+            field *= at.reflection(self.between)[:, None]
+            at.apply_angular_walls(field, self.between, towards)
+        return field
+
+    def _towards(self, source: Triple, receiver: Triple) -> Floats:
+        """Directions (P, T, 3) in which paths leave the first edges."""
+        first, last = self.met(source[::2], receiver[::2])[0]
+        away = self.seen[:, None, 0] + last[..., None] * self.seen[:, None, 3] - self.frame[:, None, 0]
+        away = away - first[..., None] * self.frame[:, None, 3]
+        return np.asarray(away / np.linalg.norm(away, axis=-1, keepdims=True))
+
+
+ACROSS = 2  # of `shared`
+
+
+def _swapped(of_last: Any, source: Any, receiver: Any) -> tuple[Any, Any]:
+    """Columns (P, T) of the endpoints beyond the ends, and of those beyond the other edges."""
+    far = tuple(np.where(of_last, r, s) for s, r in zip(source, receiver, strict=True))
+    return far, tuple(np.where(of_last, s, r) for s, r in zip(source, receiver, strict=True))
+
+
+def _end_field(
+    pair: EdgeEndVertex, ends: tuple[Triple, Triple], ended: int, across_air: bool, wave: Floats, at: SceneResponse
+) -> Any:
+    """Compute the field (P, T, F) of paths over ends of all first, 0, or of all last edges, 1.
+
+    Our own derivation: the far endpoint is rolled out beyond the place V on the other edge, into the line from the end
+    C through V. Of the product of both edges' terms, with the lengths of the legs by C, the end takes away as much as
+    of the terms of its own edge alone between the endpoint and the one rolled out.
+    """
+    (_, t_s, _), (_, t_r, _) = ends
+    along, corner, r_c, z_c = pair.ended_at()
+    (r_f, _, z_f), (r_n, _, z_n) = ends[ended], ends[1 - ended]
+    mine, theirs = pair._frames()
+    way = path_over_edge(r_c, z_c, r_n, z_n)
+    between, behind = np.hypot(r_c, way.apex - z_c), np.maximum(np.hypot(r_n, way.apex - z_n), ON_LINE)
+    onto = theirs[:, None, 0] + way.apex[..., None] * theirs[:, None, 3] - corner[:, None]
+    slope = np.einsum("pti,pi->pt", onto, mine[:, 3]) / between
+    beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * way.length, ON_LINE), along + slope * way.length
+    rolled = path_over_edge(r_f, z_f, *beyond)
+    leg = np.hypot(r_f, along - z_f)
+    whole = leg + way.length
+    inside = np.where(pair.over_end[:, None] % OF_LAST == 1, along - rolled.apex, rolled.apex)
+    detour = end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
+    root = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
+    scale = np.sqrt(wave)
+
+    def share(term: Floats) -> Any:
+        """Share (P, T, F) of a term that ends, by its root (P, T)."""
+        at_edge = term[..., None] * scale
+        return end_transition(root[..., None] * scale, at_edge) / transition(at_edge)
+
+    slopes: list[Any] = [(r_f + beyond[0]) / rolled.length, r_n / behind]
+    breadths: list[Any] = [rolled.breadth, 2.0 * behind * (whole - behind) / whole * slopes[1] ** 2]
+    legs = leg * behind / ((leg + between) * (between + behind))
+    if ended:
+        slopes, breadths = slopes[::-1], breadths[::-1]
+    sides = -1.0 * pair.end_side[:, None, None]
+    if across_air:
+        ahead, back, turn = pair.gap.angles((1.0 - 2.0 * ended) * -onto)
+        angles = (t_s, ahead), (back, t_r)
+        given = zip((pair, pair.last), angles, slopes, breadths, (LEAVING, COMING), strict=True)
+        found = [terms_of(*columns, at, own=i == ended) for i, columns in enumerate(given)]
+        roots, _, _, factors = found[ended]
+        for i, factor in enumerate(factors):
+            factors[i] = share(roots[..., i]) * (1.0 if factor is None else factor)
+        field = product_of_terms(pair, (found[0], found[1]), turn * np.sqrt(legs), wave)
+        return field * sides / rolled.length[..., None]
+    made = pair.face_terms((t_s, t_r), (breadths[0], breadths[1]), at, own=ended)
+    roots, weights, _ = made[ended]
+    for i in range(2):
+        weights[i] = weights[i] * share(roots[..., i])
+    return pair.over_face(made, np.sqrt(legs), wave, rolled.length) * sides

@@ -1,0 +1,139 @@
+"""Validity of paths over an edge and an end of another edge at an instant, and how far ends may move before it changes.
+
+The end rests, so that only the place on the other edge slides: as that of a path over one edge from an endpoint at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.acoustics.diffraction import EdgePath, lit_angles, path_over_edge
+from clsim.acoustics.edge_gap import Crossing, EdgeGap
+from clsim.paths.vertices.edge_end import OF_LAST
+from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
+from clsim.paths.visibility.edges import FAR, Course, beside_faces
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Floats
+    from clsim.paths.visibility.edges import EdgeCandidates, EdgeStance, End
+    from clsim.paths.visibility.intervals import VisibilityQuery
+    from clsim.scene.room.edges import Edges
+    from clsim.scene.room.walls import Walls
+
+    Bools = NDArray[np.bool_]
+    Rows = NDArray[np.int64]
+
+_LEAST = 1e-12  # m
+
+
+def off_edges(edges: Edges, candidates: EdgeCandidates, seen: Floats, which: Rows) -> tuple[Floats, Floats, Floats]:
+    """Where candidates' ends are along their edges, m, the ends (n, 3), and coordinates (3, n) about the other edges.
+
+    seen: frames (n, 4, 3) of last edges as the first ones see them.
+    """
+    end, (one, other) = candidates.end[which], candidates.edge[which].T
+    last, frames = (end >= OF_LAST)[:, None, None], (edges.frames[one], seen)
+    mine, theirs = np.where(last, frames[1], frames[0]), np.where(last, frames[0], frames[1])
+    along = np.where(end % OF_LAST == 1, edges.length[np.where(end >= OF_LAST, other, one)], 0.0)
+    place = mine[:, 0] + along[:, None] * mine[:, 3]
+    return along, place, np.einsum("nai,ni->an", theirs[:, 1:], place - theirs[:, 0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EndVisibility(GapVisibility):
+    """Tells of candidates over an edge and an end of another one whether they are there, and which partners are seen."""
+
+    @staticmethod
+    def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> EndVisibility:
+        """Make it for edges of a room with walls."""
+        one, other = candidates.edge.T
+        seen = seen_frames(walls, edges, other, candidates.between)
+        return EndVisibility(edges, candidates, EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other])))
+
+    def _ended(self, which: Rows) -> tuple[Bools, Floats, Floats, Floats]:
+        """Mask of candidates `which` (n,) over ends of last edges, and what `off_edges` tells of all."""
+        ends = off_edges(self.edges, self.candidates, self.every.last[which], which)
+        return self.candidates.end[which] >= OF_LAST, *ends
+
+    def course(self, which: Rows, source: End, receiver: End) -> Course:
+        """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
+        last, along, _, (x, y, z_c) = self._ended(which)
+        r_c = np.hypot(x, y)
+        far, near = ([np.where(last, a, b) for a, b in zip(*ends, strict=True)]
+                     for ends in ((receiver, source), (source, receiver)))  # fmt: skip
+        way, leg = path_over_edge(r_c, z_c, *near), np.hypot(far[0], along - far[1])
+        parts = np.hypot(r_c, way.apex - z_c), np.hypot(near[0], way.apex - near[1])
+        length, places = leg + parts[0] + parts[1], (np.where(last, way.apex, along), np.where(last, along, way.apex))
+        gap = self.gap(which)
+        away = gap.first[:, 0] + places[0][:, None] * gap.first[:, 3]
+        away = away - gap.last[:, 0] - places[1][:, None] * gap.last[:, 3]
+        legs = np.where(last, parts[1], leg), np.maximum(parts[0], _LEAST), np.where(last, leg, parts[1])
+        crossing = Crossing(places, legs, away, (np.where(last, r_c, np.nan), np.where(last, np.nan, r_c)))
+        edge_paths = EdgePath(length, places[0], length), EdgePath(length, places[1], length)
+        return Course(edge_paths, (r_c, r_c), crossing)
+
+    def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
+        """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns."""
+        angles, more = GapVisibility.between(self, stance, which, turns)
+        face = self.candidates.face[which]
+        over_face, edge = face <= 1, self.candidates.edge[which]
+        held = np.where(over_face, face * np.pi * self.edges.n[edge], np.stack(angles, axis=1))
+        still = np.where(over_face, 0.0, np.stack(more, axis=1))
+        return (held[:, 0], held[:, 1]), (still[:, 0], still[:, 1])
+
+    def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
+        """Largest motion of the point on the first or second edge along it, (n,) m; of an end none."""
+        crossing, reach = stance.course.crossing, stance.reach
+        assert crossing is not None
+        of_edge = np.where(edge == 0, crossing.legs[0], crossing.legs[2]) + crossing.legs[1]
+        room = crossing.slides[edge] + stance.distances[edge] - 2.0 * reach
+        sliding = reach * (of_edge + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
+        return np.where(np.isnan(room), 0.0, np.where(room > 0.0, sliding, FAR * size))
+
+    def sides(
+        self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats
+    ) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
+        """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`.
+
+        Of the edge that ends the terms are 1; the side of the end is that of the path over both edges.
+        """
+        stance, (one, other) = self.stance(query, which, time, half), self.candidates.edge[which].T
+        crossing, last, reach = stance.course.crossing, self.candidates.end[which] >= OF_LAST, stance.reach
+        assert crossing is not None
+        near = reach < np.minimum(*stance.distances)
+        turns = [np.arcsin(np.where(near, reach / np.where(near, r, 1.0), 1.0)) for r in stance.distances]
+        (ahead, back), _ = self.between(stance, which, (turns[0], turns[1]))
+        terms = lit_angles(self.edges.n[one], stance.angles[0], ahead), lit_angles(self.edges.n[other], back,
+                                                                                  stance.angles[1])  # fmt: skip
+        angles = np.where(last[:, None], *terms)
+        sure = near & np.all(np.abs(angles) > np.where(last, *turns)[:, None], axis=1)
+        beside, passed = beside_faces(self.edges.n[self.candidates.edge[which].T], np.stack(stance.angles))
+        sure &= np.all(passed > np.stack(turns), axis=0)
+        inside, turning = self._inside(stance, which, query.walls.size)
+        sure &= np.abs(inside) > turning
+        distances = np.minimum(*stance.distances)
+        off = np.minimum(np.minimum(np.abs(angles).min(axis=1), passed.min(axis=0)), np.abs(inside)) * distances
+        lit, every = np.where(angles >= 0.0, 1, -1), np.ones(angles.shape, dtype=np.int64)
+        first, second = np.where(last[:, None], lit, every), np.where(last[:, None], every, lit)
+        return (
+            np.column_stack([first, np.where(inside >= 0.0, 1, -1), second, *beside]).astype(np.int8),
+            sure, off, reach,
+        )  # fmt: skip
+
+    def _inside(self, stance: EdgeStance, which: Rows, size: float) -> tuple[Floats, Floats]:
+        """How far (n,) the path over both edges is inside the end, as a difference of cosines, and its change at most."""
+        crossing, (last, *_), no_end = stance.course.crossing, self._ended(which), np.full(len(which), -1)
+        assert crossing is not None
+        frames = np.where(last[:, None], self.gap(which).last[:, 3], self.gap(which).first[:, 3])
+        legs = np.maximum(np.where(last, crossing.legs[2], crossing.legs[0]), _LEAST), crossing.legs[1]
+        towards = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / legs[1]
+        slope = np.where(last, stance.places[1] - stance.heights[1], stance.places[0] - stance.heights[0]) / legs[0]
+        slope = slope - towards
+        moved = stance.reach, np.where(last, *(self.slides(stance, edge, no_end, size) for edge in (0, 1)))
+        change = [m / np.maximum(leg - m, _LEAST) for m, leg in zip(moved, legs, strict=True)]
+        return np.where(self.candidates.end[which] % OF_LAST == 1, slope, -slope), change[0] + change[1]
