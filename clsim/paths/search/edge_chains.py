@@ -16,7 +16,7 @@ from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.legs.static import StaticLeg
 from clsim.paths.search.mesh import image_isometries
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
-from clsim.paths.vertices.edge_end import OF_LAST, EdgeEndVertex
+from clsim.paths.vertices.edge_end import EdgeEndVertex, ends_of
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.vertices.gap_pair import GapPairVertex
@@ -106,8 +106,8 @@ def _chain(scene: Scene, order: int, rows: Found, vertex: EdgeVertex) -> Chain:
         first, last = r["edges"]
         things = [first, *r["between"], last] if r["faces"][0] >= 0 else [first]
         if r["end_of"] >= 0:
-            of = -1 if r["end_of"] >= OF_LAST else 0
-            things[of] = edges + 2 * r["edges"][of] + r["end_of"] % OF_LAST
+            for place, end in ends_of(r["end_of"]):
+                things[-place] = edges + 2 * r["edges"][place] + end
         objects[i, : n + m + len(things)] = [*r["before"], *things, *r["after"][::-1]]
         met = [DIFFRACTION, *[SPECULAR] * len(r["between"]), DIFFRACTION][: len(things)]
         kinds[i, : n + m + len(things)] = [SPECULAR] * n + met + [SPECULAR] * m

@@ -23,7 +23,7 @@ from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import off_edges
 from clsim.paths.visibility.edge_gaps import seen_frames
-from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidates, imaged
+from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, MEETING, EdgeCandidates, imaged
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -95,6 +95,7 @@ def _ways(finder: EdgeSearch, reached: Reached, order: int) -> Iterator[EdgeCand
     ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
     ahead &= np.einsum("nei,ni->ne", ends, edges.inward(mine, mine_face)).min(axis=1) > -near
     yield _part(over_faces, np.flatnonzero(ahead))
+    yield _meeting(finder, pair, face)
     pairs = apart(finder)
     balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
     from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)] if len(pairs) else []
@@ -105,6 +106,17 @@ def _ways(finder: EdgeSearch, reached: Reached, order: int) -> Iterator[EdgeCand
         of_end = np.stack([free[:, 0].any(axis=1), free[:, -1].any(axis=1), free[..., 0].any(axis=1),
                            free[..., -1].any(axis=1)])  # fmt: skip
         yield _part(ways, np.flatnonzero(of_end[ways.end, ways.receiver]))
+
+
+def _meeting(finder: EdgeSearch, pair: Rows, face: Rows) -> EdgeCandidates:
+    """Make ways over corners at which both edges of pairs (n, 2) end."""
+    edges = finder.edges
+    ends = np.stack([edges.start, edges.stop], axis=1)
+    apart = np.linalg.norm(ends[pair[:, 0], :, None] - ends[pair[:, 1], None], axis=-1)
+    free = edges.free[pair[:, 0], :, None] & edges.free[pair[:, 1], None]
+    rows, one, other = np.nonzero(free & (apart <= _NEAR * finder.query.walls.size))
+    none = np.empty((len(rows), 0), dtype=np.int32)
+    return EdgeCandidates(none, none, pair[rows], face[rows], MEETING + 2 * other + one, rows, none)
 
 
 def _with_ends(finder: EdgeSearch, pair: Rows, face: Rows, between: NDArray[np.int32]) -> EdgeCandidates:
@@ -159,7 +171,9 @@ class _Sight:
         _, _, (x, y, z) = off_edges(edges, ways, seen, every)
         edge = ways.edge[:, int(row > 0)]
         ended = (ways.end >= OF_LAST) == (row > 0)
-        self._end = np.where(ended, ways.end % OF_LAST, -1)
+        ended |= ways.end >= MEETING
+        number = np.where((ways.end >= MEETING) & (row > 0), ways.end // 2, ways.end) % 2
+        self._end = np.where(ended, number, -1)
         r = np.where(ended, _BESIDE * walls.size, np.hypot(x, y))
         z = np.where(ended, self._end * edges.length[edge], z)
         keys = np.round(np.column_stack([edge, self._end, r, z]), _SAME)

@@ -23,7 +23,7 @@ from clsim.paths.search.mesh import (
 )
 from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import BoundingSpheres
-from clsim.paths.vertices.edge_end import OF_LAST
+from clsim.paths.vertices.edge_end import ends_of
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch, Pieces, find_pieces
@@ -303,8 +303,8 @@ def _instead(edges: Edges, wanted: EdgeCandidates, row: int, term: int) -> list[
         return [-1 - one, *wanted.between[row].tolist(), -1 - other]
     second = term > TERMS
     met = [-1 - one, -1 - other]
-    if end >= 0:
-        met[end // OF_LAST] = -1 - len(edges) - 2 * (one, other)[end // OF_LAST] - end % OF_LAST
+    for place, number in ends_of(end) if end >= 0 else ():
+        met[place] = -1 - len(edges) - 2 * (one, other)[place] - number
     edge, term = (other, term - TERMS - 1) if second else (one, term)
     faces, count = edges.faces[edge].tolist(), int(adjacent_reflections(edges.n[edge])[term])
     bounces = [int(faces[(term + bounce) % 2]) for bounce in range(count)]

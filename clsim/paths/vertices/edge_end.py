@@ -9,13 +9,12 @@ import numpy as np
 
 from clsim.acoustics.diffraction import (
     ON_LINE,
-    EdgePath,
-    double_transition,
     end_detour,
     end_transition,
     path_over_edge,
     transition,
 )
+from clsim.paths.visibility.edges import MEETING
 from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, GapPairVertex, LEAVING, product_of_terms, terms_of
 
 if TYPE_CHECKING:
@@ -29,13 +28,21 @@ if TYPE_CHECKING:
 OF_LAST = 2  # added to the numbers of the ends of last edges
 
 
+def ends_of(number: int) -> list[tuple[int, int]]:
+    """List edges, 0 for the first and 1 for the last, that end, and at which end, of a number of `over_end`."""
+    if number >= MEETING:
+        return [(0, number % 2), (1, number // 2 % 2)]
+    return [(number // OF_LAST, number % OF_LAST)]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeEndVertex(GapPairVertex):
     """Two edges, over a free end of one of which P paths run, with open air or a shared face between.
 
     Where the shortest path over both edges runs off the end, the path over both goes over into this one. `over_end` is
-    0 for the start of the first edge, 1 for its end, and 2 and 3 for those of the last edge. `shared` is 2 across air.
-    The signs of `lit` count at the edge without the end; at the other one its own angles do.
+    0 for the start of the first edge, 1 for its end, and 2 and 3 for those of the last edge; from 4 on both edges of a
+    face end at one corner. `shared` is 2 across air. The signs of `lit` count at edges that do not end, and where both
+    do; at the other ones their own angles do.
     """
 
     kind: ClassVar[str] = "edge and end"
@@ -49,14 +56,24 @@ class EdgeEndVertex(GapPairVertex):
     @property
     def of_last(self) -> NDArray[np.bool_]:
         """Mask (P,) of paths over an end of the last edge."""
-        return self.over_end >= OF_LAST
+        return (self.over_end >= OF_LAST) & (self.over_end < MEETING)
+
+    @property
+    def meeting(self) -> NDArray[np.bool_]:
+        """Mask (P,) of paths over a corner at which both edges end."""
+        return self.over_end >= MEETING
 
     @property
     def objects(self) -> NDArray[np.int64]:
         """Numbers of the edge and the end among the names, (P, 2)."""
-        count, both = len(self.lines), [self.edge, self.last.edge]
-        ends = [count + 2 * edge + self.over_end % OF_LAST for edge in both]
-        return np.stack([np.where(self.of_last, both[0], ends[0]), np.where(self.of_last, ends[1], both[1])], axis=1)
+        first, last = self.edge, self.last.edge
+        ends = [len(self.lines) + 2 * edge + end for edge, end in zip((first, last), self._numbers(), strict=True)]
+        of_last = self.of_last | self.meeting
+        return np.stack([np.where(self.of_last, first, ends[0]), np.where(of_last, ends[1], last)], axis=1)
+
+    def _numbers(self) -> tuple[Any, Any]:
+        """Numbers (P,) of the ends, 0 or 1, of the first edges and of the last ones."""
+        return self.over_end % 2, np.where(self.meeting, self.over_end // 2, self.over_end) % 2
 
     def ended_at(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Where the ends are along their edges (P, 1), m, and (P, 3), and r and z (P, 1) about the other edges, m."""
@@ -79,18 +96,27 @@ class EdgeEndVertex(GapPairVertex):
         way = path_over_edge(r, z, r_n, z_n)
         end = np.broadcast_to(along, way.apex.shape)
         places = np.where(of_last, way.apex, end), np.where(of_last, end, way.apex)
-        return places, np.hypot(r_f, along - z_f) + way.length
+        length, rows = np.hypot(r_f, along - z_f) + way.length, np.flatnonzero(self.meeting)
+        ends = zip(places, (self.edge, self.last.edge), self._numbers(), strict=True)
+        for place, edge, number in ends if len(rows) else ():
+            place[rows] = np.where(number == 1, self.lines.length[edge], 0.0)[rows, None]
+        legs = (np.hypot(r, place - z) for (r, z), place in zip((source, receiver), places, strict=True))
+        return places, np.where(self.meeting[:, None], next(legs) + next(legs), length)
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) beyond the edge and the end, without its phase, of endpoints at r, θ, z about both."""
         field, count = np.zeros(wave.shape, dtype=np.complex128), max(1, wave.size // AT_ONCE)
-        kinds = 2 * (self.shared[:, 0] == ACROSS) + self.of_last
-        for kind in range(4):
+        kinds = np.where(self.meeting, 4, 2 * (self.shared[:, 0] == ACROSS) + self.of_last)
+        for kind in range(5):
             rows = np.flatnonzero(kinds == kind)
             for some in np.array_split(rows, min(count, max(len(rows), 1))):
                 if len(some):
                     ends = (tuple(x[some] for x in source), tuple(x[some] for x in receiver))
-                    field[some] = _end_field(self.part(some), ends, kind % 2, kind >= 2, wave[some], at)
+                    part = self.part(some)
+                    if kind == 4:
+                        field[some] = _corner_field(part, ends, wave[some], at)
+                    else:
+                        field[some] = _end_field(part, ends, kind % 2, kind >= 2, wave[some], at)
         if self.between.size:
             towards = self._towards(source, receiver)
             field *= at.reflection(self.between)[:, None]
@@ -166,3 +192,24 @@ def _end_field(
     for i in range(2):
         weights[i] = weights[i] * share(roots[..., i])
     return pair.over_face(made, np.sqrt(legs), wave, rolled.length) * sides
+
+
+def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats, at: SceneResponse) -> Any:
+    """Compute the field (P, T, F) of paths over corners at which both edges of a face end.
+
+    Our own derivation: where both edges meet, the double integral of `double_transition` with a tie of 1 is a
+    convolution of two poles, ``E(a, b) = E(a + b)``. The corner takes away as much as an end of one edge of that root.
+    """
+    (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
+    edge_paths, beyond = pair.rolled_out((r_s, z_s), (r_r, z_r))
+    along = np.where(pair.over_end % 2 == 1, pair.lines.length[pair.edge], 0.0)[:, None]
+    inside = np.where(pair.over_end[:, None] % 2 == 1, along - edge_paths[0].apex, edge_paths[0].apex)
+    detour = end_detour(edge_paths[0], (r_s, z_s), beyond, np.broadcast_to(along, inside.shape))
+    root = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
+
+    def share(first: Floats, last: Floats, tie: Floats, wave: Floats) -> Any:
+        return end_transition(root[..., None] * np.sqrt(wave), (first + last)[..., None] * np.sqrt(wave))
+
+    made = pair.face_terms((t_s, t_r), (edge_paths[0].breadth, edge_paths[1].breadth), at)
+    field = pair.over_face(made, root, wave, edge_paths[0].length, share)
+    return -1.0 * pair.end_side[:, None, None] * field

@@ -14,10 +14,11 @@ from clsim.paths.vertices.edge_lengths import EdgeView, RolledOut
 from clsim.paths.vertices.edge_pair_events import EdgePairs, EdgePairSolver
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
+    from clsim.acoustics.diffraction import EdgePath
     from clsim.arrays import Floats
     from clsim.paths.arrivals import Kinematics
     from clsim.paths.family import Instant, Rows
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
     FaceTerms = tuple[Floats, list[Any], list[Any]]
+    Law = Callable[[Floats, Floats, Floats, Floats], Any]
 
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
@@ -126,9 +128,8 @@ class EdgePairVertex(EdgeVertex):
         terms by faces are left out have neither.
         """
         (r_s, t_s, z_s), (r_r, t_r, z_r) = source, receiver
-        beyond = self.beyond()
-        received, sent = (_ahead(*seen) for seen in (beyond[0](r_r, z_r), beyond[1](r_s, z_s)))
-        edge_paths = path_over_edge(r_s, z_s, *received), path_over_edge(r_r, z_r, *sent)
+        edge_paths, received = self.rolled_out((r_s, z_s), (r_r, z_r))
+        sent = _ahead(*self.beyond()[1](r_s, z_s))
         tie = double_tie(
             edge_paths[0],
             r_s * edge_paths[0].length / (r_s + received[0]),
@@ -136,6 +137,12 @@ class EdgePairVertex(EdgeVertex):
         )
         found = self.face_terms((t_s, t_r), (edge_paths[0].breadth, edge_paths[1].breadth), at)
         return self.over_face(found, tie, wave, edge_paths[0].length)
+
+    def rolled_out(self, source: Pair, receiver: Pair) -> tuple[tuple[EdgePath, EdgePath], Pair]:
+        """Paths over either edge to what is beyond the other one, and r and z of that for the first, (P, T) m."""
+        beyond = self.beyond()
+        received, sent = _ahead(*beyond[0](*receiver)), _ahead(*beyond[1](*source))
+        return (path_over_edge(*source, *received), path_over_edge(*receiver, *sent)), received
 
     def face_terms(self, angles: Pair, breadths: Pair, at: SceneResponse, own: int = -1) -> list[FaceTerms]:
         """Terms of both edges, from ends at angles (P, T); own: that of 0 and 1 whose sides its angles tell."""
@@ -147,13 +154,15 @@ class EdgePairVertex(EdgeVertex):
         columns = zip(edges, breadths, ((2, 3), (3, 2)), strict=True)
         return [self._terms(edge, breadth, by_face, at, i == own) for i, (edge, breadth, by_face) in enumerate(columns)]
 
-    def over_face(self, found: list[FaceTerms], tie: Floats, wave: Floats, length: Floats) -> Any:
+    def over_face(
+        self, found: list[FaceTerms], tie: Floats, wave: Floats, length: Floats, law: Law = double_transition
+    ) -> Any:
         """Field (P, T, F) of the products of terms, of paths of a length (P, T), m."""
         (first, before, _), (last, after, last_factors) = found
         field: Any = np.zeros(wave.shape, dtype=np.complex128)
         for i, weight in enumerate(before):
             for j, other in enumerate(after):
-                field += 0.25 * weight * other * double_transition(first[..., i], last[..., j], tie, wave)
+                field += 0.25 * weight * other * law(first[..., i], last[..., j], tie, wave)
         field /= length[..., None]
         both = 1.0 + np.where(self.shared[:, 1, None, None] == 1, last_factors[1], last_factors[0])
         twice = np.where((self.n < 1.0)[:, None], self.lit[:, :2], self.lit[:, 2:])

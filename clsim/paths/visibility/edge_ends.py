@@ -14,7 +14,7 @@ from clsim.acoustics.diffraction import EdgePath, lit_angles, path_over_edge
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
 from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
-from clsim.paths.visibility.edges import FAR, Course, beside_faces
+from clsim.paths.visibility.edges import FAR, MEETING, Course, beside_faces
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,7 +39,8 @@ def off_edges(edges: Edges, candidates: EdgeCandidates, seen: Floats, which: Row
     end, (one, other) = candidates.end[which], candidates.edge[which].T
     last, frames = (end >= OF_LAST)[:, None, None], (edges.frames[one], seen)
     mine, theirs = np.where(last, frames[1], frames[0]), np.where(last, frames[0], frames[1])
-    along = np.where(end % OF_LAST == 1, edges.length[np.where(end >= OF_LAST, other, one)], 0.0)
+    number = np.where(end >= MEETING, end // 2, end) % 2
+    along = np.where(number == 1, edges.length[np.where(end >= OF_LAST, other, one)], 0.0)
     place = mine[:, 0] + along[:, None] * mine[:, 3]
     return along, place, np.einsum("nai,ni->an", theirs[:, 1:], place - theirs[:, 0])
 

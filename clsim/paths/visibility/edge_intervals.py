@@ -83,7 +83,7 @@ class EdgeSearch:
 
     def visibility(self, candidates: EdgeCandidates) -> EdgeVisibility:
         """Make the test of whether candidates are there."""
-        if candidates.over_ends_of_pairs:
+        if candidates.over_ends_of_pairs and not candidates.over_meeting_edges:
             return EndVisibility.of(self.edges, candidates, self.query.walls)
         if np.any(candidates.face == ACROSS_AIR):
             return GapVisibility.of(self.edges, candidates, self.query.walls)
@@ -98,6 +98,10 @@ class EdgeSearch:
         receiver, evaluations = candidates.receiver, 0
         always = np.arange(len(candidates.edge)), self.query.first[receiver], self.query.last[receiver]
         row, begin, end = candidates.spans or always
+        if candidates.over_meeting_edges:
+            ahead, wanted = self.visibility(candidates).ahead, row.astype(np.int32)[:, None]
+            found = find_intervals(self.query, wanted, receiver[row], ahead, (begin, end))
+            return merged(row[found.path], found.begin, found.end, found.evaluations)
         across_air = bool(np.any(candidates.face == ACROSS_AIR))
         first = 2 if candidates.over_ends_of_pairs else 0  # their legs to endpoints are found before
         for side in range(first, 4 if across_air else 2):

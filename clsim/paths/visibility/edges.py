@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 FAR = 1e3  # sizes of the room
 SIDES = 2 * TERMS + 3  # of a path, see `EdgeVisibility.sides`
 ENDS_BESIDE = (SIDES - 2, SIDES - 1)  # those of its ends
+MEETING = 4  # number of the first end, and twice that of the second one, of edges that end at one corner
 NEAR_WRAP = 0.2 * np.pi  # from the middle of a wedge, where angles wrap: nearer to it they go on beyond it
 CONTRACTIONS = 100
 CONTRACTED = 1e-13  # s
@@ -63,12 +64,17 @@ class EdgeCandidates:
     after: NDArray[np.int32]  # (n, M) walls after the edge from the receiver's side
     edge: Rows  # (n, 2) of the room, from the source's side; the same twice for paths over one edge
     face: Rows  # (n, 2) of each both share, 0 or 1, its n-face; -1 for paths over one edge, `ACROSS_AIR` where none
-    end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself; of the second of two edges 2 and 3
+    end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself; of the second of two edges 2 and 3, of both `MEETING` on
     receiver: Rows  # (n,) to which
     between: NDArray[np.int32]  # (n, B) walls between two edges with air between, from the first one's side
     spans: tuple[Rows, Floats, Floats] | None = (
         None  # rows, and from and up to when these may be there, s; None: always
     )
+
+    @property
+    def over_meeting_edges(self) -> bool:
+        """Whether these are paths over corners at which two edges of a face end."""
+        return bool(np.any(self.end >= MEETING))
 
     @property
     def over_ends_of_pairs(self) -> bool:
@@ -127,7 +133,8 @@ class EdgeVisibility:
         requested, tables, edges = self.candidates, query.trajectory_tables, self.edges
         row, source = requested.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
         (one, other), end = requested.edge[which].T, requested.end[which]
-        over_end, ends = (end >= 0) & (one == other), end * edges.length[one]
+        over_end = (end >= 0) & (one == other) | (end >= MEETING)
+        ends = end % 2 * edges.length[one], np.where(end >= MEETING, end // 2, end) % 2 * edges.length[other]
         at = tables.lifted(row, tables.position(row, time) + PERTURBATIONS[1])
         r_r, t_r, z_r = edges.cylindrical(other, imaged(query.walls, requested.after[which], at))
         delay = np.zeros(len(which))
@@ -135,13 +142,13 @@ class EdgeVisibility:
             emitted_at = tables.lifted(source, tables.position(source, time - delay) + PERTURBATIONS[0])
             r_s, t_s, z_s = edges.cylindrical(one, imaged(query.walls, requested.before[which], emitted_at))
             course = self.course(which, (r_s, z_s), (r_r, z_r))
-            by_end = np.hypot(r_s, ends - z_s) + np.hypot(r_r, ends - z_r)
+            by_end = np.hypot(r_s, ends[0] - z_s) + np.hypot(r_r, ends[1] - z_r)
             length = np.where(over_end, by_end, course.edge_paths[0].length)
             later = query.medium.passage(length, at - emitted_at).time - delay
             delay += later
             if not np.any(np.abs(later) > CONTRACTED):
                 break
-        places = tuple(np.where(over_end, ends, w.apex) for w in course.edge_paths)
+        places = tuple(np.where(over_end, x, w.apex) for x, w in zip(ends, course.edge_paths, strict=True))
         late, emission_time = query.time_dilation[requested.receiver[which]], time - delay
         reach = np.maximum(
             half * late * tables.speed_over(source, emission_time - late * half, emission_time + late * half),
@@ -202,6 +209,14 @@ class EdgeVisibility:
         ratio[rows] = np.where(free, np.minimum(ratio[rows], sure), sure)
         return valid, ratio * stance.reach, stance.reach
 
+    def ahead(
+        self, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
+    ) -> tuple[Bools, Floats, Floats]:
+        """Test if either end is beyond the other one's edge, rolled out; the rest is as of `evaluate`."""
+        stance = self.stance(query, sequence[:, 0].astype(np.int64), time, half)
+        off = np.minimum(*stance.course.across)
+        return off >= 0.0, np.abs(off), stance.reach
+
     def sides(
         self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats
     ) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
@@ -229,7 +244,7 @@ class EdgeVisibility:
         beside, passed = beside_faces(self.edges.n[requested.edge[which].T], np.stack(stance.angles))
         sure &= np.all(passed > np.stack([turn, other_turn]), axis=0)
         apex = stance.course.edge_paths[0].apex
-        inside = np.where(end == 0, apex, self.edges.length[one] - apex)
+        inside = np.where(end % 2 == 0, apex, self.edges.length[one] - apex)
         over_end = self.slides(stance, 0, np.full(len(end), -1), query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
         margins = [np.abs(angles).min(axis=1), passed.min(axis=0), np.where(double, np.abs(others).min(axis=1), np.inf)]
