@@ -183,22 +183,22 @@ class _Sight:
         half = 0.5 * np.pi * edges.n[self._edge]
         off = np.cos(half)[:, None] * edges.across[self._edge] + np.sin(half)[:, None] * edges.out[self._edge]
         place = edges.start[self._edge] + z[:, None] * edges.along[self._edge] + r[:, None] * off
+        late = r / finder.query.medium.speed_of_sound * ((self._end >= 0) & (row == 0))  # from ends to what is beyond
         query, last = finder.query, float(finder.query.last.max(initial=0.0))
         span = (-longest, last) if row == 0 else (float(query.first[row - 1]), float(query.last[row - 1]))
         asked = replace(
             query, trajectory_tables=with_points(query.trajectory_tables, row, place),
-            medium=query.medium if row == 0 else _AT_ONCE, first=np.full(len(some), span[0]),
-            last=np.full(len(some), span[1]),
+            medium=query.medium if row == 0 else _AT_ONCE, first=np.full(len(some), span[0]), last=span[1] + late,
         )  # fmt: skip
         device = None if finder.device is None else finder.device.asked(asked)
         self._finder = replace(finder, query=asked, device=device)
-        self._seen = [self._found(sides, n, r / query.medium.speed_of_sound) for n in range(order + 1)]
+        self._seen = [self._found(sides, n, late) for n in range(order + 1)]
 
     def __getitem__(self, count: int) -> _Seen:
         return self._seen[count]
 
     def _found(self, sides: Sides, count: int, late: Floats) -> _Seen:
-        """Find when each request is seen by so many walls; late: from an end to the place beyond it (q,), s."""
+        """Find when each request is seen by so many walls, and `late` (q,) before, s."""
         walls, edges, parts = self._finder.query.walls, self._finder.edges, [np.empty((0, count), dtype=np.int32)]
         for edge, end in zip(self._edge.tolist(), self._end.tolist(), strict=True):
             sequence = sides[edge][count]
@@ -213,9 +213,8 @@ class _Sight:
         )  # fmt: skip
         found = self._finder.find(wanted, 0)
         request = request[found.path]
-        early = np.where((self._end[request] >= 0) & (self._finder.query.medium is not _AT_ONCE), late[request], 0.0)
         first = np.searchsorted(request, np.arange(len(parts)))
-        return _Seen(first, sequence[found.path], found.begin - early, found.end - early)
+        return _Seen(first, sequence[found.path], found.begin - late[request], found.end - late[request])
 
 
 def _joined(
