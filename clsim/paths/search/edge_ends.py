@@ -7,7 +7,7 @@ receiver. A path is active while both are, later by what sound takes from the en
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -227,9 +227,7 @@ def _joined(
     which, j = spread(after.first, theirs[way])
     way, i = some[way[which]], i[which]
     receiver = np.full(len(way), sights[1].row - 1)
-    found = replace(
-        _part(ways, way), before=before.sequence[i], after=after.sequence[j], receiver=receiver
-    )
+    found = replace(_part(ways, way), before=before.sequence[i], after=after.sequence[j], receiver=receiver)
     begin, end = (_received(finder, found, times) for times in (before.begin[i], before.end[i]))
     begin, end = np.maximum(begin, after.begin[j]), np.minimum(end, after.end[j])
     kept = np.flatnonzero(begin < end)

@@ -14,8 +14,8 @@ from clsim.acoustics.diffraction import (
     path_over_edge,
     transition,
 )
+from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, LEAVING, GapPairVertex, product_of_terms, terms_of
 from clsim.paths.visibility.edges import MEETING
-from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, GapPairVertex, LEAVING, product_of_terms, terms_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -109,14 +109,13 @@ class EdgeEndVertex(GapPairVertex):
         kinds = np.where(self.meeting, 4, 2 * (self.shared[:, 0] == ACROSS) + self.of_last)
         for kind in range(5):
             rows = np.flatnonzero(kinds == kind)
-            for some in np.array_split(rows, min(count, max(len(rows), 1))):
-                if len(some):
-                    ends = (tuple(x[some] for x in source), tuple(x[some] for x in receiver))
-                    part = self.part(some)
-                    if kind == 4:
-                        field[some] = _corner_field(part, ends, wave[some], at)
-                    else:
-                        field[some] = _end_field(part, ends, kind % 2, kind >= 2, wave[some], at)
+            for some in np.array_split(rows, min(count, len(rows))) if len(rows) else ():
+                part: Any = self.part(some)
+                ends: Any = tuple(tuple(x[some] for x in end_at) for end_at in (source, receiver))
+                if kind == 4:
+                    field[some] = _corner_field(part, ends, wave[some], at)
+                else:
+                    field[some] = _end_field(part, ends, kind % 2, kind >= 2, wave[some], at)
         if self.between.size:
             towards = self._towards(source, receiver)
             field *= at.reflection(self.between)[:, None]
@@ -128,7 +127,7 @@ class EdgeEndVertex(GapPairVertex):
         first, last = self.met(source[::2], receiver[::2])[0]
         away = self.seen[:, None, 0] + last[..., None] * self.seen[:, None, 3] - self.frame[:, None, 0]
         away = away - first[..., None] * self.frame[:, None, 3]
-        return np.asarray(away / np.linalg.norm(away, axis=-1, keepdims=True))
+        return np.asarray(away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), ON_LINE))
 
 
 ACROSS = 2  # of `shared`
@@ -163,7 +162,7 @@ def _end_field(
     whole = leg + way.length
     inside = np.where(pair.over_end[:, None] % OF_LAST == 1, along - rolled.apex, rolled.apex)
     detour = end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
-    root = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
+    root: Any = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
     scale = np.sqrt(wave)
 
     def share(term: Floats) -> Any:
@@ -205,7 +204,7 @@ def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats
     along = np.where(pair.over_end % 2 == 1, pair.lines.length[pair.edge], 0.0)[:, None]
     inside = np.where(pair.over_end[:, None] % 2 == 1, along - edge_paths[0].apex, edge_paths[0].apex)
     detour = end_detour(edge_paths[0], (r_s, z_s), beyond, np.broadcast_to(along, inside.shape))
-    root = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
+    root: Any = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
 
     def share(first: Floats, last: Floats, tie: Floats, wave: Floats) -> Any:
         return end_transition(root[..., None] * np.sqrt(wave), (first + last)[..., None] * np.sqrt(wave))

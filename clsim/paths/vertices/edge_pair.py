@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from clsim.scene.scene import Scene
 
     FaceTerms = tuple[Floats, list[Any], list[Any]]
-    Law = Callable[[Floats, Floats, Floats, Floats], Any]
+    Law = Callable[[Any, Any, Any, Any], Any]
 
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
@@ -164,7 +164,7 @@ class EdgePairVertex(EdgeVertex):
             for j, other in enumerate(after):
                 field += 0.25 * weight * other * law(first[..., i], last[..., j], tie, wave)
         field /= length[..., None]
-        both = 1.0 + np.where(self.shared[:, 1, None, None] == 1, last_factors[1], last_factors[0])
+        both: Any = 1.0 + np.where(self.shared[:, 1, None, None] == 1, last_factors[1], last_factors[0])
         twice = np.where((self.n < 1.0)[:, None], self.lit[:, :2], self.lit[:, 2:])
         both = np.where(np.any(twice, axis=1)[:, None, None], both, 1.0)
         return field / np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
@@ -179,7 +179,7 @@ class EdgePairVertex(EdgeVertex):
         """
         n, came, went, lit, faces = edge
         angles = lit_angles(n[:, None], came, went)
-        sides = np.where(angles < 0.0, -1, 1) * np.abs(lit)[:, None] if own else lit[:, None]
+        sides: Any = np.where(angles < 0.0, -1, 1) * np.abs(lit)[:, None] if own else lit[:, None]
         weight, root = wedge_terms(n[:, None], angles, sides)
         factors = [
             face_factor(walls, np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape), at) for walls in faces.T

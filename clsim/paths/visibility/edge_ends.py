@@ -1,6 +1,6 @@
 """Validity of paths over an edge and an end of another edge at an instant, and how far ends may move before it changes.
 
-The end rests, so that only the place on the other edge slides: as that of a path over one edge from an endpoint at rest.
+The end rests, so that only the place on the other edge slides, as if the path began at rest there.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def off_edges(edges: Edges, candidates: EdgeCandidates, seen: Floats, which: Row
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndVisibility(GapVisibility):
-    """Tells of candidates over an edge and an end of another one whether they are there, and which partners are seen."""
+    """Tells of candidates over an edge and an end of another whether they are there, and which partners are seen."""
 
     @staticmethod
     def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> EndVisibility:
@@ -127,7 +127,7 @@ class EndVisibility(GapVisibility):
         )  # fmt: skip
 
     def _inside(self, stance: EdgeStance, which: Rows, size: float) -> tuple[Floats, Floats]:
-        """How far (n,) the path over both edges is inside the end, as a difference of cosines, and its change at most."""
+        """How far (n,) paths over both edges are inside the end, as a difference of cosines, and its change at most."""
         crossing, (last, *_), no_end = stance.course.crossing, self._ended(which), np.full(len(which), -1)
         assert crossing is not None
         frames = np.where(last[:, None], self.gap(which).last[:, 3], self.gap(which).first[:, 3])

@@ -64,7 +64,8 @@ class EdgeCandidates:
     after: NDArray[np.int32]  # (n, M) walls after the edge from the receiver's side
     edge: Rows  # (n, 2) of the room, from the source's side; the same twice for paths over one edge
     face: Rows  # (n, 2) of each both share, 0 or 1, its n-face; -1 for paths over one edge, `ACROSS_AIR` where none
-    end: Rows  # (n,) 0 for its start, 1 for its stop, -1 for the edge itself; of the second of two edges 2 and 3, of both `MEETING` on
+    # (n,) 0 for its start, 1 for its stop, -1 for the edge itself; of the second of two 2 and 3, of both `MEETING` on
+    end: Rows
     receiver: Rows  # (n,) to which
     between: NDArray[np.int32]  # (n, B) walls between two edges with air between, from the first one's side
     spans: tuple[Rows, Floats, Floats] | None = (
