@@ -88,8 +88,6 @@ def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
             continue
         ends = group[over_ends[group]]
         for number in np.unique(events.family[ends]).tolist():
-            if isinstance(chains[number].vertex, EdgeEndVertex):
-                continue  # the field depends on the sides of terms at the other edge alone
             mine = ends[events.family[ends] == number]
             links, rows = chains[number].links(events.row[mine]), events.row[mine]
             lit, corner = columns.setdefault(
@@ -179,10 +177,11 @@ class _Events:
         return len(sequences)
 
     def over_edges(self, ends: bool) -> NDArray[np.bool_]:
-        """Mask (n,) of events of paths over ends of edges of the room, or over edges themselves."""
+        """Mask (n,) of events of paths over ends of edges of the room, or over edges themselves; of none over both."""
         over = np.zeros(len(self.time), dtype=bool)
         for number, chain in enumerate(self.chains):
-            if isinstance(chain.vertex, EdgeVertex) and not chain.legs[0].moving:
+            single = isinstance(chain.vertex, EdgeVertex) and not isinstance(chain.vertex, EdgeEndVertex)
+            if single and not chain.legs[0].moving:
                 mine = self.family == number
                 over[mine] = (chain.vertex.over_end[self.row[mine]] >= 0) == ends
         return over
