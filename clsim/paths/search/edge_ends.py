@@ -7,6 +7,7 @@ receiver. A path is active while both are, later by what sound takes from the en
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ from clsim.paths.search.gap_parts import open_gaps
 from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
 from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
-from clsim.paths.visibility.edge_ends import off_edges
+from clsim.paths.visibility.edge_ends import end_levels, off_edges
 from clsim.paths.visibility.edge_gaps import seen_frames
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, MEETING, EdgeCandidates, imaged
 
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
+_QUIET = 5e-4  # pressure over that in free air: paths that stay below it are left out
+_LOOKED_AT = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
 
@@ -51,14 +54,18 @@ def end_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, 
 
     others: paths without edges, over one and over two, whose times are taken as by `double_edge_paths`.
     """
-    rows, order, within = rows_of(scene, search, others, end_candidates)
+    lowest = min((source.emitted.centre_frequency for source in scene.sources), default=0.0)
+    wave = 2.0 * np.pi * lowest / scene.air.speed_of_sound
+    rows, order, within = rows_of(scene, search, others, partial(end_candidates, wave=wave))
     return with_swaps(end_chain(scene, order, rows), within)
 
 
 def end_candidates(
-    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
+    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float, wave: float
 ) -> Iterator[tuple[float, EdgeCandidates]]:
     """Yield candidates over an edge and an end of another one, with the times of both sides, and the share of the work.
+
+    wave: wave number at which those that stay below `_QUIET` are left out, 1/m.
 
     sides, reached, longest: see `gap_candidates`.
     """
@@ -75,6 +82,7 @@ def end_candidates(
                 some = np.flatnonzero(least + n + m <= order)
                 for receiver in range(1, len(movers)) if len(some) else ():
                     found = _joined(finder, ways, some, (sights[0], sights[receiver]), (n, m))
+                    found = _loud(finder, found, wave)
                     if len(found.edge):
                         yield count / (order + 2), found
 
@@ -231,6 +239,17 @@ def _joined(
     begin, end = (_received(finder, found, times) for times in (before.begin[i], before.end[i]))
     begin, end = np.maximum(begin, after.begin[j]), np.minimum(end, after.end[j])
     kept = np.flatnonzero(begin < end)
+    return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
+
+
+def _loud(finder: EdgeSearch, found: EdgeCandidates, wave: float) -> EdgeCandidates:
+    """Return candidates without those that are quiet at some times of theirs."""
+    assert found.spans is not None
+    every, begin, end = found.spans
+    seen, loudest = finder.visibility(found), np.zeros(len(every))
+    for share in _LOOKED_AT if len(every) else ():
+        loudest = np.maximum(loudest, end_levels(seen, finder.query, every, begin + share * (end - begin), wave))
+    kept = np.flatnonzero(loudest > _QUIET)
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 

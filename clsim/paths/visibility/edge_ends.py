@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.diffraction import EdgePath, lit_angles, path_over_edge
+from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge, wedge_terms
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
 from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
-    from clsim.paths.visibility.edges import EdgeCandidates, EdgeStance, End
+    from clsim.paths.visibility.edges import EdgeCandidates, EdgeStance, EdgeVisibility, End
     from clsim.paths.visibility.intervals import VisibilityQuery
     from clsim.scene.room.edges import Edges
     from clsim.scene.room.walls import Walls
@@ -138,3 +138,48 @@ class EndVisibility(GapVisibility):
         moved = stance.reach, np.where(last, *(self.slides(stance, edge, no_end, size) for edge in (0, 1)))
         change = [m / np.maximum(leg - m, _LEAST) for m, leg in zip(moved, legs, strict=True)]
         return np.where(self.candidates.end[which] % OF_LAST == 1, slope, -slope), change[0] + change[1]
+
+
+def end_levels(seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float) -> Floats:
+    """Estimate the pressure (n,) of paths over ends at times (n,) over that in free air, at a wave number, 1/m.
+
+    Magnitudes of all terms add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
+    """
+    still = np.zeros(len(which))
+    stance, (one, other) = seen.stance(query, which, time, still), seen.candidates.edge[which].T
+    (ahead, back), _ = seen.between(stance, which, (still, still))
+    crossing, last = stance.course.crossing, seen.candidates.end[which] >= OF_LAST
+    off = [place - height for place, height in zip(stance.places, stance.heights, strict=True)]
+    legs = [np.hypot(r, z) for r, z in zip(stance.distances, off, strict=True)]
+    if crossing is None:
+        between, shortest, tie = still, stance.course.edge_paths[0].length, np.ones(len(which))
+    else:
+        between = crossing.legs[1]
+        beyond = between + np.where(last, *legs)
+        far = [np.where(last, x[1], x[0]) for x in (stance.distances, off)]
+        frames = np.where(last[:, None], seen.gap(which).last[:, 3], seen.gap(which).first[:, 3])
+        slope = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / between
+        shortest = np.hypot(far[0] + np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * beyond, far[1] + slope * beyond)
+        tie = np.sqrt(legs[0] * legs[1] / ((legs[0] + between) * (between + legs[1])))
+    whole = legs[0] + between + legs[1]
+    angles = lit_angles(seen.edges.n[one], stance.angles[0], ahead), lit_angles(seen.edges.n[other], back,
+                                                                               stance.angles[1])  # fmt: skip
+    roots, weights = [], []
+    for n, angle, r, leg in zip((seen.edges.n[one], seen.edges.n[other]), angles, stance.distances, legs, strict=True):
+        weight, root = wedge_terms(n, angle)
+        roots.append(root * np.sqrt(2.0 * wave * leg * (whole - leg) / whole)[:, None] * (r / leg)[:, None])
+        weights.append(np.abs(weight))
+    end, total = np.sqrt(wave * np.maximum(whole - shortest, 0.0)), np.zeros(len(which))
+    for i, j in np.ndindex(TERMS, TERMS):
+        a, b = roots[0][:, i], roots[1][:, j]
+        of_end = a + b if crossing is None else np.where(last, b, a)
+        near = of_end * (of_end + 0.6)
+        share = 0.5 * _fall(end) * near / (near + end**2 + 1e-9)
+        both = _fall(np.maximum(a, b)) * _fall(np.minimum(a, b) * np.sqrt(np.maximum(1.0 - tie**2, 0.0)))
+        total += 0.25 * weights[0][:, i] * weights[1][:, j] * share * both
+    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1)
+    return np.asarray(total * apart / shortest)
+
+
+def _fall(root: Floats) -> Floats:
+    return np.asarray(1.0 / np.sqrt(1.0 + np.pi * root**2))
