@@ -18,7 +18,7 @@ from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_chains import end_chain, with_swaps
 from clsim.paths.search.edge_gaps import apart, between_edges
 from clsim.paths.search.edges import in_planes, rows_of
-from clsim.paths.search.gap_parts import open_gaps
+from clsim.paths.search.gap_parts import PARTS, legs_open, open_gaps
 from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
 from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
-_QUIET = 5e-4  # pressure over that in free air: paths that stay below it are left out
+_QUIET = 1e-3  # pressure over that in free air: paths that stay below it are left out
 _LOOKED_AT = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
@@ -113,7 +113,27 @@ def _ways(finder: EdgeSearch, reached: Reached, order: int) -> Iterator[EdgeCand
         free = gaps.fans[0].free  # of the parts that the ends are ends of
         of_end = np.stack([free[:, 0].any(axis=1), free[:, -1].any(axis=1), free[..., 0].any(axis=1),
                            free[..., -1].any(axis=1)])  # fmt: skip
-        yield _part(ways, np.flatnonzero(of_end[ways.end, ways.receiver]))
+        ways = _part(ways, np.flatnonzero(of_end[ways.end, ways.receiver]))
+        yield _part(ways, np.flatnonzero(_may_be_seen(finder, ways)))
+
+
+def _may_be_seen(finder: EdgeSearch, ways: EdgeCandidates) -> NDArray[np.bool_]:
+    """Mask of ways (n,) across air with an end from which some of the other edge may be seen."""
+    edges, walls, count = finder.edges, finder.query.walls, len(ways.edge)
+    last, seen = ways.end >= OF_LAST, np.zeros(count, dtype=bool)
+    (mine, _), (theirs, _) = _ended(ways)
+    place = np.where((ways.end % OF_LAST == 1)[:, None], edges.stop[mine], edges.start[mine])
+    onto = np.where(last[:, None], ways.between, ways.between[:, ::-1])  # from the other edge to the end
+    rows = np.flatnonzero(~in_planes(walls, place, onto).any(axis=1))
+    share = np.linspace(0.0, 1.0, PARTS + 1)
+    for i in range(PARTS):
+        left = rows[~seen[rows]]
+        part = np.stack([edges.start[theirs[left]] + (x * edges.length[theirs[left]])[:, None] * edges.along[theirs[left]]
+                         for x in share[i : i + 2]], axis=1)  # fmt: skip
+        seen[left] = legs_open(walls, onto[left], part, place[left, None])
+    hidden = np.ones(count, dtype=bool)
+    hidden[rows] = ~seen[rows]
+    return ~hidden
 
 
 def _meeting(finder: EdgeSearch, pair: Rows, face: Rows) -> EdgeCandidates:

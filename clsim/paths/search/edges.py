@@ -183,8 +183,8 @@ def _may_reach(
 
 
 def in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Mask of walls of sequences (n, N) in whose plane a place (3,) lies, as seen by the walls behind each."""
-    found, seen = np.zeros(sequence.shape, dtype=bool), np.tile(place, (len(sequence), 1))
+    """Mask of walls of sequences (n, N) in whose plane places (3,) or (n, 3) lie, as seen by the walls behind each."""
+    found, seen = np.zeros(sequence.shape, dtype=bool), np.broadcast_to(place, (len(sequence), 3))
     for k in range(sequence.shape[1] - 1, -1, -1):
         wall = sequence[:, k]
         height = np.einsum("ni,ni->n", seen, walls.normal[wall]) - walls.offset[wall]
