@@ -138,27 +138,32 @@ def box(size: tuple[float, float, float]) -> tuple[list[Edge], list[Face]]:
 
 
 def field_of_both(
-    edges: tuple[Edge, Edge], ends: tuple[np.ndarray, np.ndarray], k: float, near: tuple[float, float], within: float
-) -> complex:
+    edges: tuple[Edge, Edge], ends: tuple[np.ndarray, np.ndarray], k: float, near: tuple[float, float], within: float,
+    stops: tuple[float, float] = (np.inf, np.inf),
+) -> complex:  # fmt: skip
     """Return the field over two edges that see each other, by one integral along both of them.
 
-    Places farther than `within` from those given on either edge fade out, as if edges went on for ever. Each end must
-    be in the shadow of the edge that is not next to it: elsewhere the integrand has a pole.
+    Places farther than `within` from those given on either edge fade out, as if edges went on for ever; `stops` are the
+    places at which they do not. Each end must be in the shadow of the edge that is not next to it: elsewhere the
+    integrand has a pole.
     """
     x, w = np.polynomial.legendre.leggauss(_POINTS)
-    borders = np.linspace(-1.0, 1.0, _BOTH_PANELS + 1)
-    share = (borders[:-1, None] + (x + 1.0) / _BOTH_PANELS).ravel()
-    off = np.clip(2.0 * np.abs(share) - 1.0, 0.002, 0.998)
-    weight = within * np.tile(w, _BOTH_PANELS) / _BOTH_PANELS / (1.0 + np.exp(1.0 / (1.0 - off) - 1.0 / off))
+    shares, weights = [], []
+    for place, stop in zip(near, stops, strict=True):
+        last = min(1.0, (stop - place) / within)
+        half = 0.5 * (last + 1.0) / _BOTH_PANELS
+        share = (np.linspace(-1.0, last, _BOTH_PANELS + 1)[:-1, None] + half * (x + 1.0)).ravel()
+        shares.append(share)
+        weights.append(within * half * np.tile(w, _BOTH_PANELS) * _faded(np.abs(share)))
     seen = [edge.cylindrical(end) for edge, end in zip(edges, ends, strict=True)]
     units = [(edge.stop - edge.start) / np.linalg.norm(edge.stop - edge.start) for edge in edges]
-    along = [place + within * share for place in near]
+    along = [place + within * share for place, share in zip(near, shares, strict=True)]
     places = [edge.start + z[:, None] * unit for edge, z, unit in zip(edges, along, units, strict=True)]
     total = 0.0j
-    for z, place, scale in zip(along[0], places[0], weight, strict=True):
+    for z, place, scale in zip(along[0], places[0], weights[0], strict=True):
         apart = np.linalg.norm(places[1] - place, axis=1)
-        product, way = scale * weight / apart, apart.copy()
-        for i, (at, away) in enumerate(((np.full(len(share), z), places[1]), (along[1], place))):
+        product, way = scale * weights[1] / apart, apart.copy()
+        for i, (at, away) in enumerate(((np.full(len(apart), z), places[1]), (along[1], place))):
             (r, angle, height), edge = seen[i], edges[i]
             x_y = np.moveaxis(away - edge.start, -1, 0)
             across, out, up = (np.tensordot(axis, x_y, 1) for axis in (edge.across, edge.out, units[i]))
@@ -170,6 +175,40 @@ def field_of_both(
             product, way = product / leg, way + leg
         total += np.sum(product * np.exp(-1j * k * way))
     return complex(total)
+
+
+def _faded(share: np.ndarray) -> np.ndarray:
+    """Return what is left of places at shares (n,) of the way to where edges are gone: all up to one half."""
+    off = np.clip(2.0 * share - 1.0, 0.002, 0.998)
+    return np.asarray(1.0 / (1.0 + np.exp(1.0 / (1.0 - off) - 1.0 / off)))
+
+
+def field_of_meeting(
+    edges: tuple[Edge, Edge], ends: tuple[np.ndarray, np.ndarray], faces: tuple[float, float], k: float, within: float
+) -> complex:
+    """Return the field over two edges of one face that begin at one corner, by one integral along both of them.
+
+    `faces` are the angles at which either edge sees the face. With places at r (1 - t) and r t on the edges the distance
+    between them is in proportion to r, as is the surface element. Along a face edges send twice what half of it does.
+    """
+    x, w = np.polynomial.legendre.leggauss(_POINTS)
+    share = ((np.arange(2 * _BOTH_PANELS)[:, None] + 0.5 * (x + 1.0)) / (2 * _BOTH_PANELS)).ravel()
+    weight = 0.5 * np.tile(w, 2 * _BOTH_PANELS) / (2 * _BOTH_PANELS)
+    r, turn, on_r = 2.0 * within * share[:, None], share[::2], 2.0 * within * weight
+    along, total = (r * (1.0 - turn), r * turn), np.outer(on_r * r[:, 0], 2.0 * weight[::2])
+    units = [(edge.stop - edge.start) / np.linalg.norm(edge.stop - edge.start) for edge in edges]
+    places = [edges[i].start + along[i][..., None] * units[i] for i in (0, 1)]
+    apart = np.linalg.norm(places[1] - places[0], axis=-1)
+    total, way = total / apart, apart
+    for i, edge in enumerate(edges):
+        (radius, angle, height), away = edge.cylindrical(ends[i]), places[1 - i] - edge.start
+        up = away @ units[i]
+        off = np.sqrt(np.maximum(np.sum(away**2, axis=-1) - up**2, 1e-30))
+        eta = np.arcsinh((along[i] - height) / radius) + np.arcsinh((along[i] - up) / off)
+        leg = np.hypot(radius, along[i] - height)
+        total = total * _directivity(edge.wedge, angle, np.array(faces[i]), eta) / leg * _faded(along[i] / within)
+        way = way + leg
+    return complex(0.5 * np.sum(total * np.exp(-1j * k * way)))
 
 
 def _directivity(wedge: float, one: float, other: np.ndarray, eta: np.ndarray) -> np.ndarray:

@@ -128,8 +128,8 @@ def _may_be_seen(finder: EdgeSearch, ways: EdgeCandidates) -> NDArray[np.bool_]:
     share = np.linspace(0.0, 1.0, PARTS + 1)
     for i in range(PARTS):
         left = rows[~seen[rows]]
-        part = np.stack([edges.start[theirs[left]] + (x * edges.length[theirs[left]])[:, None] * edges.along[theirs[left]]
-                         for x in share[i : i + 2]], axis=1)  # fmt: skip
+        start, stop = (x[theirs[left], None] for x in (edges.start, edges.stop))
+        part = start + share[None, i : i + 2, None] * (stop - start)
         seen[left] = legs_open(walls, onto[left], part, place[left, None])
     hidden = np.ones(count, dtype=bool)
     hidden[rows] = ~seen[rows]
