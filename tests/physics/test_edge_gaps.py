@@ -292,7 +292,9 @@ def test_a_slow_board_is_the_room_as_it_is(measured: Callable[..., float]) -> No
     paths = clsim.find_paths(scene, 0, diffraction=2)
     for time, one in zip(times, field(paths, times, TONE), strict=True):
         still = as_it_is(scene, float(time) - 2.7 / C)
-        there = field(clsim.find_paths(still, 0, diffraction=2), np.array([0.05]), TONE)[0]
+        room = clsim.find_paths(still, 0, diffraction=2)
+        kept = tuple(f for f in room.families if f.kind != "static edge and end")  # bodies have no such paths
+        there = field(PathSet(still, kept), np.array([0.05]), TONE)[0]
         error = decibels(one - there) + 20.0 * np.log10(3.7)
         assert measured("a board that moves at 5 mm/s", "the room as it is", error, -88.0) < -88.0, time
 
