@@ -178,7 +178,7 @@ def field_of_both(
 
 
 def _faded(share: np.ndarray) -> np.ndarray:
-    """Return what is left of places at shares (n,) of the way to where edges are gone: all up to one half."""
+    """Return weights (n,) of places by their distance over that at which edges have faded out: 1 up to one half."""
     off = np.clip(2.0 * share - 1.0, 0.002, 0.998)
     return np.asarray(1.0 / (1.0 + np.exp(1.0 / (1.0 - off) - 1.0 / off)))
 

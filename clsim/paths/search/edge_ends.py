@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
 _QUIET = 1e-3  # pressure over that in free air: paths that stay below it are left out
-_LOOKED_AT = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
+_SAMPLED = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
 
@@ -71,29 +71,29 @@ def end_candidates(
     """
     movers, edges = [sides[0], *sides[1]], finder.edges
     fewest = adjacent_reflections(edges.n).min(axis=1)
-    for count, ways in enumerate(_ways(finder, reached, order)):
-        ways = _part(ways, np.flatnonzero(ways.between.shape[1] + fewest[ways.edge].sum(axis=1) <= order))
-        if not len(ways.edge):
+    for count, routes in enumerate(_routes(finder, reached, order)):
+        routes = _part(routes, np.flatnonzero(routes.between.shape[1] + fewest[routes.edge].sum(axis=1) <= order))
+        if not len(routes.edge):
             continue
-        least = ways.between.shape[1] + fewest[ways.edge].sum(axis=1)
-        sights = [_Sight(finder, row, mover, ways, order, longest) for row, mover in enumerate(movers)]
+        least = routes.between.shape[1] + fewest[routes.edge].sum(axis=1)
+        sights = [_Sight(finder, row, mover, routes, order, longest) for row, mover in enumerate(movers)]
         for n in range(order + 1):
             for m in range(order + 1 - n):
                 some = np.flatnonzero(least + n + m <= order)
                 for receiver in range(1, len(movers)) if len(some) else ():
-                    found = _joined(finder, ways, some, (sights[0], sights[receiver]), (n, m))
-                    found = _loud(finder, found, wave)
+                    found = _joined(finder, routes, some, (sights[0], sights[receiver]), (n, m))
+                    found = _audible_ones(finder, found, wave)
                     if len(found.edge):
                         yield count / (order + 2), found
 
 
-def _part(ways: EdgeCandidates, rows: Rows) -> EdgeCandidates:
+def _part(routes: EdgeCandidates, rows: Rows) -> EdgeCandidates:
     names = "before", "after", "edge", "face", "end", "receiver", "between"
-    return EdgeCandidates(**{name: getattr(ways, name)[rows] for name in names})
+    return EdgeCandidates(**{name: getattr(routes, name)[rows] for name in names})
 
 
-def _ways(finder: EdgeSearch, reached: Reached, order: int) -> Iterator[EdgeCandidates]:
-    """Yield ways without sides: over faces that edges share, and across air by 0, 1, … walls."""
+def _routes(finder: EdgeSearch, reached: Reached, order: int) -> Iterator[EdgeCandidates]:
+    """Yield routes without sides: over faces that edges share, and across air by 0, 1, … walls."""
     edges, near = finder.edges, _NEAR * finder.query.walls.size
     pair, face = edges.pairs()
     over_faces = _with_ends(finder, pair, face, np.empty((len(pair), 0), dtype=np.int32))
@@ -109,21 +109,21 @@ def _ways(finder: EdgeSearch, reached: Reached, order: int) -> Iterator[EdgeCand
     from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)] if len(pairs) else []
     for count in range(order + 1) if len(pairs) else ():
         gaps = open_gaps(finder.query.walls, edges, *between_edges(pairs, from_edge, count))
-        ways = _with_ends(finder, gaps.pair, np.full(gaps.pair.shape, ACROSS_AIR), gaps.walls)
+        routes = _with_ends(finder, gaps.pair, np.full(gaps.pair.shape, ACROSS_AIR), gaps.walls)
         free = gaps.fans[0].free  # of the parts that the ends are ends of
         of_end = np.stack([free[:, 0].any(axis=1), free[:, -1].any(axis=1), free[..., 0].any(axis=1),
                            free[..., -1].any(axis=1)])  # fmt: skip
-        ways = _part(ways, np.flatnonzero(of_end[ways.end, ways.receiver]))
-        yield _part(ways, np.flatnonzero(_may_be_seen(finder, ways)))
+        routes = _part(routes, np.flatnonzero(of_end[routes.end, routes.receiver]))
+        yield _part(routes, np.flatnonzero(_may_be_seen(finder, routes)))
 
 
-def _may_be_seen(finder: EdgeSearch, ways: EdgeCandidates) -> NDArray[np.bool_]:
-    """Mask of ways (n,) across air with an end from which some of the other edge may be seen."""
-    edges, walls, count = finder.edges, finder.query.walls, len(ways.edge)
-    last, seen = ways.end >= OF_LAST, np.zeros(count, dtype=bool)
-    (mine, _), (theirs, _) = _ended(ways)
-    place = np.where((ways.end % OF_LAST == 1)[:, None], edges.stop[mine], edges.start[mine])
-    onto = np.where(last[:, None], ways.between, ways.between[:, ::-1])  # from the other edge to the end
+def _may_be_seen(finder: EdgeSearch, routes: EdgeCandidates) -> NDArray[np.bool_]:
+    """Mask of routes (n,) across air with an end from which some of the other edge may be seen."""
+    edges, walls, count = finder.edges, finder.query.walls, len(routes.edge)
+    last, seen = routes.end >= OF_LAST, np.zeros(count, dtype=bool)
+    (mine, _), (theirs, _) = _ended(routes)
+    place = np.where((routes.end % OF_LAST == 1)[:, None], edges.stop[mine], edges.start[mine])
+    onto = np.where(last[:, None], routes.between, routes.between[:, ::-1])  # from the other edge to the end
     rows = np.flatnonzero(~in_planes(walls, place, onto).any(axis=1))
     share = np.linspace(0.0, 1.0, PARTS + 1)
     for i in range(PARTS):
@@ -137,7 +137,7 @@ def _may_be_seen(finder: EdgeSearch, ways: EdgeCandidates) -> NDArray[np.bool_]:
 
 
 def _meeting(finder: EdgeSearch, pair: Rows, face: Rows) -> EdgeCandidates:
-    """Make ways over corners at which both edges of pairs (n, 2) end."""
+    """Make routes over corners at which both edges of pairs (n, 2) end."""
     edges = finder.edges
     ends = np.stack([edges.start, edges.stop], axis=1)
     apart = np.linalg.norm(ends[pair[:, 0], :, None] - ends[pair[:, 1], None], axis=-1)
@@ -148,27 +148,30 @@ def _meeting(finder: EdgeSearch, pair: Rows, face: Rows) -> EdgeCandidates:
 
 
 def _with_ends(finder: EdgeSearch, pair: Rows, face: Rows, between: NDArray[np.int32]) -> EdgeCandidates:
-    """Make ways over each free end of either edge of pairs (n, 2) that is not on the other edge.
+    """Make routes over each free end of either edge of pairs (n, 2) that is not on the other edge.
 
     In the place of receivers they have the numbers of the pairs.
     """
     edges, count = finder.edges, len(pair)
     rows, end = np.tile(np.arange(count), 4), np.repeat(np.arange(4), count)
     none = np.empty((4 * count, 0), dtype=np.int32)
-    ways = EdgeCandidates(none, none, pair[rows], face[rows], end, rows, between[rows])
-    seen = seen_frames(finder.query.walls, edges, ways.edge[:, 1], ways.between)
-    _, _, (x, y, z) = off_edges(edges, ways, seen, np.arange(len(rows)))
-    mine, theirs = (edge for edge, _ in _ended(ways))
+    routes = EdgeCandidates(none, none, pair[rows], face[rows], end, rows, between[rows])
+    seen = seen_frames(finder.query.walls, edges, routes.edge[:, 1], routes.between)
+    _, _, (x, y, z) = off_edges(edges, routes, seen, np.arange(len(rows)))
+    mine, theirs = (edge for edge, _ in _ended(routes))
     beside = np.maximum(np.maximum(-z, z - edges.length[theirs]), 0.0)
     apart = np.hypot(np.hypot(x, y), beside) > _NEAR * finder.query.walls.size
     off_line = np.hypot(x, y) > _NEAR * finder.query.walls.size
-    return _part(ways, np.flatnonzero(edges.free[mine, end % OF_LAST] & apart & off_line))
+    return _part(routes, np.flatnonzero(edges.free[mine, end % OF_LAST] & apart & off_line))
 
 
-def _ended(ways: EdgeCandidates) -> tuple[tuple[Rows, Rows], tuple[Rows, Rows]]:
+def _ended(routes: EdgeCandidates) -> tuple[tuple[Rows, Rows], tuple[Rows, Rows]]:
     """Edges and shared faces (n,) of the edges that end, and of the other ones."""
-    rows, last = np.arange(len(ways.edge)), (ways.end >= OF_LAST).astype(np.int64)
-    return (ways.edge[rows, last], ways.face[rows, last]), (ways.edge[rows, 1 - last], ways.face[rows, 1 - last])
+    rows, last = np.arange(len(routes.edge)), (routes.end >= OF_LAST).astype(np.int64)
+    return (routes.edge[rows, last], routes.face[rows, last]), (
+        routes.edge[rows, 1 - last],
+        routes.face[rows, 1 - last],
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,22 +188,22 @@ class _Seen:
 
 
 class _Sight:
-    """When the source, row 0, or a receiver sees the ends and edges of ways.
+    """When the source, row 0, or a receiver sees the ends and edges of routes.
 
     What is beyond an end or an edge is a place at rest in its air: as far from the edge, and along it, as the end.
     """
 
     def __init__(
-        self, finder: EdgeSearch, row: int, sides: Sides, ways: EdgeCandidates, order: int, longest: float
+        self, finder: EdgeSearch, row: int, sides: Sides, routes: EdgeCandidates, order: int, longest: float
     ) -> None:
-        edges, walls, every = finder.edges, finder.query.walls, np.arange(len(ways.edge))
+        edges, walls, every = finder.edges, finder.query.walls, np.arange(len(routes.edge))
         self.row = row
-        seen = seen_frames(walls, edges, ways.edge[:, 1], ways.between)
-        _, _, (x, y, z) = off_edges(edges, ways, seen, every)
-        edge = ways.edge[:, int(row > 0)]
-        ended = (ways.end >= OF_LAST) == (row > 0)
-        ended |= ways.end >= MEETING
-        number = np.where((ways.end >= MEETING) & (row > 0), ways.end // 2, ways.end) % 2
+        seen = seen_frames(walls, edges, routes.edge[:, 1], routes.between)
+        _, _, (x, y, z) = off_edges(edges, routes, seen, every)
+        edge = routes.edge[:, int(row > 0)]
+        ended = (routes.end >= OF_LAST) == (row > 0)
+        ended |= routes.end >= MEETING
+        number = np.where((routes.end >= MEETING) & (row > 0), routes.end // 2, routes.end) % 2
         self._end = np.where(ended, number, -1)
         r = np.where(ended, _BESIDE * walls.size, np.hypot(x, y))
         z = np.where(ended, self._end * edges.length[edge], z)
@@ -214,12 +217,12 @@ class _Sight:
         late = r / finder.query.medium.speed_of_sound * ((self._end >= 0) & (row == 0))  # from ends to what is beyond
         query, last = finder.query, float(finder.query.last.max(initial=0.0))
         span = (-longest, last) if row == 0 else (float(query.first[row - 1]), float(query.last[row - 1]))
-        asked = replace(
+        requested = replace(
             query, trajectory_tables=with_points(query.trajectory_tables, row, place),
             medium=query.medium if row == 0 else _AT_ONCE, first=np.full(len(some), span[0]), last=span[1] + late,
         )  # fmt: skip
-        device = None if finder.device is None else finder.device.asked(asked)
-        self._finder = replace(finder, query=asked, device=device)
+        device = None if finder.device is None else finder.device.for_query(requested)
+        self._finder = replace(finder, query=requested, device=device)
         self._seen = [self._found(sides, n, late) for n in range(order + 1)]
 
     def __getitem__(self, count: int) -> _Seen:
@@ -246,28 +249,28 @@ class _Sight:
 
 
 def _joined(
-    finder: EdgeSearch, ways: EdgeCandidates, some: Rows, sights: tuple[_Sight, _Sight], counts: tuple[int, int]
+    finder: EdgeSearch, routes: EdgeCandidates, some: Rows, sights: tuple[_Sight, _Sight], counts: tuple[int, int]
 ) -> EdgeCandidates:
-    """Join both sides of some ways by so many walls each: candidates, with when they may be active."""
+    """Join both sides of some routes by so many walls each: candidates, with when they may be active."""
     (before, after), requests = (sight[n] for sight, n in zip(sights, counts, strict=True)), [s.request for s in sights]
     mine, theirs = requests[0][some], requests[1][some]
-    way, i = spread(before.first, mine)
-    which, j = spread(after.first, theirs[way])
-    way, i = some[way[which]], i[which]
-    receiver = np.full(len(way), sights[1].row - 1)
-    found = replace(_part(ways, way), before=before.sequence[i], after=after.sequence[j], receiver=receiver)
+    route, i = spread(before.first, mine)
+    which, j = spread(after.first, theirs[route])
+    route, i = some[route[which]], i[which]
+    receiver = np.full(len(route), sights[1].row - 1)
+    found = replace(_part(routes, route), before=before.sequence[i], after=after.sequence[j], receiver=receiver)
     begin, end = (_received(finder, found, times) for times in (before.begin[i], before.end[i]))
     begin, end = np.maximum(begin, after.begin[j]), np.minimum(end, after.end[j])
     kept = np.flatnonzero(begin < end)
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 
-def _loud(finder: EdgeSearch, found: EdgeCandidates, wave: float) -> EdgeCandidates:
+def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float) -> EdgeCandidates:
     """Return candidates without those that are quiet at some times of theirs."""
     assert found.spans is not None
     every, begin, end = found.spans
     seen, loudest = finder.visibility(found), np.zeros(len(every))
-    for share in _LOOKED_AT if len(every) else ():
+    for share in _SAMPLED if len(every) else ():
         loudest = np.maximum(loudest, end_levels(seen, finder.query, every, begin + share * (end - begin), wave))
     kept = np.flatnonzero(loudest > _QUIET)
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))

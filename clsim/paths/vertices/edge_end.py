@@ -93,10 +93,10 @@ class EdgeEndVertex(GapPairVertex):
         """Places on both edges, and lengths, of shortest paths between ends at r and z about them, (P, T) m each."""
         (along, _, r, z), of_last = self.ended_at(), self.of_last[:, None]
         (r_f, z_f), (r_n, z_n) = _swapped(of_last, source, receiver)
-        way = path_over_edge(r, z, r_n, z_n)
-        end = np.broadcast_to(along, way.apex.shape)
-        places = np.where(of_last, way.apex, end), np.where(of_last, end, way.apex)
-        length, rows = np.hypot(r_f, along - z_f) + way.length, np.flatnonzero(self.meeting)
+        route = path_over_edge(r, z, r_n, z_n)
+        end = np.broadcast_to(along, route.apex.shape)
+        places = np.where(of_last, route.apex, end), np.where(of_last, end, route.apex)
+        length, rows = np.hypot(r_f, along - z_f) + route.length, np.flatnonzero(self.meeting)
         ends = zip(places, (self.edge, self.last.edge), self._numbers(), strict=True)
         for place, edge, number in ends if len(rows) else ():
             place[rows] = np.where(number == 1, self.lines.length[edge], 0.0)[rows, None]
@@ -152,14 +152,14 @@ def _end_field(
     along, corner, r_c, z_c = pair.ended_at()
     (r_f, _, z_f), (r_n, _, z_n) = ends[ended], ends[1 - ended]
     mine, theirs = pair._frames()
-    way = path_over_edge(r_c, z_c, r_n, z_n)
-    between, behind = np.hypot(r_c, way.apex - z_c), np.maximum(np.hypot(r_n, way.apex - z_n), ON_LINE)
-    onto = theirs[:, None, 0] + way.apex[..., None] * theirs[:, None, 3] - corner[:, None]
+    route = path_over_edge(r_c, z_c, r_n, z_n)
+    between, behind = np.hypot(r_c, route.apex - z_c), np.maximum(np.hypot(r_n, route.apex - z_n), ON_LINE)
+    onto = theirs[:, None, 0] + route.apex[..., None] * theirs[:, None, 3] - corner[:, None]
     slope = np.einsum("pti,pi->pt", onto, mine[:, 3]) / between
-    beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * way.length, ON_LINE), along + slope * way.length
+    beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * route.length, ON_LINE), along + slope * route.length
     rolled = path_over_edge(r_f, z_f, *beyond)
     leg = np.hypot(r_f, along - z_f)
-    whole = leg + way.length
+    whole = leg + route.length
     inside = np.where(pair.over_end[:, None] % OF_LAST == 1, along - rolled.apex, rolled.apex)
     detour = end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
     root: Any = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)

@@ -83,8 +83,8 @@ class DeviceSearch:
         if query.medium.wind is not None:
             self._arguments["wind"] = self._upload(np.array(query.medium.wind))
 
-    def asked(self, query: VisibilityQuery) -> DeviceSearch:
-        """Make the same of another query."""
+    def for_query(self, query: VisibilityQuery) -> DeviceSearch:
+        """Make the search of another query on the same device."""
         return DeviceSearch(query, self._device)
 
     def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:

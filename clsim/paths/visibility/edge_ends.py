@@ -67,9 +67,12 @@ class EndVisibility(GapVisibility):
         r_c = np.hypot(x, y)
         far, near = ([np.where(last, a, b) for a, b in zip(*ends, strict=True)]
                      for ends in ((receiver, source), (source, receiver)))  # fmt: skip
-        way, leg = path_over_edge(r_c, z_c, *near), np.hypot(far[0], along - far[1])
-        parts = np.hypot(r_c, way.apex - z_c), np.hypot(near[0], way.apex - near[1])
-        length, places = leg + parts[0] + parts[1], (np.where(last, way.apex, along), np.where(last, along, way.apex))
+        route, leg = path_over_edge(r_c, z_c, *near), np.hypot(far[0], along - far[1])
+        parts = np.hypot(r_c, route.apex - z_c), np.hypot(near[0], route.apex - near[1])
+        length, places = (
+            leg + parts[0] + parts[1],
+            (np.where(last, route.apex, along), np.where(last, along, route.apex)),
+        )
         gap = self.gap(which)
         away = gap.first[:, 0] + places[0][:, None] * gap.first[:, 3]
         away = away - gap.last[:, 0] - places[1][:, None] * gap.last[:, 3]
@@ -157,7 +160,8 @@ def end_levels(seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: 
         between = crossing.legs[1]
         beyond = between + np.where(last, *legs)
         far = [np.where(last, x[1], x[0]) for x in (stance.distances, off)]
-        frames = np.where(last[:, None], seen.gap(which).last[:, 3], seen.gap(which).first[:, 3])
+        edges, seen_last = seen.edges, seen_frames(query.walls, seen.edges, other, seen.candidates.between[which])
+        frames = np.where(last[:, None], seen_last[:, 3], edges.along[one])
         slope = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / between
         shortest = np.hypot(far[0] + np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * beyond, far[1] + slope * beyond)
         tie = np.sqrt(legs[0] * legs[1] / ((legs[0] + between) * (between + legs[1])))
