@@ -166,3 +166,19 @@ def test_both_ways(device: None, measured: Callable[..., float]) -> None:
     assert counts[0] == counts[1] == counts[2] > 3
     error = decibels(np.array(sums) / sums[0] - 1.0)
     assert measured("an end and an edge, both ways", "the same", error, -120.0) < -120.0
+
+
+def test_an_end_takes_over_from_two_edges(measured: Callable[..., float]) -> None:
+    """Where the shortest path over both screens in a row runs off an end, the sum goes on as it was."""
+    room, source, way, _ = walks()["screens in a row"]
+    paths = paths_of(room, source, way)
+    [gaps], [ends] = ([f for f in paths.families if f.kind == kind] for kind in ("static edge gap", KIND))
+    times = np.intersect1d(np.append(gaps.start, gaps.end), np.append(ends.start, ends.end))
+    times, sums = times[np.isfinite(times)], []
+    for families in (paths.families, tuple(f for f in paths.families if f.kind != KIND)):
+        around = (times[:, None] + np.array([-1e-8, 1e-8])).ravel()
+        sums.append(np.abs(np.diff(terms(PathSet(paths.scene, families), around, TONE).sum(0).reshape(-1, 2))))
+    lone = np.flatnonzero(sums[1][:, 0] > 3e-3)  # nothing else makes up for the path that ends
+    assert len(lone)
+    jump = decibels(sums[0][lone] / sums[1][lone])
+    assert measured("an end takes over from two edges", "no jump", jump, -70.0) < -70.0
