@@ -6,7 +6,7 @@ receiver. A path is active while both are, later by what sound takes from the en
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_chains import end_chain, with_swaps
 from clsim.paths.search.edge_gaps import apart, between_edges
 from clsim.paths.search.edges import in_planes, rows_of
-from clsim.paths.search.gap_parts import PARTS, legs_open, open_gaps
+from clsim.paths.search.gap_parts import PARTS, in_air, legs_open
 from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
 from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
+_BATCH = 20_000  # candidates searched at a time
+_LISTENED = 2_000  # candidates whose levels are estimated together
 _QUIET = 1e-3  # pressure over that in free air: paths that stay below it are left out
 _SAMPLED = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
 _AT_ONCE = UniformAir(1e15)  # without delays
@@ -67,102 +69,116 @@ def end_candidates(
 
     wave: wave number at which those that stay below `_QUIET` are left out, 1/m.
 
-    sides, reached, longest: see `gap_candidates`.
+    sides, reached, longest: see `gap_candidates`. Candidates may have different numbers of walls on their sides.
     """
-    movers, edges = [sides[0], *sides[1]], finder.edges
-    fewest = adjacent_reflections(edges.n).min(axis=1)
-    for count, routes in enumerate(_routes(finder, reached, order)):
-        routes = _part(routes, np.flatnonzero(routes.between.shape[1] + fewest[routes.edge].sum(axis=1) <= order))
-        if not len(routes.edge):
-            continue
-        least = routes.between.shape[1] + fewest[routes.edge].sum(axis=1)
-        sights = [_Sight(finder, row, mover, routes, order, longest) for row, mover in enumerate(movers)]
-        for n in range(order + 1):
-            for m in range(order + 1 - n):
-                some = np.flatnonzero(least + n + m <= order)
-                for receiver in range(1, len(movers)) if len(some) else ():
-                    found = _joined(finder, routes, some, (sights[0], sights[receiver]), (n, m))
-                    found = _audible_ones(finder, found, wave)
-                    if len(found.edge):
-                        yield count / (order + 2), found
+    routes = _routes(finder, reached, order)
+    met, fewest = np.sum(routes.between >= 0, axis=1), adjacent_reflections(finder.edges.n).min(axis=1)
+    left = order - met - fewest[routes.edge].sum(axis=1)
+    routes, met, left = _part(routes, np.flatnonzero(left >= 0)), met[left >= 0], left[left >= 0]
+    if not len(left):
+        return
+    source = _Sight(finder, 0, sides[0], routes, left, longest)
+    after = left - source.fewest
+    sights = [_Sight(finder, row, mover, routes, after, longest) for row, mover in enumerate(sides[1], 1)]
+    kinds = np.column_stack([routes.end >= MEETING, routes.face[:, 0], met])
+    every, kind = np.unique(kinds, axis=0, return_inverse=True)
+    for number in range(len(every)):
+        rows, count = np.flatnonzero(kind.ravel() == number), int(every[number, 2])
+        some = replace(_part(routes, rows), between=routes.between[rows, :count])
+        found = (
+            x
+            for sight in sights
+            for x in _joined(finder, some, left[rows], (source.request[rows], sight.request[rows]), (source, sight))
+        )
+        audible = (_audible_ones(finder, x, wave) for x in _together(found, _LISTENED))
+        yield from ((number / len(every), x) for x in _together(audible, _BATCH))
 
 
 def _part(routes: EdgeCandidates, rows: Rows) -> EdgeCandidates:
-    names = "before", "after", "edge", "face", "end", "receiver", "between"
+    names = (field.name for field in fields(EdgeCandidates) if field.name != "spans")
     return EdgeCandidates(**{name: getattr(routes, name)[rows] for name in names})
 
 
-def _routes(finder: EdgeSearch, reached: Reached, order: int) -> Iterator[EdgeCandidates]:
-    """Yield routes without sides: over faces that edges share, and across air by 0, 1, … walls."""
+def _together(parts: Iterator[EdgeCandidates], count: int) -> Iterator[EdgeCandidates]:
+    """Join parts until they have so many candidates."""
+    waiting: list[EdgeCandidates] = []
+    for part in parts:
+        waiting += [part] if len(part.edge) else []
+        if sum(len(some.edge) for some in waiting) >= count:
+            yield EdgeCandidates.joined(waiting)
+            waiting = []
+    if waiting:
+        yield EdgeCandidates.joined(waiting)
+
+
+def _routes(finder: EdgeSearch, reached: Reached, order: int) -> EdgeCandidates:
+    """Make routes without sides: over faces that edges share, and across air by up to so many walls."""
     edges, near = finder.edges, _NEAR * finder.query.walls.size
     pair, face = edges.pairs()
-    over_faces = _with_ends(finder, pair, face, np.empty((len(pair), 0), dtype=np.int32))
+    over_faces = _with_ends(finder, pair, face, np.full((len(pair), order), -1, dtype=np.int32))
     _, place, _ = off_edges(edges, over_faces, edges.frames[over_faces.edge[:, 1]], np.arange(len(over_faces.edge)))
     (mine, mine_face), (theirs, their_face) = _ended(over_faces)
     ahead = np.einsum("ni,ni->n", place - edges.start[theirs], edges.inward(theirs, their_face)) > near
     ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
     ahead &= np.einsum("nei,ni->ne", ends, edges.inward(mine, mine_face)).min(axis=1) > -near
-    yield _part(over_faces, np.flatnonzero(ahead))
-    yield _meeting(finder, pair, face)
-    pairs = apart(finder)
+    found, pairs = [_part(over_faces, np.flatnonzero(ahead)), _meeting(finder, pair, face, order)], apart(finder)
     balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
     from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)] if len(pairs) else []
     for count in range(order + 1) if len(pairs) else ():
-        gaps = open_gaps(finder.query.walls, edges, *between_edges(pairs, from_edge, count))
-        routes = _with_ends(finder, gaps.pair, np.full(gaps.pair.shape, ACROSS_AIR), gaps.walls)
-        free = gaps.fans[0].free  # of the parts that the ends are ends of
-        of_end = np.stack([free[:, 0].any(axis=1), free[:, -1].any(axis=1), free[..., 0].any(axis=1),
-                           free[..., -1].any(axis=1)])  # fmt: skip
-        routes = _part(routes, np.flatnonzero(of_end[routes.end, routes.receiver]))
-        yield _part(routes, np.flatnonzero(_may_be_seen(finder, routes)))
+        pair, walls = between_edges(pairs, from_edge, count)
+        between = np.pad(walls, ((0, 0), (0, order - count)), constant_values=-1)
+        found.append(_seen_ends(finder, _with_ends(finder, pair, np.full(pair.shape, ACROSS_AIR), between), count))
+    return EdgeCandidates.joined(found)
 
 
-def _may_be_seen(finder: EdgeSearch, routes: EdgeCandidates) -> NDArray[np.bool_]:
-    """Mask of routes (n,) across air with an end from which some of the other edge may be seen."""
-    edges, walls, count = finder.edges, finder.query.walls, len(routes.edge)
-    last, seen = routes.end >= OF_LAST, np.zeros(count, dtype=bool)
+def _seen_ends(finder: EdgeSearch, routes: EdgeCandidates, count: int) -> EdgeCandidates:
+    """Return routes across air, by so many walls, with an end from which some of the other edge may be seen."""
+    edges, walls, near = finder.edges, finder.query.walls, _NEAR * finder.query.walls.size
+    seen = seen_frames(walls, edges, routes.edge[:, 1], routes.between)
+    _, _, (x, y, _) = off_edges(edges, routes, seen, np.arange(len(routes.edge)))
+    (mine, _), (theirs, _) = _ended(routes)
+    last, real = (routes.end >= OF_LAST)[:, None, None], edges.frames[routes.edge[:, 0]]
+    ended, other = np.where(last, seen, real), np.where(last, real, seen)
+    ahead = in_air(edges.n[theirs], x, y, near)
+    stops = other[:, 0] - ended[:, 0], other[:, 0] - ended[:, 0] + edges.length[theirs, None] * other[:, 3]
+    air = [in_air(edges.n[mine], *np.einsum("ni,nai->an", stop, ended[:, 1:3]), near) for stop in stops]
+    routes = _part(routes, np.flatnonzero(ahead & (air[0] | air[1] | (edges.n[mine] < 1.0))))
     (mine, _), (theirs, _) = _ended(routes)
     place = np.where((routes.end % OF_LAST == 1)[:, None], edges.stop[mine], edges.start[mine])
-    onto = np.where(last[:, None], routes.between, routes.between[:, ::-1])  # from the other edge to the end
-    rows = np.flatnonzero(~in_planes(walls, place, onto).any(axis=1))
-    share = np.linspace(0.0, 1.0, PARTS + 1)
+    onto = routes.between[:, :count]  # from the other edge to the end
+    onto = np.where((routes.end >= OF_LAST)[:, None], onto, onto[:, ::-1])
+    hidden = in_planes(walls, place, onto).any(axis=1)
+    left, share = np.flatnonzero(~hidden), np.linspace(0.0, 1.0, PARTS + 1)
+    hidden[left] = True
     for i in range(PARTS):
-        left = rows[~seen[rows]]
         start, stop = (x[theirs[left], None] for x in (edges.start, edges.stop))
         part = start + share[None, i : i + 2, None] * (stop - start)
-        seen[left] = legs_open(walls, onto[left], part, place[left, None])
-    hidden = np.ones(count, dtype=bool)
-    hidden[rows] = ~seen[rows]
-    return ~hidden
+        hidden[left[legs_open(walls, onto[left], part, place[left, None])]] = False
+        left = left[hidden[left]]
+    return _part(routes, np.flatnonzero(~hidden))
 
 
-def _meeting(finder: EdgeSearch, pair: Rows, face: Rows) -> EdgeCandidates:
+def _meeting(finder: EdgeSearch, pair: Rows, face: Rows, order: int) -> EdgeCandidates:
     """Make routes over corners at which both edges of pairs (n, 2) end."""
     edges = finder.edges
     ends = np.stack([edges.start, edges.stop], axis=1)
     apart = np.linalg.norm(ends[pair[:, 0], :, None] - ends[pair[:, 1], None], axis=-1)
     free = edges.free[pair[:, 0], :, None] & edges.free[pair[:, 1], None]
     rows, one, other = np.nonzero(free & (apart <= _NEAR * finder.query.walls.size))
-    none = np.empty((len(rows), 0), dtype=np.int32)
-    return EdgeCandidates(none, none, pair[rows], face[rows], MEETING + 2 * other + one, rows, none)
+    none, no_walls = np.empty((len(rows), 0), dtype=np.int32), np.full((len(rows), order), -1, dtype=np.int32)
+    return EdgeCandidates(none, none, pair[rows], face[rows], MEETING + 2 * other + one, rows, no_walls)
 
 
 def _with_ends(finder: EdgeSearch, pair: Rows, face: Rows, between: NDArray[np.int32]) -> EdgeCandidates:
-    """Make routes over each free end of either edge of pairs (n, 2) that is not on the other edge.
-
-    In the place of receivers they have the numbers of the pairs.
-    """
+    """Make routes over each free end of either edge of pairs (n, 2) that is not on the other edge's line."""
     edges, count = finder.edges, len(pair)
     rows, end = np.tile(np.arange(count), 4), np.repeat(np.arange(4), count)
     none = np.empty((4 * count, 0), dtype=np.int32)
     routes = EdgeCandidates(none, none, pair[rows], face[rows], end, rows, between[rows])
     seen = seen_frames(finder.query.walls, edges, routes.edge[:, 1], routes.between)
-    _, _, (x, y, z) = off_edges(edges, routes, seen, np.arange(len(rows)))
-    mine, theirs = (edge for edge, _ in _ended(routes))
-    beside = np.maximum(np.maximum(-z, z - edges.length[theirs]), 0.0)
-    apart = np.hypot(np.hypot(x, y), beside) > _NEAR * finder.query.walls.size
+    _, _, (x, y, _) = off_edges(edges, routes, seen, np.arange(len(rows)))
     off_line = np.hypot(x, y) > _NEAR * finder.query.walls.size
-    return _part(routes, np.flatnonzero(edges.free[mine, end % OF_LAST] & apart & off_line))
+    return _part(routes, np.flatnonzero(edges.free[_ended(routes)[0][0], end % OF_LAST] & off_line))
 
 
 def _ended(routes: EdgeCandidates) -> tuple[tuple[Rows, Rows], tuple[Rows, Rows]]:
@@ -188,13 +204,13 @@ class _Seen:
 
 
 class _Sight:
-    """When the source, row 0, or a receiver sees the ends and edges of routes.
+    """When the source, row 0, or a receiver sees the ends and edges of routes by up to `most` (n,) walls.
 
     What is beyond an end or an edge is a place at rest in its air: as far from the edge, and along it, as the end.
     """
 
     def __init__(
-        self, finder: EdgeSearch, row: int, sides: Sides, routes: EdgeCandidates, order: int, longest: float
+        self, finder: EdgeSearch, row: int, sides: Sides, routes: EdgeCandidates, most: Rows, longest: float
     ) -> None:
         edges, walls, every = finder.edges, finder.query.walls, np.arange(len(routes.edge))
         self.row = row
@@ -211,6 +227,8 @@ class _Sight:
         _, some, self.request = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         self.request = self.request.ravel()
         self._edge, self._end, r, z = edge[some], self._end[some], r[some], z[some]
+        self._most = np.full(len(some), -1)
+        np.maximum.at(self._most, self.request, most)
         half = 0.5 * np.pi * edges.n[self._edge]
         off = np.cos(half)[:, None] * edges.across[self._edge] + np.sin(half)[:, None] * edges.out[self._edge]
         place = edges.start[self._edge] + z[:, None] * edges.along[self._edge] + r[:, None] * off
@@ -223,16 +241,25 @@ class _Sight:
         )  # fmt: skip
         device = None if finder.device is None else finder.device.for_query(requested)
         self._finder = replace(finder, query=requested, device=device)
-        self._seen = [self._found(sides, n, late) for n in range(order + 1)]
+        self._seen = [self._found(sides, n, late) for n in range(int(most.max(initial=-1)) + 1)]
+
+    def __len__(self) -> int:
+        return len(self._seen)
 
     def __getitem__(self, count: int) -> _Seen:
         return self._seen[count]
 
+    @property
+    def fewest(self) -> Rows:
+        """Fewest walls (n,) by which what routes ask for is seen, one more than was looked for where it never is."""
+        seen = [np.diff(found.first) > 0 for found in self._seen]
+        return np.argmax([*seen, np.ones(len(self._edge), dtype=bool)], axis=0)[self.request]
+
     def _found(self, sides: Sides, count: int, late: Floats) -> _Seen:
         """Find when each request is seen by so many walls, and `late` (q,) before, s."""
         walls, edges, parts = self._finder.query.walls, self._finder.edges, [np.empty((0, count), dtype=np.int32)]
-        for edge, end in zip(self._edge.tolist(), self._end.tolist(), strict=True):
-            sequence = sides[edge][count]
+        for edge, end, most in zip(self._edge.tolist(), self._end.tolist(), self._most.tolist(), strict=True):
+            sequence = sides[edge][count][: None if count <= most else 0]
             if end >= 0 and count:  # nothing comes to an end by a wall that it lies in
                 sequence = sequence[~in_planes(walls, (edges.start, edges.stop)[end][edge], sequence).any(axis=1)]
             parts.append(sequence)
@@ -249,30 +276,35 @@ class _Sight:
 
 
 def _joined(
-    finder: EdgeSearch, routes: EdgeCandidates, some: Rows, sights: tuple[_Sight, _Sight], counts: tuple[int, int]
-) -> EdgeCandidates:
-    """Join both sides of some routes by so many walls each: candidates, with when they may be active."""
-    (before, after), requests = (sight[n] for sight, n in zip(sights, counts, strict=True)), [s.request for s in sights]
-    mine, theirs = requests[0][some], requests[1][some]
-    route, i = spread(before.first, mine)
-    which, j = spread(after.first, theirs[route])
-    route, i = some[route[which]], i[which]
-    receiver = np.full(len(route), sights[1].row - 1)
-    found = replace(_part(routes, route), before=before.sequence[i], after=after.sequence[j], receiver=receiver)
-    begin, end = (_received(finder, found, times) for times in (before.begin[i], before.end[i]))
-    begin, end = np.maximum(begin, after.begin[j]), np.minimum(end, after.end[j])
-    kept = np.flatnonzero(begin < end)
-    return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
+    finder: EdgeSearch, routes: EdgeCandidates, left: Rows, requests: tuple[Rows, Rows], sights: tuple[_Sight, _Sight]
+) -> Iterator[EdgeCandidates]:
+    """Yield both sides of routes by up to `left` (n,) walls: candidates, with when they may be active."""
+    most = range(int(left.max()) + 1)
+    for n, m in ((n, m) for n in most[: len(sights[0])] for m in most[: len(sights[1])]):
+        some, before, after = np.flatnonzero(left >= n + m), sights[0][n], sights[1][m]
+        mine, theirs = requests[0][some], requests[1][some]
+        count = np.cumsum(np.diff(before.first)[mine] * np.diff(after.first)[theirs])
+        for part in np.split(np.arange(len(some)), np.flatnonzero(np.diff(count // _BATCH)) + 1):
+            route, i = spread(before.first, mine[part])
+            which, j = spread(after.first, theirs[part][route])
+            route, i = some[part][route[which]], i[which]
+            walls = (np.pad(x, ((0, 0), (0, len(most) - 1 - x.shape[1])), constant_values=-1)
+                     for x in (before.sequence[i], after.sequence[j]))  # fmt: skip
+            found = replace(_part(routes, route), receiver=np.full(len(route), sights[1].row - 1))
+            found = replace(found, before=next(walls), after=next(walls))
+            begin, end = (_received(finder, found, times) for times in (before.begin[i], before.end[i]))
+            begin, end = np.maximum(begin, after.begin[j]), np.minimum(end, after.end[j])
+            kept = np.flatnonzero(begin < end)
+            yield replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 
 def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float) -> EdgeCandidates:
     """Return candidates without those that are quiet at some times of theirs."""
     assert found.spans is not None
     every, begin, end = found.spans
-    seen, loudest = finder.visibility(found), np.zeros(len(every))
-    for share in _SAMPLED if len(every) else ():
-        loudest = np.maximum(loudest, end_levels(seen, finder.query, every, begin + share * (end - begin), wave))
-    kept = np.flatnonzero(loudest > _QUIET)
+    times, which = begin + _SAMPLED[:, None] * (end - begin), np.tile(every, len(_SAMPLED))
+    levels = end_levels(finder.visibility(found), finder.query, which, times.ravel(), wave)
+    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > _QUIET)
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 

@@ -270,16 +270,16 @@ class _AdjacentPaths:
 def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, adjacent: _AdjacentPaths) -> Iterator[dict[str, Any]]:
     """Yield paths, with the times of their partners."""
     wanted, within = pieces.candidates, max(_SAME_EVENT, _FARTHEST * query.resolution)
-    begin, end = pieces.begin.copy(), pieces.end.copy()
+    begin, end, of_pairs = pieces.begin.copy(), pieces.end.copy(), wanted.over_ends_of_pairs
     for i in range(1, len(pieces.row)):
         row = pieces.row[i]
-        over_end = wanted.end[row] >= 0 and not wanted.over_ends_of_pairs
+        over_end = wanted.end[row] >= 0 and not of_pairs
         if row != pieces.row[i - 1] or begin[i] != end[i - 1] or over_end:
             continue  # paths over ends go on smoothly where a partner begins
-        before, after = wanted.before[row].tolist(), wanted.after[row][::-1].tolist()
+        before, after = (walls[walls >= 0].tolist() for walls in (wanted.before[row], wanted.after[row][::-1]))
         time = float(begin[i])
         for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():
-            if term not in ENDS_BESIDE and (term != TERMS or wanted.over_ends_of_pairs):
+            if term not in ENDS_BESIDE and (term != TERMS or of_pairs):
                 through = (*before, *_instead(edges, wanted, row, term), *after)
                 time = adjacent.nearest(int(wanted.receiver[row]), through, float(begin[i]), within)
             if time != begin[i]:
@@ -289,8 +289,9 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, adjacent: _Adjac
     begin, end = np.where(begin <= 0.0, -np.inf, begin), np.where(end >= last, np.inf, end)
     for i, row in enumerate(pieces.row.tolist()):
         if begin[i] < end[i]:
+            before, after = (walls[walls >= 0] for walls in (wanted.before[row], wanted.after[row]))
             yield {
-                "receiver": int(wanted.receiver[row]), "before": wanted.before[row], "after": wanted.after[row],
+                "receiver": int(wanted.receiver[row]), "before": before, "after": after,
                 "edges": wanted.edge[row].tolist(), "between": wanted.between[row], "faces": wanted.face[row].tolist(),
                 "end_of": int(wanted.end[row]), "start": begin[i], "end": end[i], "sides": pieces.sides[i],
             }  # fmt: skip

@@ -6,7 +6,7 @@ The end rests, so that only the place on the other edge slides, as if the path b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -49,22 +49,23 @@ def off_edges(edges: Edges, candidates: EdgeCandidates, seen: Floats, which: Row
 class EndVisibility(GapVisibility):
     """Tells of candidates over an edge and an end of another whether they are there, and which partners are seen."""
 
+    last: Bools  # (n,) whether the end is one of the last edge
+    along: Floats  # (n,) where it is along its edge, m
+    beside: Floats  # (n,) and from the line of the other edge, m
+    height: Floats  # (n,) and along that, m
+
     @staticmethod
     def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> EndVisibility:
         """Make it for edges of a room with walls."""
         one, other = candidates.edge.T
         seen = seen_frames(walls, edges, other, candidates.between)
-        return EndVisibility(edges, candidates, EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other])))
-
-    def _ended(self, which: Rows) -> tuple[Bools, Floats, Floats, Floats]:
-        """Mask of candidates `which` (n,) over ends of last edges, and what `off_edges` tells of all."""
-        ends = off_edges(self.edges, self.candidates, self.every.last[which], which)
-        return self.candidates.end[which] >= OF_LAST, *ends
+        along, _, (x, y, z) = off_edges(edges, candidates, seen, np.arange(len(one)))
+        gap = EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other]))
+        return EndVisibility(edges, candidates, gap, candidates.end >= OF_LAST, along, np.hypot(x, y), z)
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
         """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
-        last, along, _, (x, y, z_c) = self._ended(which)
-        r_c = np.hypot(x, y)
+        last, along, r_c, z_c = (x[which] for x in (self.last, self.along, self.beside, self.height))
         far, near = ([np.where(last, a, b) for a, b in zip(*ends, strict=True)]
                      for ends in ((receiver, source), (source, receiver)))  # fmt: skip
         route, leg = path_over_edge(r_c, z_c, *near), np.hypot(far[0], along - far[1])
@@ -107,7 +108,7 @@ class EndVisibility(GapVisibility):
         Of the edge that ends the terms are 1; the side of the end is that of the path over both edges.
         """
         stance, (one, other) = self.stance(query, which, time, half), self.candidates.edge[which].T
-        crossing, last, reach = stance.course.crossing, self.candidates.end[which] >= OF_LAST, stance.reach
+        crossing, last, reach = stance.course.crossing, self.last[which], stance.reach
         assert crossing is not None
         near = reach < np.minimum(*stance.distances)
         turns = [np.arcsin(np.where(near, reach / np.where(near, r, 1.0), 1.0)) for r in stance.distances]
@@ -131,7 +132,7 @@ class EndVisibility(GapVisibility):
 
     def _inside(self, stance: EdgeStance, which: Rows, size: float) -> tuple[Floats, Floats]:
         """How far (n,) paths over both edges are inside the end, as a difference of cosines, and its change at most."""
-        crossing, (last, *_), no_end = stance.course.crossing, self._ended(which), np.full(len(which), -1)
+        crossing, last, no_end = stance.course.crossing, self.last[which], np.full(len(which), -1)
         assert crossing is not None
         frames = np.where(last[:, None], self.gap(which).last[:, 3], self.gap(which).first[:, 3])
         legs = np.maximum(np.where(last, crossing.legs[2], crossing.legs[0]), _LEAST), crossing.legs[1]
@@ -160,8 +161,8 @@ def end_levels(seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: 
         between = crossing.legs[1]
         beyond = between + np.where(last, *legs)
         far = [np.where(last, x[1], x[0]) for x in (stance.distances, off)]
-        edges, seen_last = seen.edges, seen_frames(query.walls, seen.edges, other, seen.candidates.between[which])
-        frames = np.where(last[:, None], seen_last[:, 3], edges.along[one])
+        gap = cast("GapVisibility", seen).gap(which)
+        frames = np.where(last[:, None], gap.last[:, 3], gap.first[:, 3])
         slope = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / between
         shortest = np.hypot(far[0] + np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * beyond, far[1] + slope * beyond)
         tie = np.sqrt(legs[0] * legs[1] / ((legs[0] + between) * (between + legs[1])))

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 
 _CHUNK = 20_000  # intervals looked at at a time, which bounds what waits
+_AT_ONCE, _MOST_PARTS = 400, 8  # intervals below which more of them cost next to nothing: parts of each then
 APART = 2.0  # resolutions between the times at which different tests find the same event, at most
 NEAR = 1e-8  # of the room's size, which ends go in between; ten times the tolerance of an outline
 STEP = 1e-3  # s, in which it is looked how far ends go
@@ -67,6 +68,8 @@ class EdgeSearch:
         """Return the intervals in which candidates are there, or one side of them."""
         if side is None:
             found = self._there(candidates)
+            if candidates.over_ends_of_pairs:  # of which both sides are found before
+                return found
         else:
             row, receiver = np.arange(len(candidates.edge)), candidates.receiver
             found = self._find(candidates, side, row, (self.query.first[receiver], self.query.last[receiver]))
@@ -169,7 +172,7 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
     """
     there, visibility = finder.find(candidates), finder.visibility(candidates)
     near = GRAZE * finder.query.walls.size
-    met = candidates.before.shape[1] + candidates.after.shape[1] + candidates.between.shape[1]
+    met = sum(np.sum(x >= 0, axis=1) for x in (candidates.before, candidates.after, candidates.between))[:, None]
     ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)  # terms whose partners have too many reflections
     one, last = (adjacent_reflections(finder.edges.n[edge]) for edge in candidates.edge.T)
     shared = ((candidates.face >= 0) & (candidates.face != ACROSS_AIR))[:, :1]  # with the fewest at the other edge
@@ -198,10 +201,11 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
         _refuse_endless(evaluations, lambda worst: finder.edges.names[candidates.edge[worst, 0]])
         notify()
         found.append((row[done], begin[done], end[done], sides[done]))
-        row, begin, end, half = row[~done], begin[~done], end[~done], half[~done]
+        row, begin, end = row[~done], begin[~done], end[~done]
         if len(row):
-            middle = begin + half
-            stack.append((np.append(row, row), np.append(begin, middle), np.append(middle, end)))
+            parts = int(np.clip(_AT_ONCE // len(row), 2, _MOST_PARTS)) if candidates.over_ends_of_pairs else 2
+            cuts = np.column_stack([begin[:, None] + (end - begin)[:, None] * (np.arange(parts) / parts), end])
+            stack.append((np.repeat(row, parts), cuts[:, :-1].ravel(), cuts[:, 1:].ravel()))
     return _joined_pieces(candidates, *(np.concatenate(column) for column in zip(*found, strict=True)))
 
 

@@ -290,9 +290,9 @@ def beside_faces(n: Floats, angle: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def imaged(walls: Walls, sequence: NDArray[np.int32], places: Floats) -> Floats:
-    """Return places (n, 3) mirrored by walls (n, N), one after the other."""
+    """Return places (n, 3) mirrored by walls (n, N), one after the other; those of -1 mirror nothing."""
     for wall in sequence.T:
-        places = mirrored(walls, wall, places)
+        places = np.where((wall >= 0)[:, None], mirrored(walls, wall, places), places)
     return places
 
 
