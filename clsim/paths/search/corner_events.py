@@ -153,19 +153,21 @@ class _Events:
             found[mine] = delays_of(self.chains[family], self.row[which[mine]], instants[mine])
         return found
 
-    def detours(self, group: Rows, place: int, instant: float) -> Floats:
-        """Compute by how much the path of one event of a group is longer than each of them (n,), m, at an instant, s.
+    def detours(self, group: Rows, which: Rows, own: Rows, instants: Floats) -> Floats:
+        """Compute by how much paths of groups' own events are longer than those of events (n,), m, at instants (k,), s.
 
-        All are paths of one pair, from where the source was for this event.
+        which: the group of each, (n,); own: place of each group's own event among all, (k,). All are paths of one pair,
+        from where the source was for their own event.
         """
         family, row, each = self.family[group], self.row[group], np.empty(len(group))
-        delay = self.delays(group[[place]], np.array([instant]))[0]
+        received, sent = instants[which], (instants - self.delays(group[own], instants))[which]
         for number in np.unique(family).tolist():
             chain, mine = self.chains[number], family == number
             rows = row[mine]
-            source = ends_at(self.scene.sources, chain.source[rows], instant - delay)
-            each[mine] = chain.lengths(rows, source, ends_at(self.scene.receivers, chain.receiver[rows], instant))
-        return np.asarray(each[place] - each)
+            source = ends_at(self.scene.sources, chain.source[rows], sent[mine])
+            receiver = ends_at(self.scene.receivers, chain.receiver[rows], received[mine])
+            each[mine] = chain.lengths(rows, source, receiver)
+        return np.asarray(each[own][which] - each)
 
     def paths_beside_ends(self, group: Rows) -> int:
         """Count different paths of a group that are not over ends of edges: one of them ends where another begins."""
@@ -206,24 +208,25 @@ def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
 
 def _passed_corners(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
     """Yield groups of events at which a way passes the corner of an edge, and when it does so, s; mark them."""
-    for turn, group in _beside_turns(events):
-        if converged[turn]:
-            continue
-        place = int(np.flatnonzero(group == turn)[0])
-        time, size = float(events.time[turn]), events.scene.room.as_mesh().walls.size
+    size = events.scene.room.as_mesh().walls.size
+    for turns, first, group in _beside_turns(events):
+        which = np.repeat(np.arange(len(turns)), np.diff([*first, len(group)]))
+        own = np.flatnonzero(group == turns[which])
+        times, found = events.time[turns], np.ones(len(turns), dtype=bool)
         for _ in range(_ROUNDS):
             before, here, after = (
-                float(np.max(events.detours(group, place, time + step))) for step in (-_STEP, 0.0, _STEP)
+                np.maximum.reduceat(events.detours(group, which, own, times + step), first)
+                for step in (-_STEP, 0.0, _STEP)
             )
             bend = before + after - 2.0 * here
-            if bend <= 16.0 * _ROUNDING * size:
-                break
-            time += 0.5 * _STEP * (before - after) / bend
-        else:
-            there, at = np.abs(events.detours(group, place, time)) <= _DETOUR * size, events.time[group]
-            same, together = group[there], np.isin(at, at[there])
-            near = np.array_equal(together, there) and np.all(np.abs(at[there] - time) <= _WINDOW)
-            if near and events.paths_beside_ends(same) > 1:
+            found &= bend > 16.0 * _ROUNDING * size
+            times = np.where(found, times + 0.5 * _STEP * (before - after) / np.where(found, bend, 1.0), times)
+        beside = np.abs(events.detours(group, which, own, times)) <= _DETOUR * size
+        for turn in np.flatnonzero(found & ~converged[turns]).tolist():
+            some, there = group[which == turn], beside[which == turn]
+            same, at, time = some[there], events.time[some], float(times[turn])
+            near = np.array_equal(np.isin(at, at[there]), there) and np.all(np.abs(at[there] - time) <= _WINDOW)
+            if not converged[turns[turn]] and near and events.paths_beside_ends(same) > 1:
                 converged[same] = True
                 yield same, time
 
@@ -248,9 +251,9 @@ def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tupl
         one, other = (np.repeat(mine, after - first), theirs[_ranges(first, after)])
         apart = events.delays(one, events.time[one]) - events.delays(other, events.time[one])
         for pair_of in np.stack([one, other], axis=1)[np.abs(apart) < SAME_DELAY]:
-            instants = np.linspace(events.time[pair_of[0]], events.time[pair_of[1]], 5).tolist()
+            instants, zero = np.linspace(*events.time[pair_of], 5), np.zeros(2, dtype=np.int64)
             if not converged[pair_of].any() and all(
-                abs(events.detours(pair_of, 0, instant)[1]) <= _ROUNDING * size for instant in instants
+                abs(events.detours(pair_of, zero, zero[:1], instants[[i]])[1]) <= _ROUNDING * size for i in range(5)
             ):
                 converged[pair_of[0]] = True
                 yield pair_of[:1], float(events.time[pair_of[1]])
@@ -262,8 +265,11 @@ def _ranges(first: Rows, after: Rows) -> Rows:
     return np.asarray(np.arange(count.sum()) + np.repeat(first - np.cumsum(count) + count, count))
 
 
-def _beside_turns(events: _Events) -> Iterator[tuple[int, Rows]]:
-    """Yield events at which a path over an end of an edge begins, and all (n,) at which paths are nearly as long."""
+def _beside_turns(events: _Events) -> Iterator[tuple[Rows, Rows, Rows]]:
+    """Yield events of a pair at which paths over ends of edges begin, (k,), and all at which paths are nearly as long.
+
+    The latter, (n,), follow each other: those of each of the former from a place (k,) on.
+    """
     over = events.over_edges(ends=True) & (events.side == 0)
     for pair in np.unique(events.pair[over]).tolist():
         here = slice(*np.searchsorted(events.pair, (pair, pair + 1)).tolist())
@@ -276,10 +282,11 @@ def _beside_turns(events: _Events) -> Iterator[tuple[int, Rows]]:
         instants = events.time[turns][turn]
         apart = events.delays(turns, events.time[turns])[turn] - events.delays(near, instants)
         alike = np.abs(apart) < SAME_DELAY
-        groups = np.split(near[alike], np.searchsorted(turn[alike], np.arange(len(turns)))[1:])
-        for number, group in zip(turns.tolist(), groups, strict=False):
-            if np.ptp(events.time[group]) > 0.0:
-                yield number, group
+        near, turn = near[alike], turn[alike]
+        first = np.searchsorted(turn, np.arange(len(turns) + 1))
+        kept = events.time[near[first[1:] - 1]] > events.time[near[first[:-1]]]
+        if kept.any():
+            yield turns[kept], np.cumsum(np.diff(first)[kept]) - np.diff(first)[kept], near[kept[turn]]
 
 
 def _explained(scene: Scene, pair: Rows, times: Floats, resolution: float) -> Floats:

@@ -80,7 +80,7 @@ def end_candidates(
     source = _Sight(finder, 0, sides[0], routes, left, longest)
     after = left - source.fewest
     sights = [_Sight(finder, row, mover, routes, after, longest) for row, mover in enumerate(sides[1], 1)]
-    kinds = np.column_stack([routes.end >= MEETING, routes.face[:, 0], met])
+    kinds = np.column_stack([routes.end >= MEETING, routes.face[:, 0] == ACROSS_AIR, met])
     every, kind = np.unique(kinds, axis=0, return_inverse=True)
     for number in range(len(every)):
         rows, count = np.flatnonzero(kind.ravel() == number), int(every[number, 2])

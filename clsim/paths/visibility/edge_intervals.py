@@ -191,11 +191,13 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
         sides[ignored[row]] = 0
         done = sure | (2.0 * half <= finder.query.resolution)
         unsure = np.flatnonzero(~done & (off < near) & (half <= 0.5 * GRAZE_TIME))
-        for instant in (begin, end) if len(unsure) else ():
-            beside, _, off, _ = visibility.sides(finder.query, row[unsure], instant[unsure], np.zeros(len(unsure)))
-            beside[ignored[row[unsure]]] = 0
-            along = off < np.minimum(near, ALONG * reach[unsure])
-            unsure = unsure[along & np.all(beside == sides[unsure], axis=1)]
+        if len(unsure):
+            both, instants = np.tile(row[unsure], 2), np.append(begin[unsure], end[unsure])
+            beside, _, off, _ = visibility.sides(finder.query, both, instants, np.zeros(len(both)))
+            beside[ignored[both]] = 0
+            along = off < np.tile(np.minimum(near, ALONG * reach[unsure]), 2)
+            along &= np.all(beside == np.tile(sides[unsure], (2, 1)), axis=1)
+            unsure = unsure[along.reshape(2, -1).all(axis=0)]
         done[unsure] = True
         np.add.at(evaluations, row, 1)
         _refuse_endless(evaluations, lambda worst: finder.edges.names[candidates.edge[worst, 0]])
