@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import read_only
+from clsim.arrays import read_only, unique_rows
 from clsim.paths.chain import Chain
-from clsim.paths.family import ends_at
+from clsim.paths.family import NONE, ends_at
 from clsim.paths.search.edge_chains import SAME_DELAY, delays_of
 from clsim.paths.vertices.edge import EdgeVertex
 from clsim.paths.vertices.edge_end import EdgeEndVertex
@@ -153,6 +153,16 @@ class _Events:
             found[mine] = delays_of(self.chains[family], self.row[which[mine]], instants[mine])
         return found
 
+    def paths(self) -> Rows:
+        """Return numbers (n,) of the paths of events: pieces of one path have the same number, and length."""
+        met = [np.concatenate([chain.interactions, chain.objects], axis=1) for chain in self.chains]
+        keys = np.full((len(self.time), 2 + max(x.shape[1] for x in met)), NONE, dtype=np.int64)
+        keys[:, 0], keys[:, 1] = self.family, self.pair
+        for number, columns in enumerate(met):
+            mine = self.family == number
+            keys[mine, 2 : 2 + columns.shape[1]] = columns[self.row[mine]]
+        return unique_rows(keys)[2]
+
     def detours(self, group: Rows, which: Rows, own: Rows, instants: Floats) -> Floats:
         """Compute by how much paths of groups' own events are longer than those of events (n,), m, at instants (k,), s.
 
@@ -270,7 +280,7 @@ def _beside_turns(events: _Events) -> Iterator[tuple[Rows, Rows, Rows]]:
 
     The latter, (n,), follow each other: those of each of the former from a place (k,) on.
     """
-    over = events.over_edges(ends=True) & (events.side == 0)
+    over, paths = events.over_edges(ends=True) & (events.side == 0), events.paths()
     for pair in np.unique(events.pair[over]).tolist():
         here = slice(*np.searchsorted(events.pair, (pair, pair + 1)).tolist())
         turns, times = here.start + np.flatnonzero(over[here]), events.time[here]
@@ -279,8 +289,10 @@ def _beside_turns(events: _Events) -> Iterator[tuple[Rows, Rows, Rows]]:
         several = events.time[first] != events.time[after - 1]
         turns, first, after = turns[several], first[several], after[several]
         turn, near = np.repeat(np.arange(len(turns)), after - first), _ranges(first, after)
-        instants = events.time[turns][turn]
-        apart = events.delays(turns, events.time[turns])[turn] - events.delays(near, instants)
+        _, instant = np.unique(events.time[turns], return_inverse=True)
+        _, some, same = np.unique(paths[near] * len(turns) + instant[turn], return_index=True, return_inverse=True)
+        each = events.delays(near[some], events.time[turns[turn[some]]])[same]
+        apart = events.delays(turns, events.time[turns])[turn] - each
         alike = np.abs(apart) < SAME_DELAY
         near, turn = near[alike], turn[alike]
         first = np.searchsorted(turn, np.arange(len(turns) + 1))
