@@ -92,13 +92,17 @@ class EndVisibility(GapVisibility):
         return (held[:, 0], held[:, 1]), (still[:, 0], still[:, 1])
 
     def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
-        """Largest motion of the point on the first or second edge along it, (n,) m; of an end none."""
-        crossing, reach = stance.course.crossing, stance.reach
+        """Largest motion of the point on the first or second edge along it, (n,) m; of an end none.
+
+        With the end at rest r off the edge, the other endpoint at R - r and a length of L over it, the point slides by
+        at most r L / R² of what that endpoint moves.
+        """
+        crossing, reach = stance.course.crossing, stance.reaches[edge]
         assert crossing is not None
-        of_edge = np.where(edge == 0, crossing.legs[0], crossing.legs[2]) + crossing.legs[1]
-        room = crossing.slides[edge] + stance.distances[edge] - 2.0 * reach
-        sliding = reach * (of_edge + 2.0 * reach) / np.where(room > 0.0, room, 1.0)
-        return np.where(np.isnan(room), 0.0, np.where(room > 0.0, sliding, FAR * size))
+        over_edge = np.where(edge == 0, crossing.legs[0], crossing.legs[2]) + crossing.legs[1]
+        across = crossing.slides[edge] + stance.distances[edge] - reach
+        sliding = reach * crossing.slides[edge] * (over_edge + reach) / np.where(across > 0.0, across, 1.0) ** 2
+        return np.where(np.isnan(across), 0.0, np.where(across > 0.0, sliding, FAR * size))
 
     def sides(
         self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats
@@ -110,8 +114,9 @@ class EndVisibility(GapVisibility):
         stance, (one, other) = self.stance(query, which, time, half), self.candidates.edge[which].T
         crossing, last, reach = stance.course.crossing, self.last[which], stance.reach
         assert crossing is not None
-        near = reach < np.minimum(*stance.distances)
-        turns = [np.arcsin(np.where(near, reach / np.where(near, r, 1.0), 1.0)) for r in stance.distances]
+        moved = list(zip(stance.reaches, stance.distances, strict=True))
+        near = (moved[0][0] < moved[0][1]) & (moved[1][0] < moved[1][1])
+        turns = [np.arcsin(np.where(near, own / np.where(near, r, 1.0), 1.0)) for own, r in moved]
         (ahead, back), _ = self.between(stance, which, (turns[0], turns[1]))
         terms = lit_angles(self.edges.n[one], stance.angles[0], ahead), lit_angles(self.edges.n[other], back,
                                                                                   stance.angles[1])  # fmt: skip
@@ -139,7 +144,8 @@ class EndVisibility(GapVisibility):
         towards = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / legs[1]
         slope = np.where(last, stance.places[1] - stance.heights[1], stance.places[0] - stance.heights[0]) / legs[0]
         slope = slope - towards
-        moved = stance.reach, np.where(last, *(self.slides(stance, edge, no_end, size) for edge in (0, 1)))
+        far, slides = stance.reaches[::-1], [self.slides(stance, edge, no_end, size) for edge in (0, 1)]
+        moved = np.where(last, *far), np.where(last, *slides)
         change = [m / np.maximum(leg - m, _LEAST) for m, leg in zip(moved, legs, strict=True)]
         return np.where(self.candidates.end[which] % OF_LAST == 1, slope, -slope), change[0] + change[1]
 

@@ -120,6 +120,7 @@ class EdgeStance:
     places: tuple[Floats, Floats]  # where each path meets each edge, m from its start
     apexes: tuple[Floats, Floats]  # the same in the room
     reach: Floats  # (n,) how far both ends may move within what was asked, m
+    reaches: tuple[Floats, Floats]  # the same of each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,14 +152,14 @@ class EdgeVisibility:
                 break
         places = tuple(np.where(over_end, x, w.apex) for x, w in zip(ends, course.edge_paths, strict=True))
         late, emission_time = query.time_dilation[requested.receiver[which]], time - delay
-        reach = np.maximum(
+        reaches = (
             half * late * tables.speed_over(source, emission_time - late * half, emission_time + late * half),
             half * tables.speed_over(row, time - half, time + half),
         )
         apexes = tuple(edges.start[e] + p[:, None] * edges.along[e] for e, p in zip((one, other), places, strict=True))
         return EdgeStance(
             (emitted_at, at), (t_s, t_r), (r_s, r_r), (z_s, z_r), course, (places[0], places[1]),
-            (apexes[0], apexes[1]), reach,
+            (apexes[0], apexes[1]), np.maximum(*reaches), reaches,
         )  # fmt: skip
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
