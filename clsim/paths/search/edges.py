@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from clsim.scene.room.walls import Walls
     from clsim.scene.scene import Scene
 
+    Rows = NDArray[np.int64]
     Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
     Reached = Callable[[tuple[Floats, float]], Sides]
     Requested = Iterator[tuple[float, EdgeCandidates]]  # with the share of the work so far
@@ -154,32 +155,31 @@ class EdgeReach:
         try:
             for batch in tree.candidates(self._order):
                 count = batch.sequence.shape[1]
-                for edge in np.unique(batch.receiver).tolist():
-                    sequence = batch.sequence[batch.row[batch.receiver == edge]]
-                    found[edge][count].append(sequence[_may_reach(walls, sphere, edges, edge, sequence)])
+                kept = np.flatnonzero(_may_reach(walls, sphere, edges, batch.receiver, batch.sequence[batch.row]))
+                sequence, of_edge = batch.sequence[batch.row[kept]], batch.receiver[kept]
+                for edge in np.unique(of_edge).tolist():
+                    found[edge][count].append(sequence[of_edge == edge])
         except TooManyBeamsError as error:
             raise InputError("max_order", str(error)) from error
         return [[np.concatenate([np.empty((0, n), np.int32), *parts]) for n, parts in enumerate(x)] for x in found]
 
 
 def _may_reach(
-    walls: Walls, sphere: tuple[Floats, float], edges: Edges, edge: int, sequence: NDArray[np.int32]
+    walls: Walls, sphere: tuple[Floats, float], edges: Edges, edge: Rows, sequence: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """Mask of sequences (n, N) that may lead to an edge: not from inside its wedge, nor by walls that it lies in.
+    """Mask of sequences (n, N) that may lead to edges (n,): not from inside their wedges, nor by walls they lie in.
 
     As seen from the last walls of a sequence the edge may lie in the plane of an earlier one: such a path would meet
     that wall at the edge's image, at its very end.
     """
-    reaches, image = np.ones(len(sequence), dtype=bool), np.tile(sphere[0], (len(sequence), 1))
+    image = np.tile(sphere[0], (len(sequence), 1))
     for wall in sequence.T:
         image = mirrored(walls, wall, image)
-    reaches &= ~np.any(
-        in_planes(walls, edges.start[edge], sequence) & in_planes(walls, edges.stop[edge], sequence), axis=1
-    )
-    r, angle, _ = edges.cylindrical(np.full(len(image), edge), image)
+    within = in_planes(walls, edges.start[edge], sequence) & in_planes(walls, edges.stop[edge], sequence)
+    r, angle, _ = edges.cylindrical(edge, image)
     beyond = np.maximum(-angle, angle - np.pi * edges.n[edge])
     depth = np.where(beyond < 0.5 * np.pi, r * np.sin(np.clip(beyond, 0.0, 0.5 * np.pi)), r)
-    return reaches & (depth <= sphere[1] + _ON * walls.size)
+    return np.asarray(~within.any(axis=1) & (depth <= sphere[1] + _ON * walls.size))
 
 
 def in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:

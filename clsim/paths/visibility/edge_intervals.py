@@ -22,6 +22,7 @@ from clsim.paths.visibility.intervals import (
     GRAZE_TIME,
     MOST_EVALUATIONS,
     Intervals,
+    divided,
     find_intervals,
     merged,
 )
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 
 
 _CHUNK = 20_000  # intervals looked at at a time, which bounds what waits
-_AT_ONCE, _MOST_PARTS = 400, 8  # intervals below which more of them cost next to nothing: parts of each then
+_PARTS = 8  # into which intervals of paths over ends are cut at most: others keep their times to the last bit
 APART = 2.0  # resolutions between the times at which different tests find the same event, at most
 NEAR = 1e-8  # of the room's size, which ends go in between; ten times the tolerance of an outline
 STEP = 1e-3  # s, in which it is looked how far ends go
@@ -103,7 +104,7 @@ class EdgeSearch:
         row, begin, end = candidates.spans or always
         if candidates.over_meeting_edges:
             ahead, wanted = self.visibility(candidates).ahead, row.astype(np.int32)[:, None]
-            found = find_intervals(self.query, wanted, receiver[row], ahead, (begin, end))
+            found = find_intervals(self.query, wanted, receiver[row], ahead, (begin, end), _PARTS)
             return merged(row[found.path], found.begin, found.end, found.evaluations)
         across_air = bool(np.any(candidates.face == ACROSS_AIR))
         first = 2 if candidates.over_ends_of_pairs else 0  # their legs to endpoints are found before
@@ -128,7 +129,8 @@ class EdgeSearch:
         if self.device is None or candidates.over_ends_of_pairs:
             evaluate = partial(self.visibility(candidates).evaluate, side)
             sequence = row.astype(np.int32)[:, None]
-            return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans)
+            parts = _PARTS if candidates.over_ends_of_pairs else 1
+            return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans, parts)
         edges, across_air = self.edges, bool(np.any(candidates.face == ACROSS_AIR))
         before, after, between = (x[row] for x in (candidates.before, candidates.after, candidates.between))
         mine = (before, after, between[:, ::-1], between[:, :0])[side]
@@ -205,9 +207,7 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
         found.append((row[done], begin[done], end[done], sides[done]))
         row, begin, end = row[~done], begin[~done], end[~done]
         if len(row):
-            parts = int(np.clip(_AT_ONCE // len(row), 2, _MOST_PARTS)) if candidates.over_ends_of_pairs else 2
-            cuts = np.column_stack([begin[:, None] + (end - begin)[:, None] * (np.arange(parts) / parts), end])
-            stack.append((np.repeat(row, parts), cuts[:, :-1].ravel(), cuts[:, 1:].ravel()))
+            stack.append(divided(row, begin, end, 2, _PARTS if candidates.over_ends_of_pairs else 2))
     return _joined_pieces(candidates, *(np.concatenate(column) for column in zip(*found, strict=True)))
 
 

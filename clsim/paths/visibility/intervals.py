@@ -36,6 +36,7 @@ CERTAIN = 0.999  # of a clearance, what is relied on
 LEAST_SHARE = 0.05  # of an interval; less of it is not taken out of its middle
 MOST_EVALUATIONS = 3_000_000  # evaluations of one path
 _CHUNK = 20_000  # intervals looked at at a time
+_AT_ONCE = 400  # intervals below which more of them cost next to nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +100,7 @@ def find_intervals(
     receiver: NDArray[np.int64],
     evaluation: Evaluation | None = None,
     spans: tuple[Floats, Floats] | None = None,
+    parts: int = 1,
 ) -> Intervals:
     """Return the intervals in which paths are valid.
 
@@ -108,6 +110,8 @@ def find_intervals(
     `evaluate`.
 
     spans: times from and up to which each path is looked at, s; those of its receiver when left out.
+
+    parts: into how many what is left of an interval is cut at most, see `divided`.
     """
     evaluate_at = evaluation or evaluate
     first, last = spans or (query.first[receiver], query.last[receiver])
@@ -144,9 +148,18 @@ def find_intervals(
         rest = np.concatenate([path, path]), np.concatenate([begin, right]), np.concatenate([left, end])
         real = rest[2] > rest[1]
         if real.any():
-            stack.append((rest[0][real], rest[1][real], rest[2][real]))
+            stack.append(divided(rest[0][real], rest[1][real], rest[2][real], 1, parts))
     paths, begins, ends = (np.concatenate([f[i] for f in found]) for i in range(3))
     return merged(paths, begins, ends, evaluations)
+
+
+def divided(
+    path: NDArray[np.int64], begin: Floats, end: Floats, fewest: int, most: int
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Cut intervals (n,) of paths into even parts: into more where they are few, which costs next to nothing."""
+    parts = int(np.clip(_AT_ONCE // len(path), fewest, most))
+    cuts = np.column_stack([begin[:, None] + (end - begin)[:, None] * (np.arange(parts) / parts), end])
+    return np.repeat(path, parts), cuts[:, :-1].ravel(), cuts[:, 1:].ravel()
 
 
 def evaluate(
