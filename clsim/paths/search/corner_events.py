@@ -261,7 +261,8 @@ def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tupl
         one, other = (np.repeat(mine, after - first), theirs[_ranges(first, after)])
         apart = events.delays(one, events.time[one]) - events.delays(other, events.time[one])
         for pair_of in np.stack([one, other], axis=1)[np.abs(apart) < SAME_DELAY]:
-            instants, zero = np.linspace(*events.time[pair_of], 5), np.zeros(2, dtype=np.int64)
+            begin, end = events.time[pair_of].tolist()
+            instants, zero = np.linspace(begin, end, 5), np.zeros(2, dtype=np.int64)
             if not converged[pair_of].any() and all(
                 abs(events.detours(pair_of, zero, zero[:1], instants[[i]])[1]) <= _ROUNDING * size for i in range(5)
             ):

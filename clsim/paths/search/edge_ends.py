@@ -6,6 +6,7 @@ receiver. A path is active while both are, later by what sound takes from the en
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -58,7 +59,8 @@ def end_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, 
     """
     lowest = min((source.emitted.centre_frequency for source in scene.sources), default=0.0)
     wave = 2.0 * np.pi * lowest / scene.air.speed_of_sound
-    rows, order, within = rows_of(scene, search, others, partial(end_candidates, wave=wave))
+    fewest = 2 if scene.room.edges().free.any() else sys.maxsize
+    rows, order, within = rows_of(scene, search, others, partial(end_candidates, wave=wave), fewest)
     return with_swaps(end_chain(scene, order, rows), within)
 
 
@@ -127,7 +129,10 @@ def _routes(finder: EdgeSearch, reached: Reached, order: int) -> EdgeCandidates:
     for count in range(order + 1) if len(pairs) else ():
         pair, walls = between_edges(pairs, from_edge, count)
         between = np.pad(walls, ((0, 0), (0, order - count)), constant_values=-1)
-        found.append(_seen_ends(finder, _with_ends(finder, pair, np.full(pair.shape, ACROSS_AIR), between), count))
+        for first in range(0, len(pair), _BATCH):
+            some, met = pair[first : first + _BATCH], between[first : first + _BATCH]
+            routes = _with_ends(finder, some, np.full(some.shape, ACROSS_AIR), met)
+            found.append(_seen_ends(finder, routes, count))
     return EdgeCandidates.joined(found)
 
 
@@ -141,15 +146,15 @@ def _seen_ends(finder: EdgeSearch, routes: EdgeCandidates, count: int) -> EdgeCa
     ended, other = np.where(last, seen, real), np.where(last, real, seen)
     ahead = in_air(edges.n[theirs], x, y, near)
     stops = other[:, 0] - ended[:, 0], other[:, 0] - ended[:, 0] + edges.length[theirs, None] * other[:, 3]
-    air = [in_air(edges.n[mine], *np.einsum("ni,nai->an", stop, ended[:, 1:3]), near) for stop in stops]
+    heights = (np.einsum("ni,nai->an", stop, ended[:, 1:3]) for stop in stops)
+    air = [in_air(edges.n[mine], x, y, near) for x, y in heights]
     routes = _part(routes, np.flatnonzero(ahead & (air[0] | air[1] | (edges.n[mine] < 1.0))))
     (mine, _), (theirs, _) = _ended(routes)
     place = np.where((routes.end % OF_LAST == 1)[:, None], edges.stop[mine], edges.start[mine])
     onto = routes.between[:, :count]  # from the other edge to the end
     onto = np.where((routes.end >= OF_LAST)[:, None], onto, onto[:, ::-1])
-    hidden = in_planes(walls, place, onto).any(axis=1)
-    left, share = np.flatnonzero(~hidden), np.linspace(0.0, 1.0, PARTS + 1)
-    hidden[left] = True
+    left, share = np.flatnonzero(~in_planes(walls, place, onto).any(axis=1)), np.linspace(0.0, 1.0, PARTS + 1)
+    hidden = np.ones(len(place), dtype=bool)
     for i in range(PARTS):
         start, stop = (x[theirs[left], None] for x in (edges.start, edges.stop))
         part = start + share[None, i : i + 2, None] * (stop - start)
@@ -253,7 +258,8 @@ class _Sight:
     def fewest(self) -> Rows:
         """Fewest walls (n,) by which what routes ask for is seen, one more than was looked for where it never is."""
         seen = [np.diff(found.first) > 0 for found in self._seen]
-        return np.argmax([*seen, np.ones(len(self._edge), dtype=bool)], axis=0)[self.request]
+        fewest: Rows = np.argmax([*seen, np.ones(len(self._edge), dtype=bool)], axis=0)
+        return fewest[self.request]
 
     def _found(self, sides: Sides, count: int, late: Floats) -> _Seen:
         """Find when each request is seen by so many walls, and `late` (q,) before, s."""
@@ -264,15 +270,19 @@ class _Sight:
                 sequence = sequence[~in_planes(walls, (edges.start, edges.stop)[end][edge], sequence).any(axis=1)]
             parts.append(sequence)
         request = np.repeat(np.arange(len(parts) - 1), [len(part) for part in parts[1:]])
-        sequence = np.concatenate(parts)
-        none, same = np.empty((len(request), 0), dtype=np.int32), np.repeat(self._edge[request, None], 2, axis=1)
-        wanted = EdgeCandidates(
-            sequence, none, same, np.full(same.shape, -1), self._end[request], request, none
-        )  # fmt: skip
-        found = self._finder.find(wanted, 0)
-        request = request[found.path]
+        sequence, found = np.concatenate(parts), [np.empty((3, 0))]
+        for begin in range(0, len(request), _BATCH):
+            some = np.arange(begin, min(begin + _BATCH, len(request)))
+            edge, none = self._edge[request[some]], np.empty((len(some), 0), dtype=np.int32)
+            pair, face = np.stack([edge, edge], axis=1), np.full((len(some), 2), -1)
+            wanted = EdgeCandidates(sequence[some], none, pair, face, self._end[request[some]], request[some], none)
+            there = self._finder.find(wanted, 0)
+            found.append(np.stack([some[there.path], there.begin, there.end]))
+        rows, begins, ends = np.concatenate(found, axis=1)
+        kept = rows.astype(np.int64)
+        request = request[kept]
         first = np.searchsorted(request, np.arange(len(parts)))
-        return _Seen(first, sequence[found.path], found.begin - late[request], found.end - late[request])
+        return _Seen(first, sequence[kept], begins - late[request], ends - late[request])
 
 
 def _joined(

@@ -74,7 +74,7 @@ def double_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamil
     is taken.
     """
     check_support("static edge pair", scene.air)
-    rows, order, within = rows_of(scene, search, others, edge_pairs)
+    rows, order, within = rows_of(scene, search, others, edge_pairs, 2)
     return with_swaps(edge_pair_chain(scene, order, rows), within)
 
 
@@ -83,22 +83,23 @@ def gap_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, 
 
     others: paths without edges and over one, whose times are taken as by `double_edge_paths`.
     """
-    rows, order, within = rows_of(scene, search, others, gap_candidates)
+    rows, order, within = rows_of(scene, search, others, gap_candidates, 2)
     return with_swaps(gap_chain(scene, order, rows), within)
 
 
 def rows_of(
-    scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], kind: Kind
+    scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], kind: Kind, fewest: int = 1
 ) -> tuple[list[dict[str, Any]], int, float]:
     """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
 
-    The last is how far apart the times of the same event may have been found, s.
+    The last is how far apart the times of the same event may have been found, s. Rooms with fewer edges than the fewest
+    have no such paths.
     """
     order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
     edges = scene.room.edges()
     rows: list[dict[str, Any]] = []
     within = 0.0
-    if len(edges):
+    if len(edges) >= fewest:
         for source in range(len(scene.sources)):
             found, resolution = _source_rows(scene, edges, source, order, search, _AdjacentPaths(others, source), kind)
             rows, within = rows + found, _FARTHEST * resolution

@@ -65,7 +65,7 @@ class EndVisibility(GapVisibility):
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
         """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
-        last, along, r_c, z_c = (x[which] for x in (self.last, self.along, self.beside, self.height))
+        last, (along, r_c, z_c) = self.last[which], (x[which] for x in (self.along, self.beside, self.height))
         far, near = ([np.where(last, a, b) for a, b in zip(*ends, strict=True)]
                      for ends in ((receiver, source), (source, receiver)))  # fmt: skip
         route, leg = path_over_edge(r_c, z_c, *near), np.hypot(far[0], along - far[1])
