@@ -168,6 +168,24 @@ def test_both_ways(device: None, measured: Callable[..., float]) -> None:
     assert measured("an end and an edge, both ways", "the same", error, -120.0) < -120.0
 
 
+def test_paths_without_walls_are_found_at_any_order(device: None) -> None:
+    """Candidates with different numbers of walls are looked for together: those without any stay as they are alone."""
+    room, source, way, _ = walks()["a box"]
+    found: list[dict[tuple[int, ...], tuple[float, float]]] = []
+    for order in (0, 1):
+        [family] = [f for f in paths_of(room, source, way, order).families if f.kind == KIND]
+        plain = np.flatnonzero(family.order == 2)
+        assert (len(plain) < len(family)) == (order > 0)
+        found.append({})
+        for row in plain.tolist():
+            key = tuple(family.objects[row, :2].tolist())
+            first, last = found[-1].get(key, (np.inf, -np.inf))
+            found[-1][key] = min(first, family.start[row]), max(last, family.end[row])
+    assert found[0].keys() == found[1].keys()
+    assert len(found[0]) > 10
+    np.testing.assert_allclose(list(found[1].values()), [found[0][key] for key in found[1]], atol=1e-6)
+
+
 def test_an_end_takes_over_from_two_edges(measured: Callable[..., float]) -> None:
     """Where the shortest path over both screens in a row runs off an end, the sum goes on as it was."""
     room, source, way, _ = walks()["screens in a row"]
