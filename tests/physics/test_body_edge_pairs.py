@@ -32,6 +32,11 @@ def pillar(way: Trajectory, side: float = 0.2, height: float = 1.0, material: An
     return clsim.Body.box("pillar", (side, side, height), material, way)
 
 
+def without_ends(paths: PathSet) -> PathSet:
+    """Return paths without those over an edge and an end, which bodies do not have."""
+    return PathSet(paths.scene, tuple(f for f in paths.families if f.kind != "static edge and end"))
+
+
 def pairs_of(paths: PathSet) -> PathSet:
     """Return the paths over two edges."""
     found = tuple(f for f in paths.families if f.kind.endswith("edge pair") and len(f))
@@ -148,7 +153,7 @@ def test_a_pillar_at_rest_is_that_of_the_room_both_ways(measured: Callable[..., 
     time, sums = np.array([0.05]), []
     for ends in (ENDS, ENDS[::-1]):
         built, placed = (clsim.find_paths(in_a_room(ends, body, built), 1, diffraction=2) for built in (True, False))
-        sums += [field(paths, time, TONE)[0] for paths in (built, placed)]
+        sums += [field(without_ends(paths), time, TONE)[0] for paths in (built, placed)]
         assert len(pairs_of(built)) == len(pairs_of(placed)) > 8
     assert abs(sums[0]) > 0.05
     assert (
@@ -170,7 +175,7 @@ def test_slow_pillars_are_the_room_as_it_is(measured: Callable[..., float]) -> N
     times = np.array([11.0, 23.0, 37.0, 52.0, 63.0, 81.0])
     for time, one in zip(times, field(moving, times, TONE), strict=True):
         still = as_it_is(scene, float(time) - 0.9 / C)
-        there = field(clsim.find_paths(still, 0, diffraction=2), np.array([0.05]), TONE)[0]
+        there = field(without_ends(clsim.find_paths(still, 0, diffraction=2)), np.array([0.05]), TONE)[0]
         assert (
             measured(
                 "a pillar that moves at 5 mm/s", "the room as it is", float(decibels(np.abs(one - there) * 1.9)), -80.0
