@@ -275,7 +275,7 @@ PROGRAMS = {
             "envelope_row": taken("int", "receivers"), **ENVELOPE,
         },
         frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"})
-        | {"FINE", "COUNTS", "PAIRED"},
+        | {"FINE", "COUNTS", "PAIRED", "TILTED"},
     ),
     "baseband_fades": Program(
         (

@@ -11,6 +11,10 @@ typedef struct {
     int whole[BATCH];            // samples of the delay
     float delay[TERMS][BATCH];   // powers of the rest: of samples from the group's middle, or (FINE) as in the block
     float gain[FUNCTIONS][2][BATCH];  // at the group's middle, and its change per sample
+#if TILTED
+    long beyond[BATCH];               // of the stretch's branch signals, from those of the first one
+    float nu[BATCH];                  // imaginary delay of the whole samples, about the middle of that stretch
+#endif
 } batch;
 
 // Expand the polynomials of paths about `middle` of their block, a group's middle.

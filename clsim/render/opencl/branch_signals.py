@@ -211,8 +211,9 @@ class BranchSignals:
         stride = feed.width + 16 * filters.oversampling
         out, following = self._rows(self._parts * int(filters.rows[-1]), stride, found)
         emitted, samples = self._emit(feed)
-        channel = _VECTORS * self._lanes
-        constants = {"LANES": self._lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
+        lanes = 2 * self._lanes if self._lanes > 1 and feed.width % (2 * _VECTORS * self._lanes) == 0 else self._lanes
+        channel = _VECTORS * lanes
+        constants = {"LANES": lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
         kernel = self._compiler.kernel("branches", constants)
         for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
             rows, taps = bank.taps.shape
