@@ -266,7 +266,7 @@ PROGRAMS = {
     ),
     "baseband": Program(
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/group.h",
-         "render/baseband.cl"),
+         "render/branch_powers.h", "render/baseband.cl"),
         {
             **BRANCHES,
             "first_row": taken("int", "FUNCTIONS + 1"),

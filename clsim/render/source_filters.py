@@ -13,13 +13,13 @@ import numpy as np
 from clsim.errors import InputError, warn
 from clsim.numerics.convolution import convolved
 from clsim.numerics.resampling import low_pass_between
-from clsim.paths.response import NEPERS, check_band_coverage
+from clsim.paths.response import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.render.methods.costs import measured_costs
 from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares, spectra
 from clsim.tracks.basis import NO_TILT, Basis, Tilt, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
-from clsim.tracks.sampled import GRIDS, Band, Draw, band_of
+from clsim.tracks.sampled import Draw, band_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,7 +42,6 @@ _LOUD_SHARE_DB = -60.0  # of the signal's energy outside the band, from which on
 _WEAK_ERROR_DB = -60.0  # of the filter, from which on it is a warning
 _LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
 _LIMIT_WIDTH, _LEAST_LIMIT_WIDTH = 0.08, 0.02  # of half the sampling rate, over which it falls to that
-_NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
 _LEAST_BIN = 1e-3  # of the spacing of a spectrum's frequencies: where bands begin that go down to 0 Hz
 _OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
 _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may weaken
@@ -86,21 +85,6 @@ class Emission:
         """Bound on how fast its delays change, s/s."""
         return self.tracks.max_rate(self.source)
 
-    def tilt(self, low: float, high: float) -> Tilt:
-        """Return the even part of the air's absorption over a band, Hz: none where delays are not those of rest."""
-        of_scene, carrier = self.tracks.of_scene, 0.5 * (low + high)
-        if of_scene is None or self.static or self.options.responses == "centre" or not len(self.sound.energy):
-            return NO_TILT
-        drawn, scene = self.drawn(), of_scene.paths.scene
-        air, c = scene.air, scene.air.speed_of_sound
-        plain = not (air.dispersion or air.layers or air.fluctuation is not None or drawn.tracks.paths.is_complex)
-        if not plain or drawn.tracks.paths.turns_phases or any(r.electronics is not None for r in scene.receivers):
-            return NO_TILT
-        if any(np.abs(p.found.through - c * p.found.delay).max(initial=0.0) > _NEAR for p in drawn.rows):
-            return NO_TILT
-        frequencies = np.linspace(low, high, 33)
-        return Tilt(float(np.polyfit(frequencies - carrier, air.absorption_at(frequencies) * NEPERS, 1)[0]), carrier)
-
     def basis(self, band: tuple[float, float], rate: float, envelope: bool = False, tilt: Tilt = NO_TILT) -> Basis:
         """Return the functions of frequency that its paths need, within a band at most, both in Hz; less a tilt."""
         (least, high), sound, options, of_scene = band, self.sound, self.options, self.tracks.of_scene
@@ -115,10 +99,7 @@ class Emission:
         floor_db = EXACT_DB if at_centre or exact else options.response_error_db
         low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
         low = min(max(low, least, _LEAST_BIN * float(sound.frequencies[1])), 0.999 * high)
-
-        def band_at(count: int = GRIDS[0]) -> Band:
-            return band_of(low, high, sound, count, tilt)
-
+        band_at = partial(band_of, low, high, sound, tilt)
         if not at_centre:
             requested_db = min(floor_db, options.response_error_db)
             drawn = self.drawn()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.paths.response import NEPERS
 from clsim.tracks.basis import NO_TILT, Tilt
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
 _LEAST_TILT = 1.0  # the same over all delays, below which functions of frequency cost as little
+_NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
+_FITTED = 33  # frequencies, through whose absorption the tilt goes
 _FEW = 2  # functions, up to which no others are looked at
 _LEAST_PATHS = 100  # for each stretch beyond the first one, from which on their branch signals pay
 _COMPLEX = 1.15  # cost of a branch where delays are complex, relative to that of real ones
@@ -68,11 +71,27 @@ class Stretches:
 WHOLE = Stretches()  # without a tilt
 
 
+def _tilt_of(emission: Emission, low: float, high: float) -> Tilt:
+    """Return the even part of the air's absorption over a band, Hz: none where delays are not those of air at rest."""
+    of_scene = emission.tracks.of_scene
+    if of_scene is None or emission.static or emission.options.responses == "centre" or not len(emission.sound.energy):
+        return NO_TILT
+    drawn, scene, carrier = emission.drawn(), of_scene.paths.scene, 0.5 * (low + high)
+    air, c, paths = scene.air, scene.air.speed_of_sound, drawn.tracks.paths
+    alike = not (air.dispersion or air.layers or air.fluctuation is not None or paths.is_complex or paths.turns_phases)
+    if not alike or any(receiver.electronics is not None for receiver in scene.receivers):
+        return NO_TILT
+    if any(np.abs(some.found.through - c * some.found.delay).max(initial=0.0) > _NEAR for some in drawn.rows):
+        return NO_TILT
+    away = np.linspace(low, high, _FITTED) - carrier
+    return Tilt(float(np.polyfit(away, air.absorption_at(carrier + away) * NEPERS, 1)[0]), carrier)
+
+
 def stretches_of(
     emission: Emission, band: tuple[float, float], rate: float, edge: float, tilted: bool
 ) -> Stretches | None:
     """Return the stretches for an envelope of a band, Hz, at a rate, Hz, that ends at an edge, rad; None for none."""
-    of_scene, tilt = emission.tracks.of_scene, emission.tilt(*band) if tilted else NO_TILT
+    of_scene, tilt = emission.tracks.of_scene, _tilt_of(emission, *band) if tilted else NO_TILT
     if tilt.slope == 0.0 or of_scene is None:
         return None
     c = of_scene.paths.scene.air.speed_of_sound

@@ -81,7 +81,7 @@ class Band:
         return np.asarray(np.maximum(1.0 - self.energy.sum(axis=1), 0.0))
 
 
-def band_of(low: float, high: float, sound: ShortTimeSpectra, count: int = GRIDS[0], tilt: Tilt = NO_TILT) -> Band:
+def band_of(low: float, high: float, sound: ShortTimeSpectra, tilt: Tilt = NO_TILT, count: int = GRIDS[0]) -> Band:
     """Return a signal's band from its short-time spectra; `low` and `high` in Hz."""
     high = max(high, low * (1.0 + 1e-6))
     grid = chebyshev_points(low, high, count)

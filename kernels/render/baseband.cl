@@ -22,44 +22,6 @@
 #define ADD_TURNED(k)
 #endif
 
-// Put into a and b what `count` branches make of them, the highest one's rows being x and y.
-#if TILTED
-// The delay is complex, mu - j nu. Even and odd branches go by its square, so that two sums wait for each other half as often.
-#define MULTIPLIED(a, b, x, y, re, im)  \
-    {                                   \
-        const vec s = a * re + (x);     \
-        const vec u = b * re + (y);     \
-        const vec was = a;              \
-        a = b * im + s;                 \
-        b = u - was * im;               \
-    }
-#define BRANCHES(count)                                                                              \
-    vec a = LOAD(x), b = LOAD(y), odd_a = 0.0f, odd_b = 0.0f;                                        \
-    if ((count) > 1) {                                                                               \
-        odd_a = LOAD(x - (long)stride);                                                              \
-        odd_b = LOAD(y - (long)stride);                                                              \
-    }                                                                                                \
-    _Pragma("unroll") for (int q = 2; q < (count); q++)                                              \
-    {                                                                                                \
-        const long down = q * (long)stride;                                                          \
-        if (q & 1) MULTIPLIED(odd_a, odd_b, LOAD(x - down), LOAD(y - down), mu_squared, nu_squared)  \
-        else MULTIPLIED(a, b, LOAD(x - down), LOAD(y - down), mu_squared, nu_squared)                \
-    }                                                                                                \
-    if ((count) & 1) {                                                                               \
-        if ((count) > 1) MULTIPLIED(odd_a, odd_b, a, b, mu, nu)                                      \
-        a = (count) > 1 ? odd_a : a;                                                                 \
-        b = (count) > 1 ? odd_b : b;                                                                 \
-    } else MULTIPLIED(a, b, odd_a, odd_b, mu, nu)
-#else
-#define BRANCHES(count)                                      \
-    vec a = LOAD(x), b = LOAD(y);                            \
-    _Pragma("unroll") for (int q = 1; q < (count); q++)      \
-    {                                                        \
-        a = a * mu + LOAD(x - q * (long)stride);             \
-        b = b * mu + LOAD(y - q * (long)stride);             \
-    }
-#endif
-
 // Add what a path brings of function k through `count` branches, the highest one's real row being `x`.
 #define ADD(k, count)                                            \
     {                                                            \
@@ -149,13 +111,8 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
             __global const float* c = polynomials + place_of(row, slot, FUNCTIONS * CHANNELS, slots);
             expand(delay + row * (long)slots + slot, c, middle, 2.0f / (float)block_samples, channel, &paths);
 #if TILTED
-            for (int p = 0; p < BATCH; p++) {
-                float from_middle;
-                const int whole = paths.whole[p], stretch = stretch_of(
-                    (float)(whole - tilt.first_stretch), tilt.stretches, tilt.stretch, tilt.per_stretch, &from_middle);
-                paths.beyond[p] = stretch * (2 * first_row[FUNCTIONS] * (long)stride);
-                paths.nu[p] = from_middle * tilt.tilt_per_sample;
-            }
+            find_stretches(&paths, 2 * first_row[FUNCTIONS] * (long)stride, tilt.first_stretch, tilt.stretches, tilt.stretch,
+                           tilt.per_stretch, tilt.tilt_per_sample);
 #endif
             vec real = 0.0f, imaginary = 0.0f;
             for (int p = 0; p < BATCH; p++) {

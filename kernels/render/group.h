@@ -54,3 +54,15 @@ static void expand(__global const int* delay, __global const float* polynomials,
         for (int i = 0; i < TERMS; i++) *(loose_vec*)(out->delay[i] + p) = d[i];
     }
 }
+
+#if TILTED
+// Find the stretches of paths, whose branch signals are `rows` apart, and the imaginary delays about their middles.
+static void find_stretches(batch* paths, long rows, int first, int stretches, float length, float per_length, float per_sample)
+{
+    for (int p = 0; p < BATCH; p++) {
+        float from_middle;
+        paths->beyond[p] = stretch_of((float)(paths->whole[p] - first), stretches, length, per_length, &from_middle) * rows;
+        paths->nu[p] = from_middle * per_sample;
+    }
+}
+#endif

@@ -142,7 +142,8 @@ class _BasebandRun(Run):
         """Return the envelopes for samples of the chunk from `begin` on, as kernels take them."""
         stretches = self._filters.stretches
         return {
-            "first_row": self._filters.rows[: self._functions + 1], "envelope": self._pressure, "envelope_stride": self._length, "first_sample": begin,
+            "first_row": self._filters.rows[: self._functions + 1], "envelope": self._pressure,
+            "envelope_stride": self._length, "first_sample": begin,
             "turn_per_sample": round(self._filters.mixer.turn * 2**64) % 2**64,
             "half_turns_per_sample": 2.0 * self._filters.cycles, "tilt_per_sample": stretches.per_sample,
             "stretch": stretches.length, "per_stretch": 1.0 / stretches.length, "first_stretch": stretches.origin,
