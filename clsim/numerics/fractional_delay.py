@@ -200,15 +200,16 @@ def design_tilted(
     weights (C. L. Lawson, 1961), which even out the largest errors.
     """
     delays = _rectangle(mu_max, nu_max)
+    delays = delays[: len(delays) // 2]  # the others mirror these
     allowed = 10 ** (error_db / 20) / importance
-    w = np.linspace(0.0, cutoff, _FREQUENCIES // 2)
+    w = np.linspace(0.0, cutoff, _FREQUENCIES // 4)
     wanted = np.exp(-1j * np.outer(delays, w))
 
     def error(coefficients: NDArray[np.complex128]) -> float:
         """Return the largest error of coefficients (degree + 1, frequencies) of the powers of delays."""
         return float(np.max(np.abs(polynomial.polyval(delays, coefficients).T - wanted)))
 
-    degree = 1
+    degree = max(chebyshev_degree(cutoff, mu_max, 2.0 * allowed), 1)
     while error(_powers_of(degree, mu_max, nu_max, cutoff, w)) > 0.9 * allowed and degree < _LARGEST_DEGREE:
         degree += 1
 
@@ -235,7 +236,7 @@ def _rectangle(mu_max: float, nu_max: float) -> NDArray[np.complex128]:
     """Return complex delays on the edge of a rectangle, dense in its corners, (n,)."""
     across = np.cos(np.linspace(0.0, math.pi, 33))
     sides = [mu_max * across + 1j * nu_max, mu_max + 1j * nu_max * across]
-    return np.concatenate([s * side for side in sides for s in (1.0, -1.0)])
+    return np.concatenate([s * side for s in (1.0, -1.0) for side in sides])
 
 
 @lru_cache(maxsize=64)
@@ -243,16 +244,17 @@ def _lawson(degree: int, mu_max: float, nu_max: float, cutoff: float) -> NDArray
     """Return the matrix (degree + 1, n) from values on the edge of a rectangle of delays to coefficients of powers."""
     delays, scale = _rectangle(mu_max, nu_max), math.hypot(mu_max, nu_max)
     powers, wanted = np.vander(delays / scale, degree + 1, increasing=True), np.exp(-1j * cutoff * delays)
-    weight, best, least = np.ones(len(delays)), None, math.inf
+    weight = best = np.ones(len(delays))
+    least = math.inf
     for _ in range(_LAWSON):
-        root = np.sqrt(weight)[:, None]
-        matrix = np.linalg.pinv(powers * root) * root.T
-        wrong = np.abs(powers @ (matrix @ wanted) - wanted)
+        root = np.sqrt(weight)
+        solved = np.linalg.lstsq(powers * root[:, None], wanted * root, rcond=1e-14)[0]
+        wrong = np.abs(powers @ solved - wanted)
         if wrong.max() < least:
-            best, least = matrix, wrong.max()
+            best, least = root, wrong.max()
         weight = weight * wrong / np.mean(weight * wrong)
-    assert best is not None
-    return np.asarray(best / scale ** np.arange(degree + 1)[:, None])
+    matrix = np.linalg.pinv(powers * best[:, None]) * best
+    return np.asarray(matrix / scale ** np.arange(degree + 1)[:, None])
 
 
 def _powers_of(degree: int, mu_max: float, nu_max: float, cutoff: float, w: Floats) -> NDArray[np.complex128]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.fractional_delay import design_bandlimited, design_tilted
 from clsim.numerics.resampling import low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
@@ -220,7 +221,8 @@ def envelope_filters(
         for size in basis.sizes.tolist():
             importance = interpolator.rounded((min(size, 1.0),))
             if stretches.per_sample:
-                design = design_tilted(interpolator.error_db, edge, mu_max, MOST_TILT / edge, importance[0])
+                with with_blas_threads(1):  # of small matrices
+                    design = design_tilted(interpolator.error_db, edge, mu_max, MOST_TILT / edge, importance[0])
             else:
                 design = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
             banks.append(Bank(design[0], design[0].shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, design[1]))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.paths.response import NEPERS
+from clsim.paths.response import SceneResponse
 from clsim.tracks.basis import NO_TILT, Tilt
 
 if TYPE_CHECKING:
@@ -25,6 +25,10 @@ MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the
 _LEAST_TILT = 1.0  # the same over all delays, below which functions of frequency cost as little
 _NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
 _FITTED = 33  # frequencies, through whose absorption the tilt goes
+_FLAT = (
+    1e-3  # change of a wall's factor over the band, beyond which paths of equal length differ: no tilt is looked for
+)
+_LEAST_WORK = 5e7  # paths times samples of the envelope, below which designing costs more than is gained
 _FEW = 2  # functions, up to which no others are looked at
 _LEAST_PATHS = 100  # for each stretch beyond the first one, from which on their branch signals pay
 _COMPLEX = 1.15  # cost of a branch where delays are complex, relative to that of real ones
@@ -81,17 +85,23 @@ def _tilt_of(emission: Emission, low: float, high: float) -> Tilt:
     alike = not (air.dispersion or air.layers or air.fluctuation is not None or paths.is_complex or paths.turns_phases)
     if not alike or any(receiver.electronics is not None for receiver in scene.receivers):
         return NO_TILT
+    away = np.linspace(low, high, _FITTED) - carrier
+    at = SceneResponse(scene, emission.source, carrier + away)
+    if np.ptp(at.largest_reflection(np.arange(at.surfaces)[:, None]), axis=1).max() > _FLAT:
+        return NO_TILT
     if any(np.abs(some.found.through - c * some.found.delay).max(initial=0.0) > _NEAR for some in drawn.rows):
         return NO_TILT
-    away = np.linspace(low, high, _FITTED) - carrier
-    return Tilt(float(np.polyfit(away, air.absorption_at(carrier + away) * NEPERS, 1)[0]), carrier)
+    return Tilt(float(np.polyfit(away, at.nepers, 1)[0]), carrier)
 
 
 def stretches_of(
     emission: Emission, band: tuple[float, float], rate: float, edge: float, tilted: bool
 ) -> Stretches | None:
     """Return the stretches for an envelope of a band, Hz, at a rate, Hz, that ends at an edge, rad; None for none."""
-    of_scene, tilt = emission.tracks.of_scene, _tilt_of(emission, *band) if tilted else NO_TILT
+    samples, paths = min(emission.signal.duration, emission.until) * rate, _paths(emission)
+    if not tilted or paths * samples < _LEAST_WORK:
+        return None
+    of_scene, tilt = emission.tracks.of_scene, _tilt_of(emission, *band)
     if tilt.slope == 0.0 or of_scene is None:
         return None
     c = of_scene.paths.scene.air.speed_of_sound
@@ -99,7 +109,7 @@ def stretches_of(
     longest = emission.tracks.longest_delay(0.0, emission.until, emission.source) * rate
     exponent = abs(per_sample) * edge * longest
     count = math.ceil(0.5 * exponent / MOST_TILT)
-    if exponent < _LEAST_TILT or _paths(emission) < _LEAST_PATHS * (count - 1):
+    if exponent < _LEAST_TILT or paths < _LEAST_PATHS * (count - 1):
         return None
     return Stretches(tilt, per_sample, (emission.start + 1.0 / c) * rate, longest / count, count)
 
