@@ -71,21 +71,24 @@ class Mixer:
             gains[:, np.arange(lowest, lowest + folded * count) % length],
         )  # fmt: skip
 
-    def __call__(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
-        """Return samples `first` to `last` of the envelope through each filter, (K, n).
+    def __call__(
+        self, read: Callable[[int, int], Floats], first: int, last: int, *, single: bool = False
+    ) -> NDArray[Any]:
+        """Return samples `first` to `last` of the envelope through each filter, (K, n), `single` by float32 transforms.
 
         `read` returns the samples of the sound from one to another. Transforms begin at multiples of their length, so
         that a sample is the same to the bit in whichever call.
         """
         size = self.count - 2 * self.half_length
         blocks = range(first // size, -(-last // size))
-        made = np.concatenate([self._made(read, block * size, size) for block in blocks], axis=1)
+        gains = self.gains.astype(np.complex64) if single else self.gains
+        made = np.concatenate([self._made(read, block * size, size, gains) for block in blocks], axis=1)
         out = made[:, first - blocks[0] * size : last - blocks[0] * size]
         whole = first * self.turn % 1  # exact, however late
         cycles = float(whole) + float(self.turn) * np.arange(last - first)
-        return np.asarray(out * np.exp(-2j * math.pi * cycles))
+        return np.asarray(out * np.exp(-2j * math.pi * cycles).astype(out.dtype))
 
-    def _made(self, read: Callable[[int, int], Floats], first: int, size: int) -> Complexes:
+    def _made(self, read: Callable[[int, int], Floats], first: int, size: int, gains: NDArray[Any]) -> NDArray[Any]:
         """Return samples of the filtered sound before it is turned, (K, size)."""
         from scipy.fft import ifft, rfft
 
@@ -93,12 +96,12 @@ class Mixer:
         begin = (first - self.half_length) * self.every
         sound = read(begin, begin + length)
         if not np.any(sound):
-            return np.zeros((len(self.taps), size), dtype=np.complex128)
+            return np.zeros((len(self.taps), size), dtype=gains.dtype)
         # Every so many-th sample folds the spectrum; what the low-pass stops is left out.
         places = np.arange(self.lowest, self.lowest + self.gains.shape[1]) % length
-        spectrum = rfft(sound)[np.minimum(places, length - places)]
+        spectrum = rfft(sound.astype(gains.real.dtype, copy=False))[np.minimum(places, length - places)]
         np.conj(spectrum, out=spectrum, where=places > length // 2)
-        folded = (spectrum * self.gains).reshape(len(self.taps), -1, self.count).sum(axis=1)
+        folded = (spectrum * gains).reshape(len(self.taps), -1, self.count).sum(axis=1)
         out = ifft(np.roll(folded, self.lowest % self.count, axis=1), axis=1)
         out = out[:, self.half_length : self.half_length + size]
         if not sound.all():  # what no sound reaches is silent, without the rounding of transforms
@@ -145,7 +148,7 @@ class EnvelopeFilters(SourceFilters):
 
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
         """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n)."""
-        streams = self.streams(first, last)
+        streams = self.mixer(self.signal.read, first, last, single=True)
         places = np.flatnonzero(np.any(streams != 0.0, axis=0))
         return places, streams[:, places]
 
