@@ -101,11 +101,10 @@ class Sample:
     first: NDArray[np.int64]
     beyond: Floats  # (n,) length of each path less 1 m, by which the band's tilt acts on it
 
-    @cached_property
-    def tilted(self) -> Floats | float:
-        """Factors (n, F) of the tilt that is taken out of responses."""
-        of_air = self.band.tilt.at(self.band.frequencies)
-        return np.exp(-np.outer(self.beyond, of_air)) if np.any(of_air) else 1.0
+    def received_of(self, values: Floats | Complexes, at: slice | NDArray[np.int64] = slice(None)) -> Any:
+        """Return values (n, m) at some of the frequencies with the tilt that was taken out of responses."""
+        of_air = self.band.tilt.at(self.band.frequencies[at])
+        return values * np.exp(-np.outer(self.beyond, of_air)) if self.band.tilt.slope else values
 
     def by_frame(self, values: Floats | Complexes) -> Floats:
         """Return the sums of the squares of values (n, m) over each frame's rows."""
@@ -115,7 +114,7 @@ class Sample:
     @cached_property
     def received(self) -> Floats:
         """Return the received energy (frames, W) of each window and of its neighbourhood."""
-        return np.asarray(self.by_frame(self.responses * self.tilted) @ self.band.energy.T + self.band.rest)
+        return np.asarray(self.by_frame(self.received_of(self.responses)) @ self.band.energy.T + self.band.rest)
 
     def loudness(self) -> Floats:
         """Return the inverse (W,) of the received energy of each window, as a mean over the frames."""
@@ -123,7 +122,7 @@ class Sample:
 
     def relative(self, left: Floats | Complexes) -> Floats:
         """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
-        left = left * self.tilted
+        left = self.received_of(left)
         return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.received).max(axis=1)))
 
     def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
@@ -141,8 +140,10 @@ class Sample:
 
         The error over nodes, by their indices, counts as well: the OpenCL engine measures it as it renders.
         """
-        weight = self.importance * self.tilted
-        at_nodes, received = (self.by_frame((r * weight)[:, nodes]).sum(axis=1) for r in (left, self.responses))
+        weight = self.importance[nodes]
+        at_nodes, received = (
+            self.by_frame(self.received_of(r[:, nodes] * weight, nodes)).sum(axis=1) for r in (left, self.responses)
+        )
         return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(received, 1e-300))))
 
     @cached_property
