@@ -35,7 +35,7 @@ class Limits:
         self.node_budget = int(min(NODE_BUDGET, info.largest_buffer_bytes, info.memory_bytes / 16))
         filters = plan.source_filters
         self._rows = max(f.oversampling * int(f.rows[-1]) for f in filters)
-        functions = max(f.oversampling * len(f.basis) for f in filters)
+        functions = max(f.oversampling * len(f.banks) for f in filters)
         # Of every buffer that grows with the chunk: bytes for a sample, and for those of the longest delay.
         rows, emitted = 4.3 * parts * self._rows, 4.3 * parts * functions
         self._per_sample = {"branch signals": rows, "emitted signals": emitted}
