@@ -27,6 +27,7 @@ _FREQUENCIES = 256  # at which errors are looked at
 _DELAYS = np.cos(np.linspace(0.0, math.pi, 65))  # over the largest, likewise
 _FIRST_DELAYS = _DELAYS[[0, 16, 20, 24, 28]]  # some of them, beside which errors are mostly largest
 _LARGEST_DEGREE = 40
+_LAWSON = 12  # times that weights on the edge of complex delays are evened out
 
 
 def lagrange_taps(order: int, delay: Floats) -> Floats:
@@ -103,6 +104,13 @@ def chebyshev_bank(
     w, inside, even, odd = _branch_shapes(half, cutoff)
     weight = np.where(inside, _importance_at(w, cutoff, importance), _OUT_OF_BAND_WEIGHT)[:, None]
     target = np.stack([_branch_target(k, half, cutoff, mu_max) for k in range(degree + 1)], axis=1)
+    taps = _fitted(target, even, odd, weight)
+    return (_powers(degree) @ taps) / (mu_max ** np.arange(degree + 1))[:, None]
+
+
+def _fitted(target: Floats, even: Floats, odd: Floats, weight: Floats) -> Floats:
+    """Return taps (branches, length) by weighted least squares from targets (n, branches), see `_branch_shapes`."""
+    degree, half = target.shape[1] - 1, odd.shape[1]
     taps = np.zeros((degree + 1, 2 * half + 1))
     solved = np.linalg.lstsq(even * weight, target[:, ::2] * weight, rcond=1e-14)[0]
     taps[::2, half:] = solved.T
@@ -111,7 +119,7 @@ def chebyshev_bank(
         solved = np.linalg.lstsq(odd * weight, target[:, 1::2] * weight, rcond=1e-14)[0]
         taps[1::2, half + 1 :] = solved.T
         taps[1::2, :half] = -solved.T[:, ::-1]
-    return (_powers(degree) @ taps) / (mu_max ** np.arange(degree + 1))[:, None]
+    return taps
 
 
 @lru_cache(maxsize=16)  # of some 200 KB each: banks of one band are tried in one order of lengths
@@ -179,6 +187,80 @@ def design_bandlimited(
         raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {cutoff:.4g} rad")
     found[0].flags.writeable = False
     return found
+
+
+@lru_cache(maxsize=512)
+def design_tilted(
+    error_db: float, cutoff: float, mu_max: float, nu_max: float, importance: float = 1.0
+) -> tuple[Floats, float]:
+    """Return a band-limited bank for complex delays ``mu - j nu`` within an error, and the error that it reaches.
+
+    Shapes: result (branches, length). Delays lie in a rectangle, up to `mu_max` and `nu_max`, samples. What errs is
+    analytic in them, so that it is most on the rectangle's edge. There powers of the delay are fitted by Lawson's
+    weights (C. L. Lawson, 1961), which even out the largest errors.
+    """
+    delays = _rectangle(mu_max, nu_max)
+    delays = delays[: len(delays) // 2]  # the others mirror these
+    allowed = 10 ** (error_db / 20) / importance
+    w = np.linspace(0.0, cutoff, _FREQUENCIES // 4)
+    wanted = np.exp(-1j * np.outer(delays, w))
+
+    def error(coefficients: NDArray[np.complex128]) -> float:
+        """Return the largest error of coefficients (degree + 1, frequencies) of the powers of delays."""
+        return float(np.max(np.abs(polynomial.polyval(delays, coefficients).T - wanted)))
+
+    degree = max(chebyshev_degree(cutoff, mu_max, 2.0 * allowed), 1)
+    while error(_powers_of(degree, mu_max, nu_max, cutoff, w)) > 0.9 * allowed and degree < _LARGEST_DEGREE:
+        degree += 1
+
+    def tried(half: int) -> Design | None:
+        """Return the bank of a length and its error, None above the bound."""
+        grid, inside, even, odd = _branch_shapes(half, cutoff)
+        target = np.zeros((len(grid), degree + 1))
+        powers = np.arange(degree + 1)[:, None]
+        target[inside] = (_powers_of(degree, mu_max, nu_max, cutoff, grid[inside]) * 1j ** (powers % 2)).real.T
+        taps = _fitted(target, even, odd, np.where(inside, 1.0, _OUT_OF_BAND_WEIGHT)[:, None])
+        response = np.exp(-1j * np.outer(np.arange(-half, half + 1), w))
+        reached = error(taps @ response)
+        return (taps, 20 * math.log10(reached * importance)) if reached <= allowed else None
+
+    shortest = max(2, (degree + 1) // 2)
+    found = _first(lambda i: tried(shortest + i), _LARGEST_LENGTH // 2, degree)
+    assert found is not None
+    found[0].flags.writeable = False
+    return found
+
+
+@lru_cache(maxsize=16)
+def _rectangle(mu_max: float, nu_max: float) -> NDArray[np.complex128]:
+    """Return complex delays on the edge of a rectangle, dense in its corners, (n,)."""
+    across = np.cos(np.linspace(0.0, math.pi, 33))
+    sides = [mu_max * across + 1j * nu_max, mu_max + 1j * nu_max * across]
+    return np.concatenate([s * side for s in (1.0, -1.0) for side in sides])
+
+
+@lru_cache(maxsize=64)
+def _lawson(degree: int, mu_max: float, nu_max: float, cutoff: float) -> NDArray[np.complex128]:
+    """Return the matrix (degree + 1, n) from values on the edge of a rectangle of delays to coefficients of powers."""
+    delays, scale = _rectangle(mu_max, nu_max), math.hypot(mu_max, nu_max)
+    powers, wanted = np.vander(delays / scale, degree + 1, increasing=True), np.exp(-1j * cutoff * delays)
+    weight = best = np.ones(len(delays))
+    least = math.inf
+    for _ in range(_LAWSON):
+        root = np.sqrt(weight)
+        solved = np.linalg.lstsq(powers * root[:, None], wanted * root, rcond=1e-14)[0]
+        wrong = np.abs(powers @ solved - wanted)
+        if wrong.max() < least:
+            best, least = root, wrong.max()
+        weight = weight * wrong / np.mean(weight * wrong)
+    matrix = np.linalg.pinv(powers * best[:, None]) * best
+    return np.asarray(matrix / scale ** np.arange(degree + 1)[:, None])
+
+
+def _powers_of(degree: int, mu_max: float, nu_max: float, cutoff: float, w: Floats) -> NDArray[np.complex128]:
+    """Return the coefficients (degree + 1, frequencies) of powers of a delay in its response at w (n,)."""
+    delays = _rectangle(mu_max, nu_max)
+    return np.asarray(_lawson(degree, mu_max, nu_max, cutoff) @ np.exp(-1j * np.outer(delays, w)))
 
 
 def _length_beyond(error_db: float, cutoff: float, importance: tuple[float, ...]) -> float:

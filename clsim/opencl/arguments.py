@@ -106,6 +106,9 @@ ENVELOPE = {
     "first_sample": INT,
     "turn_per_sample": Argument("ulong"),
     "half_turns_per_sample": FLOAT,
+    "tilt": structure(
+        "tilt_numbers", tilt_per_sample=FLOAT, stretch=FLOAT, per_stretch=FLOAT, first_stretch=INT, stretches=INT
+    ),
 }
 FADES = {
     "slot_of": taken("int", "fades"),

@@ -266,7 +266,7 @@ PROGRAMS = {
     ),
     "baseband": Program(
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_MASK, "render/carrier.h", "render/group.h",
-         "render/baseband.cl"),
+         "render/branch_powers.h", "render/baseband.cl"),
         {
             **BRANCHES,
             "first_row": taken("int", "FUNCTIONS + 1"),
@@ -275,7 +275,7 @@ PROGRAMS = {
             "envelope_row": taken("int", "receivers"), **ENVELOPE,
         },
         frozenset({"LANES", "GROUPS", "BATCH", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "SUBBLOCK"})
-        | {"FINE", "COUNTS", "PAIRED"},
+        | {"FINE", "COUNTS", "PAIRED", "TILTED"},
     ),
     "baseband_fades": Program(
         (

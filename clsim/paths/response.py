@@ -41,7 +41,7 @@ class SceneResponse:
     A response is received over emitted pressure by frequency, without the delay; a delay tau would be ``exp(-2j pi f
     tau)``.
 
-    Shapes: frequencies (F,) Hz.
+    Shapes: frequencies (F,) Hz; left_out (F,) absorption of the air that is rendered otherwise, 1/m (see `Tilt`).
 
     Attributes
     ----------
@@ -63,13 +63,13 @@ class SceneResponse:
         Walls that let sound pass.
     """
 
-    def __init__(self, scene: Scene, source: int, frequencies: Floats) -> None:
+    def __init__(self, scene: Scene, source: int, frequencies: Floats, left_out: Floats | float = 0.0) -> None:
         self._scene, self.frequencies, self.disperses = scene, frequencies, scene.air.dispersion
         self._centre, self._layers = scene.sources[source].emitted.centre_frequency, scene.air.layers
         materials = self._materials = scene.materials
         self.surfaces = len(materials) // (2 if scene.panels else 1)
         self.panels: NDArray[np.bool_] = np.isin(np.arange(self.surfaces), scene.panels)
-        self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS
+        self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS - left_out
         layers = [layer.absorption_at(frequencies) * NEPERS for layer in scene.air.layers]
         self.least_nepers, self.most_nepers = self.nepers, self.nepers
         if layers:

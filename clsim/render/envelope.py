@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.numerics.fractional_delay import design_bandlimited
+from clsim.numerics.blas import with_blas_threads
+from clsim.numerics.fractional_delay import design_bandlimited, design_tilted
 from clsim.numerics.resampling import low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters, filtered
+from clsim.render.tilt import MOST_TILT, WHOLE, Stretches, cheapest, stretches_of
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.scene.signal.signal import Signal
+    from clsim.tracks.basis import Basis
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
@@ -68,21 +71,24 @@ class Mixer:
             gains[:, np.arange(lowest, lowest + folded * count) % length],
         )  # fmt: skip
 
-    def __call__(self, read: Callable[[int, int], Floats], first: int, last: int) -> Complexes:
-        """Return samples `first` to `last` of the envelope through each filter, (K, n).
+    def __call__(
+        self, read: Callable[[int, int], Floats], first: int, last: int, *, single: bool = False
+    ) -> NDArray[Any]:
+        """Return samples `first` to `last` of the envelope through each filter, (K, n), `single` by float32 transforms.
 
         `read` returns the samples of the sound from one to another. Transforms begin at multiples of their length, so
         that a sample is the same to the bit in whichever call.
         """
         size = self.count - 2 * self.half_length
         blocks = range(first // size, -(-last // size))
-        made = np.concatenate([self._made(read, block * size, size) for block in blocks], axis=1)
+        gains = self.gains.astype(np.complex64) if single else self.gains
+        made = np.concatenate([self._made(read, block * size, size, gains) for block in blocks], axis=1)
         out = made[:, first - blocks[0] * size : last - blocks[0] * size]
         whole = first * self.turn % 1  # exact, however late
         cycles = float(whole) + float(self.turn) * np.arange(last - first)
-        return np.asarray(out * np.exp(-2j * math.pi * cycles))
+        return np.asarray(out * np.exp(-2j * math.pi * cycles).astype(out.dtype))
 
-    def _made(self, read: Callable[[int, int], Floats], first: int, size: int) -> Complexes:
+    def _made(self, read: Callable[[int, int], Floats], first: int, size: int, gains: NDArray[Any]) -> NDArray[Any]:
         """Return samples of the filtered sound before it is turned, (K, size)."""
         from scipy.fft import ifft, rfft
 
@@ -90,12 +96,12 @@ class Mixer:
         begin = (first - self.half_length) * self.every
         sound = read(begin, begin + length)
         if not np.any(sound):
-            return np.zeros((len(self.taps), size), dtype=np.complex128)
+            return np.zeros((len(self.taps), size), dtype=gains.dtype)
         # Every so many-th sample folds the spectrum; what the low-pass stops is left out.
         places = np.arange(self.lowest, self.lowest + self.gains.shape[1]) % length
-        spectrum = rfft(sound)[np.minimum(places, length - places)]
+        spectrum = rfft(sound.astype(gains.real.dtype, copy=False))[np.minimum(places, length - places)]
         np.conj(spectrum, out=spectrum, where=places > length // 2)
-        folded = (spectrum * self.gains).reshape(len(self.taps), -1, self.count).sum(axis=1)
+        folded = (spectrum * gains).reshape(len(self.taps), -1, self.count).sum(axis=1)
         out = ifft(np.roll(folded, self.lowest % self.count, axis=1), axis=1)
         out = out[:, self.half_length : self.half_length + size]
         if not sound.all():  # what no sound reaches is silent, without the rounding of transforms
@@ -113,11 +119,12 @@ class EnvelopeFilters(SourceFilters):
     half: float  # frequencies off the carrier that are held, Hz
     mixer: Mixer  # applies the functions of the basis
     plain: Mixer  # applies none
+    stretches: Stretches = WHOLE  # of delays: each has banks and streams of all functions, side by side
 
     @property
     def counts(self) -> int:
         """Branches of each function, four bits each from the lowest; 0 where they are too many for that."""
-        counts = [len(bank.taps) for bank in self.banks]
+        counts = [len(bank.taps) for bank in self.banks[: len(self.basis)]]
         return sum(n << 4 * k for k, n in enumerate(counts)) if len(counts) < 8 and max(counts) < 16 else 0
 
     @property
@@ -141,7 +148,7 @@ class EnvelopeFilters(SourceFilters):
 
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
         """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n)."""
-        streams = self.streams(first, last)
+        streams = self.mixer(self.signal.read, first, last, single=True)
         places = np.flatnonzero(np.any(streams != 0.0, axis=0))
         return places, streams[:, places]
 
@@ -194,42 +201,56 @@ def design_envelope(emission: Emission) -> EnvelopeFilters:
     return envelope_filters(emission, half, low_pass, removed_db)
 
 
-def envelope_filters(emission: Emission, half: float, low_pass: Floats, removed_db: float) -> EnvelopeFilters:
-    """Return filters for the envelope of a source's signal through a low-pass (n,) about the options' carrier."""
+def envelope_filters(
+    emission: Emission, half: float, low_pass: Floats, removed_db: float, *, tilted: bool = False
+) -> EnvelopeFilters:
+    """Return filters for the envelope of a source's signal through a low-pass (n,) about the options' carrier.
+
+    The even part of the air's absorption over the band is an imaginary delay, if it may be (`tilted`).
+    """
     options = emission.options
     assert options.baseband is not None
     baseband, interpolator = Baseband(*options.baseband), options.interpolator
     assert isinstance(interpolator, Bandlimited)  # as the options have checked
     sampling_rate, max_rate = emission.signal.sampling_rate, emission.max_rate
-    basis = emission.basis((baseband.carrier - half, baseband.carrier + half), sampling_rate, envelope=True)
-    rate = baseband.sampling_rate or 0.0
+    rate, held = baseband.sampling_rate or 0.0, (baseband.carrier - half, baseband.carrier + half)
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
     mu_max = math.ceil((0.52 + 0.5 * WIDEST_SUBBLOCK * max_rate) * 32) / 32
-    banks = []
-    for size in basis.sizes.tolist():
-        importance = interpolator.rounded((min(size, 1.0),))
-        taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
-        banks.append(Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, reached))
+
+    def designed(stretches: Stretches) -> tuple[Basis, tuple[Bank, ...], Stretches]:
+        """Return functions of frequency beside a tilt, their banks, and its stretches."""
+        basis, banks = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt), []
+        for size in basis.sizes.tolist():
+            importance = interpolator.rounded((min(size, 1.0),))
+            if stretches.per_sample:
+                with with_blas_threads(1):  # of small matrices
+                    design = design_tilted(interpolator.error_db, edge, mu_max, MOST_TILT / edge, importance[0])
+            else:
+                design = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
+            banks.append(Bank(design[0], design[0].shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, design[1]))
+        return basis, tuple(banks), stretches
+
+    basis, banks, stretches = cheapest(emission, stretches_of(emission, held, rate, edge, tilted), designed)
     every = round(sampling_rate / rate)
-    mixer, plain = (
-        _mixer(sampling_rate, every, baseband.carrier, low_pass, filters)
-        for filters in (basis.filters, np.ones((1, 1)))
+    mixed, plain = (_mixed(sampling_rate, baseband.carrier, low_pass, f) for f in (basis.filters, np.ones((1, 1))))
+    mixed = stretches.filters(mixed, sampling_rate, baseband.carrier, half, every)
+    mixer, plain_mixer = (
+        Mixer.of(taps, every, Fraction(baseband.carrier) / Fraction(sampling_rate)) for taps in (mixed, plain)
     )
     highest = baseband.carrier + 0.5 * baseband.bandwidth
     return EnvelopeFilters(
-        emission.signal, emission.start, tuple(banks), basis, basis.filters, np.ones(1), highest, highest, 1,
-        removed_db, baseband.carrier, half, mixer, plain,
+        emission.signal, emission.start, banks * stretches.count, basis, basis.filters, np.ones(1), highest, highest,
+        1, removed_db, baseband.carrier, half, mixer, plain_mixer, stretches,
     )  # fmt: skip
 
 
-def _mixer(rate: float, every: int, carrier: float, low_pass: Floats, filters: Floats) -> Mixer:
-    """Return the mixer from sound at a rate, Hz, with filters (K, L) of odd length about their middle tap."""
+def _mixed(rate: float, carrier: float, low_pass: Floats, filters: Floats) -> Complexes:
+    """Return taps that mix sound at a rate, Hz, with filters (K, L) of odd length about their middle tap."""
     length = len(low_pass)
     # Twice, for half of a real signal is on the carrier's negative side.
     mixed = 2.0 * low_pass * np.exp(-2j * math.pi * (carrier / rate) * (np.arange(length) - length // 2))
-    taps = np.stack([np.convolve(f[::-1], mixed) for f in filters])
-    return Mixer.of(taps, every, Fraction(carrier) / Fraction(rate))
+    return np.stack([np.convolve(f[::-1], mixed) for f in filters])
 
 
 MARGIN_DB = 10.0  # by which what is taken for silence is better than asked
@@ -393,7 +414,7 @@ def design_split(emission: Emission, split: Split) -> tuple[RestFilters, tuple[N
     parts = []
     for band in split.bands:
         within = replace(emission.options, baseband=band.baseband, narrowband=None)
-        part = envelope_filters(replace(emission, options=within), band.half, band.low_pass, -math.inf)
+        part = envelope_filters(replace(emission, options=within), band.half, band.low_pass, -math.inf, tilted=True)
         parts.append(NarrowFilters(**_columns(part)))
     return RestFilters(**_columns(rest), split=split), tuple(parts)
 

@@ -17,7 +17,7 @@ from clsim.paths.response import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.render.methods.costs import measured_costs
 from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares, spectra
-from clsim.tracks.basis import Basis, flat_basis
+from clsim.tracks.basis import NO_TILT, Basis, Tilt, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import Draw, band_of
 
@@ -85,8 +85,8 @@ class Emission:
         """Bound on how fast its delays change, s/s."""
         return self.tracks.max_rate(self.source)
 
-    def basis(self, band: tuple[float, float], rate: float, envelope: bool = False) -> Basis:
-        """Return the functions of frequency that its paths need, within a band at most, both in Hz."""
+    def basis(self, band: tuple[float, float], rate: float, envelope: bool = False, tilt: Tilt = NO_TILT) -> Basis:
+        """Return the functions of frequency that its paths need, within a band at most, both in Hz; less a tilt."""
         (least, high), sound, options, of_scene = band, self.sound, self.options, self.tracks.of_scene
         flat = flat_basis(self.signal.centre_frequency)
         if of_scene is None or not len(sound.energy):  # silence needs nothing
@@ -99,7 +99,7 @@ class Emission:
         floor_db = EXACT_DB if at_centre or exact else options.response_error_db
         low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
         low = min(max(low, least, _LEAST_BIN * float(sound.frequencies[1])), 0.999 * high)
-        band_at = partial(band_of, low, high, sound)
+        band_at = partial(band_of, low, high, sound, tilt)
         if not at_centre:
             requested_db = min(floor_db, options.response_error_db)
             drawn = self.drawn()

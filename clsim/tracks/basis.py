@@ -12,6 +12,24 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
 
 
+@dataclass(frozen=True, slots=True)
+class Tilt:
+    """A part of the air's absorption that falls or rises evenly over a band, which a sum of envelopes renders itself.
+
+    Over a length x it is ``exp(-slope (f - carrier) (x - 1 m))``: a delay that is imaginary.
+    """
+
+    slope: float = 0.0  # 1 / (m Hz)
+    carrier: float = 0.0  # Hz
+
+    def at(self, frequencies: Floats) -> Floats:
+        """Return the absorption at frequencies (F,), Hz, in 1/m."""
+        return self.slope * (frequencies - self.carrier)
+
+
+NO_TILT = Tilt()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
     """K functions of frequency; a response is their sum with K real gains."""
@@ -34,6 +52,7 @@ class Basis:
     error_db: float
     # Whether the second of every two functions is the first one times j, so that envelopes have complex gains.
     paired: bool = False
+    tilt: Tilt = NO_TILT  # what is left out of responses
 
     def __len__(self) -> int:
         return len(self.projection)

@@ -33,7 +33,7 @@ _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 
 def turning_basis(source: int, frequency: float, band: Band, sampling_rate: float, error_db: float) -> Basis:
     """Return the basis that takes every complex response at one frequency, over a band."""
-    sample = Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64))
+    sample = Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64), np.zeros(1))
     filters = band_filters(
         np.array([[1.0], [1.0j]]), band.low, band.high, sampling_rate, sample.importance, sample.left,
         10 ** (error_db / 20),
@@ -70,7 +70,7 @@ def scene_basis(
     if held.resolved_db > WORST_DB:
         held.within(error_db)
     held_out = drawn.responses(band, held_out=True)
-    sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
+    sampled = Sample(band, sampled.responses[:, 1::3], sampled.first, sampled.beyond)
     rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):
@@ -111,8 +111,9 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, pa
         loudest = band.frequencies[int(np.argmax(band.energy.max(axis=0)))]
         one, reached = np.ones((1, 1)), held.functions_db
         return Basis(
-            np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), loudness, error_db, reached
-        )
+            np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), loudness, error_db, reached,
+            tilt=band.tilt,
+        )  # fmt: skip
     together = sample.by_frame(found.gains(sample.responses))
     if paired:
         together = np.maximum(together[:, ::2], together[:, 1::2]).repeat(2, axis=1)
@@ -134,7 +135,7 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, pa
     requested_db = max(error_db, reached)  # what is told already needs no other warning
     return Basis(
         band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, strengths, loudness, requested_db,
-        reached, paired,
+        reached, paired, band.tilt,
     )  # fmt: skip
 
 

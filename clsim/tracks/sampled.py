@@ -17,6 +17,7 @@ from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.curves import CONTINUATION, onward
 from clsim.scene.room.faces import NEAREST
+from clsim.tracks.basis import NO_TILT, Tilt
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -67,6 +68,7 @@ class Band:
     frequencies: Floats  # (F,) Chebyshev points from high to low, Hz
     energy: Floats  # (W, F) of short windows of the signal near them, relative to what sounds about the window
     late: float = 0.0  # delay that is taken out of responses, s
+    tilt: Tilt = NO_TILT  # absorption of the air that is taken out of them
 
     @property
     def turn(self) -> Complexes:
@@ -79,11 +81,11 @@ class Band:
         return np.asarray(np.maximum(1.0 - self.energy.sum(axis=1), 0.0))
 
 
-def band_of(low: float, high: float, sound: ShortTimeSpectra, count: int = GRIDS[0]) -> Band:
+def band_of(low: float, high: float, sound: ShortTimeSpectra, tilt: Tilt = NO_TILT, count: int = GRIDS[0]) -> Band:
     """Return a signal's band from its short-time spectra; `low` and `high` in Hz."""
     high = max(high, low * (1.0 + 1e-6))
     grid = chebyshev_points(low, high, count)
-    return Band(low, high, grid, sound.near(grid[::-1], low, high)[:, ::-1])
+    return Band(low, high, grid, sound.near(grid[::-1], low, high)[:, ::-1], tilt=tilt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +99,12 @@ class Sample:
     band: Band
     responses: Floats | Complexes
     first: NDArray[np.int64]
+    beyond: Floats  # (n,) length of each path less 1 m, by which the band's tilt acts on it
+
+    def received_of(self, values: Floats | Complexes, at: slice | NDArray[np.int64] = slice(None)) -> Any:
+        """Return values (n, m) at some of the frequencies with the tilt that was taken out of responses."""
+        of_air = self.band.tilt.at(self.band.frequencies[at])
+        return values * np.exp(-np.outer(self.beyond, of_air)) if self.band.tilt.slope else values
 
     def by_frame(self, values: Floats | Complexes) -> Floats:
         """Return the sums of the squares of values (n, m) over each frame's rows."""
@@ -106,7 +114,7 @@ class Sample:
     @cached_property
     def received(self) -> Floats:
         """Return the received energy (frames, W) of each window and of its neighbourhood."""
-        return np.asarray(self.by_frame(self.responses) @ self.band.energy.T + self.band.rest)
+        return np.asarray(self.by_frame(self.received_of(self.responses)) @ self.band.energy.T + self.band.rest)
 
     def loudness(self) -> Floats:
         """Return the inverse (W,) of the received energy of each window, as a mean over the frames."""
@@ -114,6 +122,7 @@ class Sample:
 
     def relative(self, left: Floats | Complexes) -> Floats:
         """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
+        left = self.received_of(left)
         return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.received).max(axis=1)))
 
     def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
@@ -132,7 +141,9 @@ class Sample:
         The error over nodes, by their indices, counts as well: the OpenCL engine measures it as it renders.
         """
         weight = self.importance[nodes]
-        at_nodes, received = (self.by_frame(r[:, nodes] * weight).sum(axis=1) for r in (left, self.responses))
+        at_nodes, received = (
+            self.by_frame(self.received_of(r[:, nodes] * weight, nodes)).sum(axis=1) for r in (left, self.responses)
+        )
         return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(received, 1e-300))))
 
     @cached_property
@@ -145,14 +156,15 @@ class Sample:
     def with_frames(self, other: Sample, which: NDArray[np.int64]) -> Sample:
         """Return the sample with some frames of another one."""
         rows, first, ends = [self.responses], [self.first], [*other.first[1:].tolist(), len(other.responses)]
-        count = len(self.responses)
+        count, beyond = len(self.responses), [self.beyond]
         for frame in which.tolist():
             part = other.responses[other.first[frame] : ends[frame]]
             rows.append(part)
+            beyond.append(other.beyond[other.first[frame] : ends[frame]])
             first.append(np.array([count]))
             count += len(part)
         together: Any = np.concatenate(rows)
-        return Sample(self.band, together, np.concatenate(first))
+        return Sample(self.band, together, np.concatenate(first), np.concatenate(beyond))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,16 +201,19 @@ class Draw:
     def responses(self, band: Band, *, held_out: bool = False) -> Sample:
         """Responses over a band of the paths of which functions are made, or of those at which they are checked."""
         made: list[Any] = []
-        at = SceneResponse(self.tracks.paths.scene, self.source, band.frequencies)
+        beyond: list[Floats] = []
+        at = SceneResponse(self.tracks.paths.scene, self.source, band.frequencies, band.tilt.at(band.frequencies))
         for some in self.held_out if held_out else self.rows:
             along = some.paths.shapes(some.found, some.times, at)[:, :, 0]
             if band.late != 0.0:
                 along = along * np.conj(band.turn)
             along = along * some.scale
             made += [channel[begin:end] for begin, end in pairwise(some.first) for channel in along]
+            beyond += [some.found.through[b:e, 0] - 1.0 for b, e in pairwise(some.first) for _ in along]
         if not made:  # paths that are silent all the time
-            return Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64))
-        return Sample(band, np.concatenate(made), np.cumsum([0, *(len(rows) for rows in made[:-1])]))
+            return Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64), np.zeros(1))
+        first = np.cumsum([0, *(len(rows) for rows in made[:-1])])
+        return Sample(band, np.concatenate(made), first, np.concatenate(beyond))
 
     def common_delay(self, band: Band, sampling_rate: float) -> float:
         """Middle of the time in which complex responses have nearly all their energy, s, in whole samples.

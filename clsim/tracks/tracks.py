@@ -397,7 +397,7 @@ class SceneTracks(Tracks):
         self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis
     ) -> list[Floats]:
         """Return the gains (C, K, P, T) of paths of some pairs, whose responses are taken once."""
-        at = SceneResponse(self.paths.scene, paths[0].source, basis.nodes)
+        at = SceneResponse(self.paths.scene, paths[0].source, basis.nodes, basis.tilt.at(basis.nodes))
         response, receiver = paths[0].response(found, times, at), self.paths.scene.receivers[paths[0].receiver]
         each = (at.of_channels(response, receiver, member.channels, found, times) for member in paths)
         return [np.moveaxis(basis.gains(responses), -1, 1) for responses in each]

@@ -23,19 +23,14 @@
 #endif
 
 // Add what a path brings of function k through `count` branches, the highest one's real row being `x`.
-#define ADD(k, count)                                                        \
-    {                                                                        \
-        __global const float* y = x + (count) * (long)stride;                \
-        vec a = LOAD(x), b = LOAD(y);                                        \
-        _Pragma("unroll") for (int q = 1; q < (count); q++)                  \
-        {                                                                    \
-            a = a * mu + LOAD(x - q * (long)stride);                         \
-            b = b * mu + LOAD(y - q * (long)stride);                         \
-        }                                                                    \
-        const vec gain = GAIN(k);                                            \
-        real += gain * a;                                                    \
-        imaginary += gain * b;                                               \
-        ADD_TURNED(k)                                                        \
+#define ADD(k, count)                                            \
+    {                                                            \
+        __global const float* y = x + (count) * (long)stride;    \
+        BRANCHES(count)                                          \
+        const vec gain = GAIN(k);                                \
+        real += gain * a;                                        \
+        imaginary += gain * b;                                   \
+        ADD_TURNED(k)                                            \
     }
 
 // The same where counts are constants, four bits each; `x` goes on to the next function.
@@ -49,12 +44,16 @@
 // Add path p of a batch at samples `t` of its block, or from the group's middle; `branches` points at the first of these without delay.
 static void add_path(__global const float* branches, int stride, __constant int* first_row, const batch* paths, int p,
                      __global const float* c, int channel, vec t, ulong turn_per_sample, float half_turns_per_sample,
-                     vec* real_sum, vec* imaginary_sum)
+                     float tilt_per_sample, vec* real_sum, vec* imaginary_sum)
 {
     const int whole = paths->whole[p];
     vec mu = paths->delay[TERMS - 1][p], real = 0.0f, imaginary = 0.0f, cosine, sine;
 #pragma unroll
     for (int i = TERMS - 2; i >= 0; i--) mu = mu * t + paths->delay[i][p];
+#if TILTED
+    branches += paths->beyond[p];
+    const vec nu = mu * tilt_per_sample + paths->nu[p], mu_squared = mu * mu - nu * nu, nu_squared = 2.0f * mu * nu;
+#endif
 #if COUNTS
     __global const float* x = branches - whole + (2 * first_row[0] + COUNT(0) - 1) * (long)stride;
     ADD_NEXT(0)
@@ -92,7 +91,8 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
                        int envelope_stride,
                        int first_sample,                // of `envelope`, at the run's first sample
                        ulong turn_per_sample,           // of the carrier; one turn is 2^64
-                       float half_turns_per_sample)
+                       float half_turns_per_sample,
+                       tilt_numbers tilt)
 {
     const int first = get_global_id(0) * GROUPS, receiver = get_global_id(1), channel = get_global_id(2);
     const int last = first + GROUPS < groups ? first + GROUPS : groups;
@@ -110,6 +110,10 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
 #endif
             __global const float* c = polynomials + place_of(row, slot, FUNCTIONS * CHANNELS, slots);
             expand(delay + row * (long)slots + slot, c, middle, 2.0f / (float)block_samples, channel, &paths);
+#if TILTED
+            find_stretches(&paths, 2 * first_row[FUNCTIONS] * (long)stride, tilt.first_stretch, tilt.stretches, tilt.stretch,
+                           tilt.per_stretch, tilt.tilt_per_sample);
+#endif
             vec real = 0.0f, imaginary = 0.0f;
             for (int p = 0; p < BATCH; p++) {
 #if SPARSE
@@ -117,7 +121,7 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
                 if ((inside + LANES - 1) / SUBBLOCK < MASK_FIRST(mask) || inside / SUBBLOCK >= MASK_END(mask)) continue;
 #endif
                 add_path(branches + lead + at, stride, first_row, &paths, p,
-                         c + place_of(0, p, FUNCTIONS * CHANNELS, 0), channel, t, turn_per_sample, half_turns_per_sample, &real,
+                         c + place_of(0, p, FUNCTIONS * CHANNELS, 0), channel, t, turn_per_sample, half_turns_per_sample, tilt.tilt_per_sample, &real,
                          &imaginary);
             }
             real_sum[g - first] += real;

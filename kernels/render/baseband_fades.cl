@@ -9,7 +9,8 @@ __kernel void baseband_fades(
     __global const int* first,                           // [places + 1]
     __global const int* row, __global const int* block,  // [places]
     float per_ramp, int block_samples, int samples,
-    __global float* envelope, int envelope_stride, int first_sample, ulong turn_per_sample, float half_turns_per_sample)
+    __global float* envelope, int envelope_stride, int first_sample, ulong turn_per_sample, float half_turns_per_sample,
+    tilt_numbers tilt)
 {
     const int n = get_global_id(0), place = get_global_id(1), channel = get_global_id(2);
     const int at = block[place] * block_samples + n;
@@ -29,17 +30,22 @@ __kernel void baseband_fades(
         for (int i = DELAY_TERMS - 1; i >= 0; i--) delayed = delayed * t + c[i * BESIDE];
         const float rest = rounded(delayed), mu = delayed - rest;
         const int whole = delay[node * (long)slots + slot] + (int)rest;
+        float from_middle;
+        const int stretch = stretch_of((float)(whole - tilt.first_stretch), tilt.stretches, tilt.stretch, tilt.per_stretch, &from_middle);
+        const int from = 2 * first_row[FUNCTIONS] * stretch;
+        const float nu = (mu + from_middle) * tilt.tilt_per_sample;
         for (int k = 0; k < FUNCTIONS; k++) {
             const int count = first_row[k + 1] - first_row[k];
-            __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
+            __global const float* x = branches + (from + 2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
             __global const float* g = c + (DELAY_TERMS + k * CHANNELS + channel) * BESIDE;
             const int power = FUNCTIONS * CHANNELS * BESIDE;
             const float gain = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
             float a = *x, b = *y;
             for (int q = 1; q < count; q++) {
-                a = a * mu + *(x -= stride);
-                b = b * mu + *(y -= stride);
+                const float was = a;
+                a = b * nu + (a * mu + *(x -= stride));
+                b = (b * mu + *(y -= stride)) - was * nu;
             }
             real += gain * a;
             imaginary += gain * b;

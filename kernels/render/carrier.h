@@ -16,3 +16,13 @@ static void half_turns(vec x, vec* cosine, vec* sine)
     *cosine = AS_VEC(AS_IVEC(c) ^ odd);
     *sine = AS_VEC(AS_IVEC(i) ^ odd);
 }
+
+// The stretch of delays in which one lies that is `beyond` their beginning, samples, and how far from its middle: see `Stretches`
+// in render/tilt.py. In the middle an imaginary delay is 0, which stands for air that absorbs evenly more over the band.
+static int stretch_of(float beyond, int stretches, float length, float per_length, float* from_middle)
+{
+    int stretch = (int)(beyond * per_length);
+    stretch = stretch < 0 ? 0 : stretch < stretches ? stretch : stretches - 1;
+    *from_middle = beyond - ((float)stretch + 0.5f) * length;
+    return stretch;
+}

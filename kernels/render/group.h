@@ -11,6 +11,10 @@ typedef struct {
     int whole[BATCH];            // samples of the delay
     float delay[TERMS][BATCH];   // powers of the rest: of samples from the group's middle, or (FINE) as in the block
     float gain[FUNCTIONS][2][BATCH];  // at the group's middle, and its change per sample
+#if TILTED
+    long beyond[BATCH];               // of the stretch's branch signals, from those of the first one
+    float nu[BATCH];                  // imaginary delay of the whole samples, about the middle of that stretch
+#endif
 } batch;
 
 // Expand the polynomials of paths about `middle` of their block, a group's middle.
@@ -50,3 +54,15 @@ static void expand(__global const int* delay, __global const float* polynomials,
         for (int i = 0; i < TERMS; i++) *(loose_vec*)(out->delay[i] + p) = d[i];
     }
 }
+
+#if TILTED
+// Find the stretches of paths, whose branch signals are `rows` apart, and the imaginary delays about their middles.
+static void find_stretches(batch* paths, long rows, int first, int stretches, float length, float per_length, float per_sample)
+{
+    for (int p = 0; p < BATCH; p++) {
+        float from_middle;
+        paths->beyond[p] = stretch_of((float)(paths->whole[p] - first), stretches, length, per_length, &from_middle) * rows;
+        paths->nu[p] = from_middle * per_sample;
+    }
+}
+#endif

@@ -11,11 +11,15 @@ import pytest
 from default_cases import Case, abrupt_tones, circles
 from default_cases import measured as figures_of
 from exhaustive import few
+from mutants import Mutants
 from test_double_edges import prism
 
 import clsim
+from clsim.render import envelope, tilt
 from clsim.render.envelope import NarrowFilters, RestFilters
-from clsim.render.plan import Plan
+from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.batches import GPU_LAYOUT
+from clsim.render.plan import NarrowPart, Plan
 from clsim.render.planning import on_device
 from clsim.render.render import record
 
@@ -40,15 +44,78 @@ CASES = [
     moving(clsim.Signal.tone(40e3, 0.08, RATE, fade=0.01), "faded tone, order 10", 10),
     replace(circles()[1], name="circle, order 10"),
     moving(clsim.Signal.noise(0.08, RATE, 1, (20e3, 45e3)), "noise of 20 to 45 kHz, order 3", 3),
+    replace(
+        circles()[1], name="noise of 30 to 50 kHz on a circle, order 5", room=replace(circles()[1].room, order=5),
+        signals=(clsim.Signal.noise(0.3, RATE, 1, (30e3, 50e3)),),
+    ),
     moving(clsim.Signal.chirp(30e3, 70e3, 0.08, RATE, window="tukey"), "chirp of 30 to 70 kHz, order 3", 3),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", few((pytest.param(case, id=case.name) for case in CASES), kept=(0, 3, 4)))
-def test_the_sum_is_what_the_oracle_hears(case: Case) -> None:
+@pytest.mark.parametrize("case", few((pytest.param(case, id=case.name) for case in CASES), kept=(0, 3, 4, 5)))
+def test_the_sum_is_what_the_oracle_hears(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tilt, "_LEAST_WORK", 0.0)  # tilts in short scenes, too
     case = replace(case, options=NARROW | {"duration": min(case.duration, 0.1)}, samples=500)
     assert case.plan().allocation.narrow
     assert figures_of(case).error_db <= PROMISED_DB
+
+
+def noisy(order: int = 5, *, partly: bool = False, tilted: bool = True, **options: Any) -> NarrowPart:
+    """Return the narrow part of noise of 30 to 50 kHz, with the air's tilt as an imaginary delay or without."""
+    case = next(case for case in CASES if "30 to 50 kHz" in case.name)
+    paths = clsim.find_paths(case.scene(), order)
+    if partly:
+        k = np.arange(len(paths))
+        start, end = np.where(k % 3 == 1, 0.04 + 5e-4 * k, -np.inf), np.where(k % 3 == 2, 0.06 + 4e-4 * k, np.inf)
+        paths = replace(paths, families=(replace(paths.families[0], start=start, end=end),))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tilt, "_LEAST_WORK", 0.0)
+        if not tilted:
+            patch.setattr(envelope, "stretches_of", lambda *_: None)
+        plan = clsim.plan_render(paths, RATE, duration=0.15, **NARROW | options)
+    part = plan.allocation.narrow[0]
+    filters = part.plan.source_filters[0]
+    assert isinstance(filters, NarrowFilters)
+    assert (filters.stretches.count > 1) == tilted
+    return part
+
+
+def envelopes(part: NarrowPart) -> np.ndarray:
+    """Return the envelopes (receivers, n) of a narrow part."""
+    return BasebandEngine(part.plan).render(0, part.plan.samples)
+
+
+@pytest.mark.parametrize("partly", [False, True])
+def test_tilts_of_the_air_take_half_the_functions_and_change_nothing(partly: bool) -> None:
+    one, other = noisy(partly=partly, transition=5e-3), noisy(partly=partly, transition=5e-3, tilted=False)
+    functions = [len(part.plan.source_filters[0].basis) for part in (one, other)]
+    assert functions == [2, 4]
+    wanted = envelopes(other)
+    assert apart_db(envelopes(one), wanted) < -95.0
+    assert apart_db(BasebandEngine(one.plan, GPU_LAYOUT).render(0, one.plan.samples), wanted) < -95.0
+
+
+MUTANTS = {
+    "imaginary delay's sign": ("u - was * im", "u + was * im"),
+    "its product": ("*a = *b * im + s", "*a = s"),
+    "square of the delay": ("mu_squared = mu * mu - nu * nu", "mu_squared = mu * mu"),
+    "its imaginary part": ("2.0f * mu * nu", "mu * nu"),
+    "rest of the delay": ("mu * tilt_per_sample + paths->nu[p]", "paths->nu[p]"),
+    "middle of a stretch": ("((float)stretch + 0.5f) * length", "(float)stretch * length"),
+    "stretch of a delay": ("(int)(beyond * per_length)", "(int)(beyond * length)"),
+    "signals of a stretch": ("&from_middle) * rows", "&from_middle) * 0"),
+    "even and odd branches": ("if (q & 1) multiply", "if (!(q & 1)) multiply"),
+}
+
+
+def test_mutants_of_tilts_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    part = noisy()
+    engine, wanted = BasebandEngine(part.plan), envelopes(part)
+    mutants = Mutants("baseband", MUTANTS)
+    mutants.play(monkeypatch)
+    found = {name: apart_db(engine.render(0, part.plan.samples), wanted) for name in mutants}
+    assert apart_db(engine.render(0, part.plan.samples), wanted) < -120.0, "none of them is chosen any more"
+    assert {name: db for name, db in found.items() if not db > -90.0} == {}
 
 
 def scene(*signals: clsim.Signal, duration: float = 0.25, start: float = 0.0, **receiver: Any) -> clsim.Scene:

@@ -107,12 +107,13 @@ class _BasebandRun(Run):
             "FUNCTIONS": self._functions,
             "CHANNELS": self._channels,
             "PAIRED": int(filters.basis.paired),
+            "TILTED": int(filters.stretches.per_sample != 0.0),
         }
         kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
         kernel(
             engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),
-            **self._envelope_arguments(begin), first_row=filters.rows, first_slot=self._first_slot,
-            block_samples=block, groups=groups, envelope_row=self._rows,
+            **self._envelope_arguments(begin), first_slot=self._first_slot, block_samples=block, groups=groups,
+            envelope_row=self._rows,
         )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
@@ -127,7 +128,7 @@ class _BasebandRun(Run):
         kernel(
             engine._queue, self._fade_work(fades, block), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
-            **self._envelope_arguments(begin), first_row=self._filters.rows,
+            **self._envelope_arguments(begin),
         )  # fmt: skip
         self._clear_gains(nodes, slot, engine._upload(fades.block + np.int32(first_block)))
 
@@ -139,8 +140,12 @@ class _BasebandRun(Run):
 
     def _envelope_arguments(self, begin: int) -> dict[str, Any]:
         """Return the envelopes for samples of the chunk from `begin` on, as kernels take them."""
+        stretches = self._filters.stretches
         return {
-            "envelope": self._pressure, "envelope_stride": self._length, "first_sample": begin,
+            "first_row": self._filters.rows[: self._functions + 1], "envelope": self._pressure,
+            "envelope_stride": self._length, "first_sample": begin,
             "turn_per_sample": round(self._filters.mixer.turn * 2**64) % 2**64,
-            "half_turns_per_sample": 2.0 * self._filters.cycles,
+            "half_turns_per_sample": 2.0 * self._filters.cycles, "tilt_per_sample": stretches.per_sample,
+            "stretch": stretches.length, "per_stretch": 1.0 / stretches.length, "first_stretch": stretches.origin,
+            "stretches": stretches.count,
         }  # fmt: skip

@@ -35,7 +35,7 @@ class Limits:
         self.node_budget = int(min(NODE_BUDGET, info.largest_buffer_bytes, info.memory_bytes / 16))
         filters = plan.source_filters
         self._rows = max(f.oversampling * int(f.rows[-1]) for f in filters)
-        functions = max(f.oversampling * len(f.basis) for f in filters)
+        functions = max(f.oversampling * len(f.banks) for f in filters)
         # Of every buffer that grows with the chunk: bytes for a sample, and for those of the longest delay.
         rows, emitted = 4.3 * parts * self._rows, 4.3 * parts * functions
         self._per_sample = {"branch signals": rows, "emitted signals": emitted}
@@ -211,8 +211,9 @@ class BranchSignals:
         stride = feed.width + 16 * filters.oversampling
         out, following = self._rows(self._parts * int(filters.rows[-1]), stride, found)
         emitted, samples = self._emit(feed)
-        channel = _VECTORS * self._lanes
-        constants = {"LANES": self._lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
+        lanes = 2 * self._lanes if self._lanes > 1 and feed.width % (2 * _VECTORS * self._lanes) == 0 else self._lanes
+        channel = _VECTORS * lanes
+        constants = {"LANES": lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
         kernel = self._compiler.kernel("branches", constants)
         for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
             rows, taps = bank.taps.shape

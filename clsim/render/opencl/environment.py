@@ -182,7 +182,7 @@ class Environment:
     ) -> None:
         c = scene.air.speed_of_sound
         self.count, self.parts = len(basis.nodes), basis.parts
-        self._responses = SceneResponse(scene, source, basis.nodes)
+        self._responses = SceneResponse(scene, source, basis.nodes, basis.tilt.at(basis.nodes))
         padding = -len(basis) % VECTOR if len(basis) > 1 else 0  # of gains, which stand side by side
         nepers, lead, self.air_terms = self._responses.nepers, np.zeros(1), 0
         if scene.air.dispersion:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.numerics.fractional_delay import lagrange_bank
+from clsim.numerics.fractional_delay import design_tilted, lagrange_bank
 
 RATE = 192e3
 
@@ -49,3 +49,18 @@ def test_float32_renders_order_40_as_well_as_float64(engine: str, measured) -> N
     error = np.linalg.norm(made[some] - exact) / np.linalg.norm(exact)
     found = measured("Lagrange filters of order 40, their own error", "closed form", 20 * np.log10(error), -82.1)
     assert found == pytest.approx(-82.1, abs=0.5)
+
+
+@pytest.mark.parametrize(("cutoff", "mu_max", "nu_max", "importance"), [(2.28, 0.69, 0.2, 1.0), (1.5, 0.6, 0.4, 0.01)])
+def test_banks_hold_complex_delays(cutoff: float, mu_max: float, nu_max: float, importance: float) -> None:
+    taps, reached_db = design_tilted(-90.0, cutoff, mu_max, nu_max, importance)
+    rng, half = np.random.default_rng(1), taps.shape[1] // 2
+    delay = mu_max * rng.uniform(-1.0, 1.0, 400) - 1j * nu_max * rng.uniform(-1.0, 1.0, 400)
+    w = cutoff * rng.uniform(-1.0, 1.0, 400)
+    got = np.vander(delay, len(taps), increasing=True) @ taps
+    wrong = np.abs(
+        np.sum(got * np.exp(-1j * np.outer(w, np.arange(-half, half + 1))), axis=1) - np.exp(-1j * w * delay)
+    )
+    assert reached_db <= -90.0
+    assert 20.0 * np.log10(importance * wrong.max()) <= reached_db + 0.2  # between the frequencies of the design
+    assert design_tilted(-90.0, cutoff, mu_max, 0.5 * nu_max, importance)[0].shape[0] <= len(taps)

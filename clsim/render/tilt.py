@@ -1,0 +1,135 @@
+"""Air that absorbs evenly more over a band, as an imaginary delay in the sum of envelopes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clsim.paths.response import SceneResponse
+from clsim.tracks.basis import NO_TILT, Tilt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from clsim.arrays import Complexes
+    from clsim.render.interpolator import Bank
+    from clsim.render.source_filters import Emission
+    from clsim.tracks.basis import Basis
+
+    Design = tuple[Basis, tuple[Bank, ...], "Stretches"]
+
+MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
+_LEAST_TILT = 1.0  # the same over all delays, below which functions of frequency cost as little
+_NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
+_FITTED = 33  # frequencies, through whose absorption the tilt goes
+_FLAT = (
+    1e-3  # change of a wall's factor over the band, beyond which paths of equal length differ: no tilt is looked for
+)
+_LEAST_WORK = 1e8  # paths times samples of the envelope, below which designing costs more than is gained
+_FEW = 2  # functions, up to which no others are looked at
+_LEAST_PATHS = 100  # for each stretch beyond the first one, from which on their branch signals pay
+_COMPLEX = 1.15  # cost of a branch where delays are complex, relative to that of real ones
+_FILTERED = 66.0  # cost of making a branch signal, relative to that of a path
+
+
+@dataclass(frozen=True, slots=True)
+class Stretches:
+    """Equal stretches of delay, in each of which a tilt acts about the stretch's middle.
+
+    Over the delay D, samples of an envelope, a tilt is ``exp(-w per_sample (D - still))`` at w rad a sample. What a
+    path has in common with the middle of its stretch is in the filters of the branch signals. The rest is small, and
+    joins the path's delay: the branches take powers of ``mu - j nu``.
+    """
+
+    tilt: Tilt = NO_TILT
+    per_sample: float = 0.0  # imaginary delay over delay
+    still: float = 0.0  # delay over which the tilt is 1, samples
+    length: float = 1.0  # samples
+    count: int = 1
+
+    @property
+    def origin(self) -> int:
+        """Beginning of the first stretch, samples."""
+        return math.floor(self.still)
+
+    def filters(self, taps: Complexes, rate: float, carrier: float, half: float, every: int) -> Complexes:
+        """Return filters (K, L) about the carrier for each stretch, (count K, M), at a sampling rate, Hz.
+
+        They act within half a width, Hz, and `every` samples are one of the envelope.
+        """
+        from scipy.fft import fft, ifft, next_fast_len
+
+        if self.per_sample == 0.0:
+            return taps
+        size, middle = next_fast_len(4 * taps.shape[1]), taps.shape[1] // 2
+        away = np.clip((np.fft.fftfreq(size) * rate - carrier + 0.5 * rate) % rate - 0.5 * rate, -half, half)
+        late = self.per_sample * ((np.arange(self.count) + 0.5) * self.length + self.origin - self.still)
+        acts = np.exp(-2.0 * math.pi * every / rate * np.outer(late, away))[:, None]
+        spectra, reach = ifft(taps, size, axis=1) * acts, middle * 3 // 2
+        return np.roll(fft(spectra), reach - middle, axis=2)[:, :, : 2 * reach + 1].reshape(-1, 2 * reach + 1)
+
+
+WHOLE = Stretches()  # without a tilt
+
+
+def _tilt_of(emission: Emission, low: float, high: float) -> Tilt:
+    """Return the even part of the air's absorption over a band, Hz: none where delays are not those of air at rest."""
+    of_scene = emission.tracks.of_scene
+    if of_scene is None or emission.static or emission.options.responses == "centre" or not len(emission.sound.energy):
+        return NO_TILT
+    drawn, scene, carrier = emission.drawn(), of_scene.paths.scene, 0.5 * (low + high)
+    air, c, paths = scene.air, scene.air.speed_of_sound, drawn.tracks.paths
+    alike = not (air.dispersion or air.layers or air.fluctuation is not None or paths.is_complex or paths.turns_phases)
+    if not alike or any(receiver.electronics is not None for receiver in scene.receivers):
+        return NO_TILT
+    away = np.linspace(low, high, _FITTED) - carrier
+    at = SceneResponse(scene, emission.source, carrier + away)
+    if np.ptp(at.largest_reflection(np.arange(at.surfaces)[:, None]), axis=1).max() > _FLAT:
+        return NO_TILT
+    if any(np.abs(some.found.through - c * some.found.delay).max(initial=0.0) > _NEAR for some in drawn.rows):
+        return NO_TILT
+    return Tilt(float(np.polyfit(away, at.nepers, 1)[0]), carrier)
+
+
+def stretches_of(
+    emission: Emission, band: tuple[float, float], rate: float, edge: float, tilted: bool
+) -> Stretches | None:
+    """Return the stretches for an envelope of a band, Hz, at a rate, Hz, that ends at an edge, rad; None for none."""
+    samples, paths = min(emission.signal.duration, emission.until) * rate, _paths(emission)
+    if not tilted or paths * samples < _LEAST_WORK:
+        return None
+    of_scene, tilt = emission.tracks.of_scene, _tilt_of(emission, *band)
+    if tilt.slope == 0.0 or of_scene is None:
+        return None
+    c = of_scene.paths.scene.air.speed_of_sound
+    per_sample = tilt.slope * c / (2.0 * math.pi)
+    longest = emission.tracks.longest_delay(0.0, emission.until, emission.source) * rate
+    exponent = abs(per_sample) * edge * longest
+    count = math.ceil(0.5 * exponent / MOST_TILT)
+    if exponent < _LEAST_TILT or paths < _LEAST_PATHS * (count - 1):
+        return None
+    return Stretches(tilt, per_sample, (emission.start + 1.0 / c) * rate, longest / count, count)
+
+
+def _paths(emission: Emission) -> int:
+    return sum(len(pair) for pair in emission.tracks.pairs if pair.source == emission.source)
+
+
+def cheapest(emission: Emission, stretches: Stretches | None, designed: Callable[[Stretches], Design]) -> Design:
+    """Return the design that costs least: with a tilt in some stretches, or with functions of frequency alone."""
+    if stretches is None:
+        return designed(WHOLE)
+    tilted = designed(stretches)
+    if len(tilted[0]) <= _FEW:
+        return tilted
+    paths = _paths(emission)
+
+    def cost(design: Design) -> float:
+        """Return the cost of the branches of a design, in those of a path."""
+        branches, parts = sum(len(bank.taps) for bank in design[1]), design[2]
+        return branches * (paths * (_COMPLEX if parts.per_sample else 1.0) + _FILTERED * parts.count)
+
+    return min(tilted, designed(WHOLE), key=cost)
