@@ -99,9 +99,15 @@ class Sample:
     first: NDArray[np.int64]
 
     def by_frame(self, values: Floats | Complexes) -> Floats:
-        """Return the sums of the squares of values (n, m) over each frame's rows."""
-        squares = values.real**2 + values.imag**2 if np.iscomplexobj(values) else values**2
-        return np.asarray(np.add.reduceat(squares, self.first, axis=0))
+        """Return the sums of the squares of values (n, m) over each frame's rows: arrays that fit the cache at a time."""
+        ends, made = np.append(self.first, len(values)), []
+        step = max(1, _IN_CACHE * 8 * len(self.first) // max(values.size, 1))
+        for i in range(0, len(self.first), step):
+            first = ends[i : i + step + 1]
+            some = values[first[0] : first[-1]]
+            squares = some.real**2 + some.imag**2 if np.iscomplexobj(some) else some**2
+            made.append(np.add.reduceat(squares, first[:-1] - first[0], axis=0))
+        return np.concatenate(made)
 
     @cached_property
     def received(self) -> Floats:
