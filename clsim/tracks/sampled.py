@@ -165,10 +165,10 @@ class Sample:
 class Picked:
     """Paths of a pair at instants, drawn by their energy, and the number of paths that each represents."""
 
-    paths: PairPaths  # which, P of all instants together
-    found: Arrivals  # of each at its instant, (P, 1)
-    times: Floats  # (P, 1) the instants, s, or (1,) of a single one
-    scale: Floats  # (P, 1) root of how many paths each stands for, over the level of all of the pair
+    paths: PairPaths  # which, P of all instants together, or the same at each of T
+    found: Arrivals  # of each at its instant, (P, 1), or at all of them (P, T)
+    times: Floats  # (P, 1) the instants, s, or (T,) of all paths
+    scale: Floats  # (T P, 1) root of how many paths each stands for, over the level of all of the pair
     first: tuple[int, ...]  # where the paths of each instant begin, and P at the end
 
 
@@ -197,7 +197,8 @@ class Draw:
         made: list[Any] = []
         at = SceneResponse(self.tracks.paths.scene, self.source, band.frequencies)
         for some in self.held_out if held_out else self.rows:
-            along = some.paths.shapes(some.found, some.times, at)[:, :, 0]
+            shapes = some.paths.shapes(some.found, some.times, at)
+            along = np.swapaxes(shapes, 1, 2).reshape(len(shapes), -1, shapes.shape[3])
             if band.late != 0.0:
                 along = along * np.conj(band.turn)
             along = along * some.scale
@@ -260,6 +261,10 @@ def picked_paths(
             received = (part >= start[:, None]) & (part < end[:, None])
             level = np.where(received, np.abs(paths.response(found, part, at_centre)[..., 0]), 0.0)
             level[level < _SILENT] = 0.0
+            if paths.family.varies and not paths.family.one_by_one and len(start) <= share and level.all():
+                scale, first = 1.0 / np.linalg.norm(level, axis=0), range(0, level.size + 1, len(start))
+                yield Picked(paths, found, part, np.repeat(scale, len(start))[:, None], tuple(first))
+                continue
             for rows, at, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
                 yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
 
