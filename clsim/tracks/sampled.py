@@ -99,7 +99,7 @@ class Sample:
     first: NDArray[np.int64]
 
     def by_frame(self, values: Floats | Complexes) -> Floats:
-        """Return the sums of the squares of values (n, m) over each frame's rows: arrays that fit the cache at a time."""
+        """Return the sums of the squares of values (n, m) over each frame's rows, as many as fit the cache at a time."""
         ends, made = np.append(self.first, len(values)), []
         step = max(1, _IN_CACHE * 8 * len(self.first) // max(values.size, 1))
         for i in range(0, len(self.first), step):
@@ -314,7 +314,7 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
     before = None
     for _ in range(8):
         sure = chance >= 1.0
-        if before is not None and np.array_equal(sure, before):  # nothing changes any more
+        if not sure.any() or (before is not None and (sure == before).all()):  # nothing changes any more
             break
         before = sure
         left = max(count - int(sure.sum()), 1)
