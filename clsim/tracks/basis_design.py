@@ -69,7 +69,7 @@ def scene_basis(
     held = Held(drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    sampled = Sample(band, np.ascontiguousarray(sampled.responses[:, 1::3]), sampled.first)
+    sampled = Sample(band, sampled.responses[:, 1::3].copy(), sampled.first)
     held_out = drawn.responses(band, held_out=True)
     rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)

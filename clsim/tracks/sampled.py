@@ -99,7 +99,7 @@ class Sample:
     first: NDArray[np.int64]
 
     def by_frame(self, values: Floats | Complexes) -> Floats:
-        """Return the sums of the squares of values (n, m) over each frame's rows, as many as fit the cache at a time."""
+        """Return the sums of the squares of values (n, m) over each frame's rows, some at a time."""
         ends, made = np.append(self.first, len(values)), []
         step = max(1, _IN_CACHE * 8 * len(self.first) // max(values.size, 1))
         for i in range(0, len(self.first), step):
@@ -262,8 +262,8 @@ def picked_paths(
             level = np.where(received, np.abs(paths.response(found, part, at_centre)[..., 0]), 0.0)
             level[level < _SILENT] = 0.0
             if paths.family.varies and not paths.family.one_by_one and len(start) <= share and level.all():
-                scale, first = 1.0 / np.linalg.norm(level, axis=0), range(0, level.size + 1, len(start))
-                yield Picked(paths, found, part, np.repeat(scale, len(start))[:, None], tuple(first))
+                each = np.repeat(1.0 / np.linalg.norm(level, axis=0), len(start))[:, None]
+                yield Picked(paths, found, part, each, tuple(range(0, level.size + 1, len(start))))
                 continue
             for rows, at, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
                 yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
