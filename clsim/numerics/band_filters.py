@@ -83,12 +83,12 @@ def band_filters(
     half, best, least = _SHORTEST // 2, BandFilters(np.zeros((len(coefficients), 1)), math.inf, low), math.inf
 
     def wanted_at(w: Floats) -> tuple[Floats, Floats | Complexes]:
-        """Return squared weights (n,) and responses (K, n) at angular frequencies, in the band or continued."""
+        """Return squared weights (n,) and responses (K, n) at rising angular frequencies, in the band or continued."""
         x = np.clip((2.0 * w - edges.sum()) / max(edges[1] - edges[0], 1e-12), -1.0, 1.0)
         inside = (w >= edges[0]) & (w <= edges[1])
         weight = np.where(inside, np.interp(x, points[::-1], importance[::-1]), _OUTSIDE_WEIGHT)
-        different, which = np.unique(x, return_inverse=True)  # all beyond the band is at an end
-        return weight**2, _polynomials(coefficients, different)[:, which]
+        new = np.append(True, x[1:] != x[:-1])  # all beyond the band is at an end
+        return weight**2, _polynomials(coefficients, x[new])[:, np.cumsum(new) - 1]
 
     while least > allowed and 2 * half + 1 <= LONGEST:
         even, odd = _fitted(wanted_at, edges, half)

@@ -44,7 +44,7 @@ def seal(group: Path) -> None:
     path = group / "zarr.json"
     metadata = json.loads(path.read_bytes())
     metadata.setdefault("attributes", {})[SEAL] = _BLANK
-    text = json.dumps(metadata, indent=2)
+    text = json.dumps(metadata)
     path.write_text(text.replace(_BLANK, _digest(group, text.encode(), metadata)), "utf-8")
 
 

@@ -308,15 +308,17 @@ def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], 
     delay = np.array(delay)
     p: Any = slice(None)  # all at first
     t: Any = slice(None)
-    active: NDArray[np.bool_] = np.empty(delay.shape, dtype=bool)
+    active = np.ones(delay.shape, dtype=bool)
     for _ in range(_NEWTON_LIMIT):
         time, mach = travel(p, t, times[t] - delay[p, t])
-        step = (time - delay[p, t]) / (1.0 - mach)
+        step = np.where(active[p, t], (time - delay[p, t]) / (1.0 - mach), 0.0)
         delay[p, t] += step
         active[p, t] = np.abs(step) > _CONVERGED + 4e-16 * np.abs(times[t])
-        p, t = np.nonzero(active)
-        if not len(p):
+        left = np.count_nonzero(active)
+        if not left:
             break
+        if 2 * left < active.size:  # rows by their indices take twice as long each
+            p, t = np.nonzero(active)
     return delay
 
 

@@ -99,7 +99,7 @@ class Emission:
         floor_db = EXACT_DB if at_centre or exact else options.response_error_db
         low = sound.bounds(10 ** ((floor_db - 6.0) / 10))[0]
         low = min(max(low, least, _LEAST_BIN * float(sound.frequencies[1])), 0.999 * high)
-        band_at = partial(band_of, low, high, sound, tilt)
+        band_at = cache(partial(band_of, low, high, sound, tilt))
         if not at_centre:
             requested_db = min(floor_db, options.response_error_db)
             drawn = self.drawn()

@@ -69,8 +69,8 @@ def scene_basis(
     held = Held(drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
     if held.resolved_db > WORST_DB:
         held.within(error_db)
+    sampled = Sample(band, sampled.responses[:, 1::3].copy(), sampled.first, sampled.beyond)
     held_out = drawn.responses(band, held_out=True)
-    sampled = Sample(band, sampled.responses[:, 1::3], sampled.first, sampled.beyond)
     rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):
@@ -98,9 +98,10 @@ def _unresolved(responses: Floats | Complexes) -> Floats | Complexes:
 
     coefficients = _chebyshev_coefficients(responses[:, 1::3])
     coefficients[:, 0] *= 2.0
-    made = idct(coefficients * responses.shape[1], type=2, n=responses.shape[1], axis=1)
-    left: Floats | Complexes = made - responses
-    return left
+    coefficients *= responses.shape[1]
+    made: Any = idct(coefficients, type=2, n=responses.shape[1], axis=1)
+    made -= responses
+    return np.asarray(made)
 
 
 def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, paired: bool) -> Basis:
@@ -236,8 +237,9 @@ class _Functions:
 
     def left(self, responses: Floats | Complexes) -> Floats | Complexes:
         """Errors (n, F) of responses (n, F) as sums of the functions."""
-        left: Floats | Complexes = self.gains(responses) @ self.shapes - responses
-        return left
+        left: Any = self.gains(responses) @ self.shapes
+        left -= responses
+        return np.asarray(left)
 
     def error(self, rows: _Rows) -> Floats:
         """Largest error over all windows of each frame of the rows, (frames,)."""

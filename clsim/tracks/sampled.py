@@ -107,9 +107,15 @@ class Sample:
         return values * np.exp(-np.outer(self.beyond, of_air)) if self.band.tilt.slope else values
 
     def by_frame(self, values: Floats | Complexes) -> Floats:
-        """Return the sums of the squares of values (n, m) over each frame's rows."""
-        squares = values.real**2 + values.imag**2 if np.iscomplexobj(values) else values**2
-        return np.asarray(np.add.reduceat(squares, self.first, axis=0))
+        """Return the sums of the squares of values (n, m) over each frame's rows, some at a time."""
+        ends, made = np.append(self.first, len(values)), []
+        step = max(1, _IN_CACHE * 8 * len(self.first) // max(values.size, 1))
+        for i in range(0, len(self.first), step):
+            first = ends[i : i + step + 1]
+            some = values[first[0] : first[-1]]
+            squares = some.real**2 + some.imag**2 if np.iscomplexobj(some) else some**2
+            made.append(np.add.reduceat(squares, first[:-1] - first[0], axis=0))
+        return np.concatenate(made)
 
     @cached_property
     def received(self) -> Floats:
@@ -171,10 +177,10 @@ class Sample:
 class Picked:
     """Paths of a pair at instants, drawn by their energy, and the number of paths that each represents."""
 
-    paths: PairPaths  # which, P of all instants together
-    found: Arrivals  # of each at its instant, (P, 1)
-    times: Floats  # (P, 1) the instants, s, or (1,) of a single one
-    scale: Floats  # (P, 1) root of how many paths each stands for, over the level of all of the pair
+    paths: PairPaths  # which, P of all instants together, or the same at each of T
+    found: Arrivals  # of each at its instant, (P, 1), or at all of them (P, T)
+    times: Floats  # (P, 1) the instants, s, or (T,) of all paths
+    scale: Floats  # (T P, 1) root of how many paths each stands for, over the level of all of the pair
     first: tuple[int, ...]  # where the paths of each instant begin, and P at the end
 
 
@@ -204,7 +210,8 @@ class Draw:
         beyond: list[Floats] = []
         at = SceneResponse(self.tracks.paths.scene, self.source, band.frequencies, band.tilt.at(band.frequencies))
         for some in self.held_out if held_out else self.rows:
-            along = some.paths.shapes(some.found, some.times, at)[:, :, 0]
+            shapes = some.paths.shapes(some.found, some.times, at)
+            along = np.swapaxes(shapes, 1, 2).reshape(len(shapes), -1, shapes.shape[3])
             if band.late != 0.0:
                 along = along * np.conj(band.turn)
             along = along * some.scale
@@ -269,6 +276,10 @@ def picked_paths(
             received = (part >= start[:, None]) & (part < end[:, None])
             level = np.where(received, np.abs(paths.response(found, part, at_centre)[..., 0]), 0.0)
             level[level < _SILENT] = 0.0
+            if paths.family.varies and not paths.family.one_by_one and len(start) <= share and level.all():
+                each = np.repeat(1.0 / np.linalg.norm(level, axis=0), len(start))[:, None]
+                yield Picked(paths, found, part, each, tuple(range(0, level.size + 1, len(start))))
+                continue
             for rows, at, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
                 yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
 
@@ -318,7 +329,7 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
     before = None
     for _ in range(8):
         sure = chance >= 1.0
-        if before is not None and np.array_equal(sure, before):  # nothing changes any more
+        if not sure.any() or (before is not None and (sure == before).all()):  # nothing changes any more
             break
         before = sure
         left = max(count - int(sure.sum()), 1)

@@ -82,7 +82,7 @@ def test_ellipsoids_reflect_where_the_way_is_shortest(rng: np.random.Generator) 
 def nearest_on(axes: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return the points (n, 3) of an ellipsoid nearest to places (n, 3) outside: bisection of the secular equation."""
     low, high = np.zeros(len(places)), np.linalg.norm(axes * places, axis=1)
-    for _ in range(200):
+    for _ in range(64):
         m = 0.5 * (low + high)
         outside = np.linalg.norm(axes * places / (axes**2 + m[:, None]), axis=1) > 1.0
         low, high = np.where(outside, m, low), np.where(outside, high, m)
@@ -95,7 +95,7 @@ def shortest_ways(axes: np.ndarray, source: np.ndarray, receiver: np.ndarray) ->
     The specular point x is nearest to the point between the ends that divides them as both distances from x are.
     """
     low, high = np.zeros(len(source)), np.ones(len(source))
-    for _ in range(100):
+    for _ in range(56):
         share = 0.5 * (low + high)
         place = nearest_on(axes, source + share[:, None] * (receiver - source))
         to, back = (np.linalg.norm(place - end, axis=1) for end in (source, receiver))

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import clsim
 from clsim.cli import main
 from clsim.measured.bras import bras_room
-from clsim.measured.rooms import data_folder, measured_room
+from clsim.measured.rooms import MeasuredRoom, data_folder, measured_room
 from clsim.measured.simulated import mean_difference
 
 SCENE = """
@@ -52,9 +53,15 @@ most = 0.5
 """
 
 
+@cache
+def studio() -> MeasuredRoom:
+    """Return the room that comes with clsim."""
+    return measured_room("ptb-studio")
+
+
 def test_the_yardstick_is_that_of_the_round_robin() -> None:
     """Best, quartile and median of the 17 programs, as computed from the published tables without clsim."""
-    room = measured_room("ptb-studio")
+    room = studio()
     up_to_2k = room.frequencies < 3000.0
     for state, known in zip(room.states, ([0.941, 1.147, 1.415], [1.074, 1.215, 1.413]), strict=True):
         assert len(state.participants) == 17
@@ -63,7 +70,7 @@ def test_the_yardstick_is_that_of_the_round_robin() -> None:
 
 
 def test_the_studio_is_closed_in_both_states() -> None:
-    for state, sheets in zip(measured_room("ptb-studio").states, (16, 8), strict=True):
+    for state, sheets in zip(studio().states, (16, 8), strict=True):
         mesh = state.scene.scene.room.as_mesh()
         assert mesh.is_closed
         assert mesh.volume == pytest.approx(377.2, rel=1e-3)

@@ -1,5 +1,6 @@
 """The support matrix against what paths, searches and methods do, and against the page that shows it."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -59,6 +60,12 @@ def scene(air: clsim.Air, more: str = "") -> clsim.Scene:
     return clsim.Scene(room, air, [ends[0]], [ends[1]], **things)
 
 
+@lru_cache
+def searched(medium: str, more: str, *options: tuple[str, object]) -> clsim.PathSet:
+    """Return the paths in a medium, once for all kinds that one search finds."""
+    return clsim.find_paths(scene(AIRS[medium], more), 1, engine="reference", **dict(options))
+
+
 @pytest.mark.filterwarnings("ignore::clsim.ClsimWarning")
 @pytest.mark.parametrize("kind", FOUND)
 @pytest.mark.parametrize("medium", MEDIA)
@@ -68,13 +75,9 @@ def test_paths_are_found_where_the_matrix_says(kind: str, medium: str) -> None:
     where = dict(zip(MEDIA, SUPPORT[kind].where, strict=True))[medium]
     if where == REFUSED:
         with pytest.raises(clsim.InputError, match="depends on the height or fluctuates"):
-            clsim.find_paths(scene(AIRS[medium], more), 1, engine="reference", **options)
+            searched(medium, more, *options.items())
         return
-    found = [
-        f
-        for f in clsim.find_paths(scene(AIRS[medium], more), 1, engine="reference", **options).families
-        if f.kind == kind
-    ]
+    found = [f for f in searched(medium, more, *options.items()).families if f.kind == kind]
     assert len(found) == 1
     assert found[0].device == (SUPPORT[kind].program if where == DEVICE else None)
 

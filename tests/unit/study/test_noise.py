@@ -32,11 +32,11 @@ def test_the_coherence_is_that_of_a_diffuse_field(field: str, law: object) -> No
     _, noise = made(field=field)
     # The window's main lobe, four lines wide, smears the law less than this; the mean over lines is much finer.
     count = 2 * noise.shape[1] / WINDOW
+    powers = [welch(each, RATE, nperseg=WINDOW)[1] for each in noise]
     for one, other in ((0, 1), (0, 2), (0, 3), (2, 3), (1, 3)):
         distance = np.linalg.norm(PLACES[one] - PLACES[other])
         frequencies, cross = csd(noise[one], noise[other], RATE, nperseg=WINDOW)
-        power = [welch(noise[k], RATE, nperseg=WINDOW)[1] for k in (one, other)]
-        off = (cross / np.sqrt(power[0] * power[1]) - law(2.0 * frequencies * distance / SPEED))[3:-3]  # type: ignore[operator]
+        off = (cross / np.sqrt(powers[one] * powers[other]) - law(2.0 * frequencies * distance / SPEED))[3:-3]  # type: ignore[operator]
         assert np.abs(off).max() < 5.0 / math.sqrt(count) + 0.01
         assert abs(off.mean()) < 5.0 / math.sqrt(count * len(off)) + 0.003
 
