@@ -41,11 +41,6 @@ def decode_binaural(
     normalization : {"SN3D", "N3D"}, optional
         Normalization of the components: that of the receiver, or SN3D where the recording has no paths.
 
-    Returns
-    -------
-    Recording
-        Recording with the channels ``"left"`` and ``"right"``, in Pa.
-
     Raises
     ------
     InputError

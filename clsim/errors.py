@@ -55,11 +55,6 @@ class InputError(ClsimError, ValueError):
         parent : str
             Path of that value, for example ``"sources[1]"``.
 
-        Returns
-        -------
-        InputError
-            To be raised by the caller; its field is ``parent.field``.
-
         Examples
         --------
         >>> print(InputError("times", "must increase strictly").within("sources[1]"))

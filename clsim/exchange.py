@@ -88,11 +88,6 @@ def write_flac(recording: Recording, folder: str | PathLike[str], *, full_scale:
         Value of 1 in a file, Pa or V; by default, for each unit, the least power of two above all its samples, so
         that receivers compare.
 
-    Returns
-    -------
-    list of Path
-        One per receiver.
-
     Raises
     ------
     InputError

@@ -87,11 +87,6 @@ class Recording:
         receiver : str
             Name of the receiver, without a channel.
 
-        Returns
-        -------
-        list of int
-            In the order of its channels.
-
         Raises
         ------
         InputError
@@ -129,17 +124,12 @@ class Recording:
         return np.arange(self.samples.shape[1]) / self.sampling_rate
 
     def reception_times(self, receiver: int) -> NDArray[np.float64]:
-        """Return the true times at which a receiver took its samples; see `Electronics`.
+        """Return the true times (samples,) at which a receiver took its samples, s; see `Electronics`.
 
         Parameters
         ----------
         receiver : int
             Index of the row.
-
-        Returns
-        -------
-        ndarray (samples,)
-            Times, s.
         """
         times = self.times
         return times if self.paths is None else times + self._ends[receiver].clock_error(times)
@@ -211,11 +201,6 @@ class Recording:
         receivers : int, str or sequence of them, optional
             Indices or names; the first eight when left out.
 
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot, with one of its `axes` for each receiver.
-
         Raises
         ------
         InputError
@@ -249,11 +234,6 @@ class Recording:
         band : (low, high), optional
             Frequencies shown, Hz; all when left out, and always in baseband.
 
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot.
-
         Raises
         ------
         InputError
@@ -279,7 +259,7 @@ class Recording:
         return figure
 
     def play(self, receiver: int | str = 0, slower: float = 10.0) -> Any:
-        """Return a notebook player of a receiver's sound, slowed down so that ultrasound becomes audible.
+        """Return a notebook player of a receiver's sound, normalised, and slowed down to make ultrasound audible.
 
         Parameters
         ----------
@@ -287,11 +267,6 @@ class Recording:
             Index or name.
         slower : float
             Ratio by which time is stretched and frequencies fall, from 1 to 1000.
-
-        Returns
-        -------
-        IPython.display.Audio
-            Normalised to full scale.
 
         Raises
         ------

@@ -104,11 +104,6 @@ class RoomMeasures:
     def to_xarray(self) -> Any:
         """Return it with dimensions ``source``, ``receiver`` and ``frequency``, coordinates and units.
 
-        Returns
-        -------
-        xarray.Dataset
-            A variable for each measure.
-
         Raises
         ------
         InputError
@@ -204,11 +199,6 @@ def room_measures(
         For the strength of a measured response: a sound file with the same source, microphone and gain in the free
         field, and their distance, m.
 
-    Returns
-    -------
-    RoomMeasures
-        By source, receiver and band.
-
     Raises
     ------
     InputError
@@ -267,7 +257,7 @@ def speech_transmission(
     *,
     channel: int = 0,
 ) -> Floats:
-    """Compute the speech transmission index (STI) of every source and receiver.
+    """Compute the speech transmission index (sources, receivers), 0 to 1; NaN where nothing is heard.
 
     Parameters
     ----------
@@ -280,11 +270,6 @@ def speech_transmission(
         Levels of noise by octave, dB SPL.
     channel : int
         Index of the sound file's channel, from 0.
-
-    Returns
-    -------
-    ndarray (sources, receivers)
-        The index, 0 to 1; NaN where nothing is heard.
 
     Raises
     ------
@@ -447,11 +432,6 @@ def lateral_measures(
         Names of the receivers of the left and the right ear, or of a head with two channels.
     bands : {"octave", "third-octave"}
         Into which responses are cut.
-
-    Returns
-    -------
-    LateralMeasures
-        By source and band.
 
     Raises
     ------

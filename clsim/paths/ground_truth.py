@@ -140,11 +140,6 @@ def direct_path(
     emitted : array_like (T,), optional
         Times of emission, s, in place of times of reception: the same sound at all receivers, as for TDOA.
 
-    Returns
-    -------
-    DirectPath
-        Ground truth of every source and receiver.
-
     Raises
     ------
     InputError
@@ -340,11 +335,6 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     motion : {"retarded", "quasi-static"}
         As in `render`.
 
-    Returns
-    -------
-    ScattererTruth
-        Ground truth of every scatterer, source and receiver.
-
     Raises
     ------
     InputError
@@ -412,11 +402,6 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
         Times of reception, s, by the scene's clock.
     motion : {"retarded", "quasi-static"}
         As in `render`.
-
-    Returns
-    -------
-    BodyTruth
-        Ground truth of every body, source and receiver.
 
     Raises
     ------

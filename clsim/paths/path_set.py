@@ -166,11 +166,6 @@ class PathSet:
         ----------
         receiver : int
             Index in the scene.
-
-        Returns
-        -------
-        PathSet
-            Families of the same kinds, each with as many rows as it has paths to this receiver.
         """
         return PathSet(self.scene, tuple(f.part(np.flatnonzero(f.receiver == receiver)) for f in self.families))
 
@@ -189,11 +184,6 @@ class PathSet:
             As in `render`.
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
-
-        Returns
-        -------
-        PathTable
-            A row per path.
 
         Raises
         ------
@@ -235,11 +225,6 @@ class PathSet:
         ----------
         times, motion, amplitude
             As for `table`.
-
-        Returns
-        -------
-        pandas.DataFrame
-            See `PathTable.to_dataframe`.
         """
         return self.table(times, motion, amplitude).to_dataframe()
 
@@ -250,18 +235,13 @@ class PathSet:
         ----------
         times, motion, amplitude
             As for `table`.
-
-        Returns
-        -------
-        xarray.Dataset
-            See `PathTable.to_xarray`.
         """
         return self.table(times, motion, amplitude).to_xarray()
 
     def cir(
         self, times: Floats, *, carrier: float, motion: str = "retarded", amplitude: str = "wave-equation"
     ) -> ChannelPaths:
-        """Return the complex gain about a carrier, and the delay, of every path.
+        """Return the complex gain about a carrier, and the absolute delay, of every path.
 
         Parameters
         ----------
@@ -273,11 +253,6 @@ class PathSet:
             As in `render`.
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
-
-        Returns
-        -------
-        ChannelPaths
-            Delays are absolute.
 
         Raises
         ------
@@ -316,11 +291,6 @@ class PathSet:
             As in `render`.
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
-
-        Returns
-        -------
-        ChannelTaps
-            Tap l is that of the delay ``l / sampling_rate``, absolute.
 
         Raises
         ------
@@ -365,11 +335,6 @@ class PathSet:
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
 
-        Returns
-        -------
-        DelayDoppler
-            Points, and how far they move.
-
         Raises
         ------
         InputError
@@ -405,11 +370,6 @@ class PathSet:
             Strongest paths that are drawn, 1 to 100 000.
         height : int
             Pixels, 100 to 10 000.
-
-        Returns
-        -------
-        IPython.display.HTML
-            The page, as ``clsim view`` writes it.
 
         Raises
         ------

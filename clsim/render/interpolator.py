@@ -61,16 +61,11 @@ class Interpolator(ABC):
             Weights of errors in equal bands from 0 to the edge: errors may be larger where the weight is less.
         oversampling : int
             Samples of the signal in one of the recording.
-
-        Returns
-        -------
-        Bank
-            Branch filters.
         """
         return self._bank(edge, oversampling * max_rate, importance)
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
-        """Return the filter's own taps, as the reference engine uses them.
+        """Return the filter's own taps (n, length), as the reference engine uses them, without a unit.
 
         Parameters
         ----------
@@ -78,11 +73,6 @@ class Interpolator(ABC):
             Made by `bank`.
         mu : ndarray (n,)
             Delays beyond the bank's shift, samples.
-
-        Returns
-        -------
-        ndarray (n, length)
-            Taps for each delay.
         """
         return self._taps(bank, mu)
 
@@ -209,11 +199,6 @@ class Bandlimited(Interpolator):
         ----------
         importance : tuple of float
             By which errors count, as factors.
-
-        Returns
-        -------
-        tuple of float
-            As many, in steps of 6 dB.
         """
         least = 10.0 ** ((self.error_db + 12.0) / 20.0)
         steps = np.ceil(20.0 * np.log10(np.maximum(importance, least)) / 6.0)

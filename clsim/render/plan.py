@@ -126,11 +126,6 @@ class Plan:
         ----------
         block : int
             Samples in a block.
-
-        Returns
-        -------
-        bool
-            Whether they are that short.
         """
         return self.baseband is None and block < FINE
 
@@ -143,11 +138,6 @@ class Plan:
             Index of the source.
         block : int
             Samples in a block.
-
-        Returns
-        -------
-        int
-            Samples in a subblock.
         """
         subblock = self.source_filters[source].bank.subblock
         return min(subblock, SMALL_SUBBLOCK) if self.is_fine(block) else subblock
@@ -161,11 +151,6 @@ class Plan:
             Index of the source.
         block : int
             Samples in a block.
-
-        Returns
-        -------
-        float
-            Of the source's subblocks; of envelopes' widest vectors, if blocks are long and motion is slow for these.
         """
         if self.baseband is not None:
             change = WIDEST_SUBBLOCK / self.sampling_rate * self.tracks.max_rate(source)
@@ -173,7 +158,7 @@ class Plan:
         return 0.0 if self.is_fine(block) else self.subblock(source, block) / block
 
     def where_claimed(self, claim: str, build: Callable[[Plan], Contribution]) -> Contribution | None:
-        """Build a contribution if its method claims something.
+        """Build a contribution if its method claims something, else None.
 
         Parameters
         ----------
@@ -181,26 +166,16 @@ class Plan:
             Field of the allocation.
         build : callable
             Makes the contribution from the plan.
-
-        Returns
-        -------
-        Contribution, optional
-            None where nothing is claimed.
         """
         return build(self) if any(part is not None for part in getattr(self.allocation, claim)) else None
 
     def where_left(self, build: Callable[[Plan], Contribution]) -> Contribution | None:
-        """Build a contribution if other methods leave a pair of source and receiver.
+        """Build a contribution if other methods leave a pair of source and receiver, else None.
 
         Parameters
         ----------
         build : callable
             Makes the contribution from the plan.
-
-        Returns
-        -------
-        Contribution, optional
-            None where all pairs are claimed.
         """
         return None if len(self.allocation.claimed) == len(self.tracks.pairs) else build(self)
 
@@ -211,11 +186,6 @@ class Plan:
         ----------
         source : int
             Index of the source.
-
-        Returns
-        -------
-        bool
-            Whether other methods claim all of them.
         """
         mine = {i for i, pair in enumerate(self.tracks.pairs) if pair.source == source}
         return bool(mine) and mine <= self.allocation.claimed
@@ -276,7 +246,7 @@ class Plan:
         }
 
     def bytes_per_node(self, source: int, channels: int = 1) -> int:
-        """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain.
+        """Return the bytes of a block of a path: whole delay, and polynomials of its rest and of every gain.
 
         Parameters
         ----------
@@ -284,11 +254,6 @@ class Plan:
             Index of the source.
         channels : int
             Channels of the receiver.
-
-        Returns
-        -------
-        int
-            Bytes.
         """
         return 4 + 4 * self.delay_terms + 16 * len(self.source_filters[source].basis) * channels
 
@@ -331,11 +296,6 @@ class Plan:
         ----------
         pair : int
             Index of the pair, in `Tracks.pairs`.
-
-        Returns
-        -------
-        slice
-            Of as many rows as channels of the receiver share the pair's delays.
         """
         member = self.tracks.pairs[pair]
         first = int(self.first_rows[member.receiver])
@@ -348,11 +308,6 @@ class Plan:
         ----------
         receiver : int
             Index of the receiver.
-
-        Returns
-        -------
-        slice
-            Of as many rows as it has channels.
         """
         first, last = self.first_rows[receiver : receiver + 2].tolist()
         return slice(first, last)
@@ -384,13 +339,7 @@ class Plan:
         return tuple(r.unit for r in self.receivers for _ in r.directivity.channels) or ("Pa",) * self.row_count
 
     def describe(self) -> list[str]:
-        """Describe the plan, one line for each fact: the whole, each contribution, the receivers.
-
-        Returns
-        -------
-        list of str
-            As in the notes of the recording.
-        """
+        """Describe the plan, one line for each fact: the whole, each contribution, the receivers."""
         lines = [
             f"{counted(self.path_count, 'path')} from {counted(len(self.source_filters), 'source')} to "
             f"{counted(self.receiver_count, 'receiver')}"

@@ -128,11 +128,6 @@ def render_tracks(
     **options
         As of `RenderOptions`, but for those by which tracks are made.
 
-    Returns
-    -------
-    Recording
-        As of `render`.
-
     Raises
     ------
     InputError

@@ -211,34 +211,24 @@ class Air:
                 warn(message)
 
     def at_height(self, height: Floats) -> Floats:
-        """Return temperature and relative humidity at some heights.
+        """Return temperature, °C, and relative humidity, 0 to 1, at some heights: (2, n).
 
         Parameters
         ----------
         height : ndarray (n,)
             m.
-
-        Returns
-        -------
-        ndarray (2, n)
-            °C, and from 0 to 1.
         """
         where = self.heights or self.extent or UNPLACED
         given = {"temperature_celsius": self.temperature_celsius, "relative_humidity": self.relative_humidity}
         return np.stack([at_heights(name, value, where, height) for name, value in given.items()])
 
     def between(self, lowest: float, highest: float) -> Air:
-        """Return the same air in a room between two heights, m: with layers if it depends on the height.
+        """Return the same air in a room between two heights, m: with layers if it depends on the height, else itself.
 
         Parameters
         ----------
         lowest, highest : float
             Lowest and highest point of the room, m.
-
-        Returns
-        -------
-        Air
-            This one, if it is the same everywhere.
 
         Raises
         ------
@@ -250,17 +240,12 @@ class Air:
         return replace(self, extent=(lowest, highest))
 
     def by_height(self, quantity: Callable[[Air], ArrayLike]) -> Floats:
-        """Return something of the air over the height.
+        """Return Chebyshev coefficients (terms, ...) over `extent` of a quantity, in its unit: m, s or without a unit.
 
         Parameters
         ----------
         quantity : callable
             Takes the air of a layer; returns numbers (...).
-
-        Returns
-        -------
-        ndarray (terms, ...)
-            Coefficients of Chebyshev polynomials over `extent`; one term for air that is the same everywhere.
         """
         if not self.layers:
             return np.asarray(quantity(self), dtype=np.float64)[None]
@@ -273,13 +258,7 @@ class Air:
         return slowest - (0.0 if self.wind is None else math.hypot(*self.wind))
 
     def describe(self) -> list[str]:
-        """Return a description of the air, a line per fact.
-
-        Returns
-        -------
-        list of str
-            Temperature, humidity and speed of sound; then what differs from air that rests and is the same everywhere.
-        """
+        """Return a description of the air, a line per fact."""
         celsius, humidity, _ = self.state
         lines = [
             f"air: {celsius:g} °C, {100.0 * humidity:g} % relative humidity, sound at {self.speed_of_sound:.2f} m/s"
@@ -306,17 +285,12 @@ class Air:
         return lines
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
-        """Return the absorption of pure tones by ISO 9613-1, dB/m, at half the room's height; zero in air without.
+        """Return the absorption (...) of pure tones by ISO 9613-1, dB/m, at half the room's height; 0 without.
 
         Parameters
         ----------
         frequency : array_like
             Frequencies of any shape, at least 0, Hz.
-
-        Returns
-        -------
-        ndarray
-            Absorption of the shape of `frequency`, dB/m.
 
         Raises
         ------
@@ -364,11 +338,6 @@ class Air:
         ----------
         frequency : float
             Above 0, Hz.
-
-        Returns
-        -------
-        float
-            Speed, m/s.
         """
         c = self.speed_of_sound
         if not self.dispersion:
@@ -382,11 +351,6 @@ class Air:
         ----------
         frequency : float
             At least 0, Hz.
-
-        Returns
-        -------
-        float
-            Speed, m/s.
         """
         c = self.speed_of_sound
         if not self.dispersion:

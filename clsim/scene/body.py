@@ -111,11 +111,6 @@ class Body:
         centre : array_like (3,)
             Centre of the box in its own coordinates, m.
 
-        Returns
-        -------
-        Body
-            A box, whose faces are called after their sides, ``x_min`` to ``z_max``.
-
         Raises
         ------
         InputError
@@ -175,11 +170,6 @@ class Body:
         ----------
         times : ndarray (n,)
             s.
-
-        Returns
-        -------
-        ndarray (n,)
-            m/s.
         """
         turning = np.linalg.norm(self.trajectory.angular_velocity(times), axis=-1)
         return np.asarray(np.linalg.norm(self.trajectory.velocity(times), axis=-1) + self.lever * turning)
@@ -200,11 +190,6 @@ class Body:
             m.
         time : ndarray (...)
             s.
-
-        Returns
-        -------
-        ndarray (..., 3)
-            m.
         """
         return self.trajectory.position(time) + rotate(self.trajectory.orientation(time), points)
 
@@ -217,11 +202,6 @@ class Body:
             m.
         time : ndarray (...)
             s.
-
-        Returns
-        -------
-        ndarray (..., 3)
-            m.
         """
         back = self.trajectory.orientation(time) * np.array([-1.0, -1.0, -1.0, 1.0])
         return rotate(back, places - self.trajectory.position(time))

@@ -286,11 +286,6 @@ def captured_person(
     time_offset : float
         Time of the file's first row, 0 or before, s.
 
-    Returns
-    -------
-    list of Scatterer
-        For the `scatterers` of a `Scene`, from the first row to the last.
-
     Raises
     ------
     InputError

@@ -219,11 +219,6 @@ class Source:
         ----------
         times : ndarray (n,)
             s.
-
-        Returns
-        -------
-        ndarray (n, 4)
-            1.
         """
         return _orientation(self, times)
 
@@ -328,11 +323,6 @@ class Receiver:
         **options : Any
             Others of `Receiver`, without `directivity`.
 
-        Returns
-        -------
-        Receiver
-            With an `Ambisonic` directivity.
-
         Raises
         ------
         InputError
@@ -352,7 +342,7 @@ class Receiver:
     def binaural(
         name: str, trajectory: Trajectory, hrtf: str | PathLike[str] | ChannelDirectivity | None = None, **options: Any
     ) -> Receiver:
-        """Return a head with two ears, which turns as its trajectory says: front +x, left +y, up +z.
+        """Return a head with the channels "left" and "right", turned by its trajectory: front +x, left +y, up +z.
 
         Parameters
         ----------
@@ -365,11 +355,6 @@ class Receiver:
             rigid sphere when left out.
         **options : Any
             Others of `Receiver`, without `directivity`.
-
-        Returns
-        -------
-        Receiver
-            A receiver with the channels ``"left"`` and ``"right"``.
 
         Raises
         ------
@@ -410,11 +395,6 @@ class Receiver:
         ----------
         times : ndarray (n,)
             By the receiver's clock, s.
-
-        Returns
-        -------
-        ndarray (n,)
-            s.
         """
         return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
@@ -430,11 +410,6 @@ class Receiver:
         ----------
         times : ndarray (n,)
             s.
-
-        Returns
-        -------
-        ndarray (n, 4)
-            1.
         """
         return _orientation(self, times)
 

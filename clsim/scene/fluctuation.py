@@ -81,7 +81,7 @@ class Fluctuation:
     def at(
         self, times: Floats, receiver: Floats, source: Floats, velocities: tuple[Floats, Floats] | None = None
     ) -> tuple[Floats, Floats]:
-        """Return the noise, and how fast it changes.
+        """Return the noise (...), s, and its rate of change (...), s/s.
 
         Parameters
         ----------
@@ -91,11 +91,6 @@ class Fluctuation:
             The receiver as the source sees it, and the source, m.
         velocities : tuple of ndarray (..., 3), optional
             Velocities of both, m/s; zero when left out.
-
-        Returns
-        -------
-        late, rate : ndarray (...)
-            s, and s/s.
         """
         waves, size = self._waves, self.rms * math.sqrt(2.0 / _WAVES)
         angle = times[..., None] * waves[0] + receiver @ waves[1:4] + source @ waves[4:7] + waves[7]
@@ -108,17 +103,12 @@ class Fluctuation:
         return self.rms * math.sqrt(2.0 * _WAVES)
 
     def most_rate(self, source_speed: float, receiver_speed: float) -> float:
-        """Return a bound on how fast the noise changes.
+        """Return a bound on the rate of change of the noise, s/s.
 
         Parameters
         ----------
         source_speed, receiver_speed : float
             Largest speeds of the ends, m/s.
-
-        Returns
-        -------
-        float
-            s/s.
         """
         by_place = [np.linalg.norm(self._waves[rows], axis=0) for rows in (slice(1, 4), slice(4, 7))]
         turns = np.abs(self._waves[0]) + receiver_speed * by_place[0] + source_speed * by_place[1]
@@ -180,17 +170,12 @@ class TargetFluctuation:
         return math.sqrt(self.steady) + math.sqrt((1.0 - self.steady) * _WAVES)
 
     def at(self, times: Floats) -> Complexes:
-        """Return the factor of the pressure.
+        """Return the complex factor (...) of the pressure; its mean square over time is 1.
 
         Parameters
         ----------
         times : ndarray (...)
             Times of scattering, s.
-
-        Returns
-        -------
-        ndarray (...)
-            Complex; its mean square over time is 1.
         """
         flat, found = times.ravel(), np.empty(times.size, dtype=np.complex128)
         for first in range(0, len(flat), _AT_A_TIME):

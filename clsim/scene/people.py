@@ -210,11 +210,6 @@ def walking_person(name: str, height: float, trajectory: Trajectory, shadow: boo
         Whether every part casts a shadow, see `Scatterer.ellipsoid`. Shadows of walls' echoes need as high a
         `scattering_order` as their number of reflections.
 
-    Returns
-    -------
-    list of Scatterer
-        For the `scatterers` of a `Scene`, from the trajectory's start to its end.
-
     Raises
     ------
     InputError
@@ -359,12 +354,6 @@ def hand(
         and rests there for a moment.
     shadow : bool
         Whether every part casts a shadow, see `Scatterer.ellipsoid` and `Scatterer.capsule`.
-
-    Returns
-    -------
-    list of Scatterer
-        For the `scatterers` of a `Scene`; where the trajectory rests and the opening changes, from 0 s or before to the
-        last of its times.
 
     Raises
     ------

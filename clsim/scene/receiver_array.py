@@ -52,11 +52,6 @@ def receiver_array(
     **arguments : Any
         Arguments of `Receiver`, the same for all: directivity, aim, transducer, electronics.
 
-    Returns
-    -------
-    list of Receiver
-        In the order of the positions.
-
     Raises
     ------
     InputError
@@ -136,11 +131,6 @@ def grid_positions(x: Any, y: Any, z: Any) -> Floats:
     x, y, z : float or (first, last, count)
         One coordinate, m, or evenly spaced ones from the first to the last.
 
-    Returns
-    -------
-    ndarray (n, 3)
-        m.
-
     Raises
     ------
     InputError
@@ -166,11 +156,6 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
     path : path-like
         Three numbers a line, parted by commas, semicolons or spaces; lines that begin with ``#`` and a first line of
         words are passed over. Or a microphone geometry of Acoular (XML): a ``<pos x="" y="" z=""/>`` for each.
-
-    Returns
-    -------
-    ndarray (n, 3)
-        m.
 
     Raises
     ------

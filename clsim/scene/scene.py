@@ -205,35 +205,17 @@ class Scene:
         _check_bands(self)
 
     def named_ends(self) -> list[tuple[str, End]]:
-        """Return every source and receiver with the name of its field, e.g. ``"sources[0]"``.
-
-        Returns
-        -------
-        list of (str, Source or Receiver)
-            Sources first.
-        """
+        """Return every source and receiver with the name of its field, e.g. ``"sources[0]"``."""
         sources = [(f"sources[{i}]", s) for i, s in enumerate(self.sources)]
         receivers = [(f"receivers[{i}]", r) for i, r in enumerate(self.receivers)]
         return [*sources, *receivers]
 
     def named_scatterers(self) -> list[tuple[str, Scatterer]]:
-        """Return every scatterer with the name of its field, e.g. ``"scatterers[0]"``.
-
-        Returns
-        -------
-        list of (str, Scatterer)
-            In their order.
-        """
+        """Return every scatterer with the name of its field, e.g. ``"scatterers[0]"``."""
         return [(f"scatterers[{i}]", s) for i, s in enumerate(self.scatterers)]
 
     def named_bodies(self) -> list[tuple[str, Body]]:
-        """Return every body with the name of its field, e.g. ``"bodies[0]"``.
-
-        Returns
-        -------
-        list of (str, Body)
-            In their order.
-        """
+        """Return every body with the name of its field, e.g. ``"bodies[0]"``."""
         return [(f"bodies[{i}]", body) for i, body in enumerate(self.bodies)]
 
     @property
@@ -263,11 +245,6 @@ class Scene:
             Instants to choose from, until the first trajectory ends, 1 to 10 000.
         height : int
             Pixels, 100 to 10 000.
-
-        Returns
-        -------
-        IPython.display.HTML
-            The page; `PathSet.show` has the paths in it, too.
 
         Raises
         ------

@@ -54,11 +54,6 @@ def echo_bounds(paths: PathSet, wrt: Sequence[str], noise: float, sampling_rate:
     **options
         As of `clsim.sensitivities`.
 
-    Returns
-    -------
-    EchoBounds
-        In the units of the parameters.
-
     Raises
     ------
     InputError

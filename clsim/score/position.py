@@ -52,12 +52,7 @@ class GdopMap:
     __repr__ = short_repr
 
     def to_dataframe(self) -> Any:
-        """Return a row for each place as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns ``x``, ``y``, ``z``, in m, and ``gdop``.
+        """Return a pandas DataFrame with a row for each place: ``x``, ``y``, ``z``, in m, and ``gdop``.
 
         Raises
         ------
@@ -71,13 +66,7 @@ class GdopMap:
         return pandas.DataFrame({"x": x.ravel(), "y": y.ravel(), "z": self.z, "gdop": self.gdop.ravel()})
 
     def plot(self) -> Figure:
-        """Draw the map, and where the anchors are.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot.
-        """
+        """Draw the map, and where the anchors are."""
         check_pictures("plot")
         from matplotlib import pyplot
 
@@ -148,11 +137,6 @@ def gdop_map(anchors: Floats, x: Floats, y: Floats, z: float, method: str = "toa
     method : {"toa", "tdoa"}
         As in `position`.
 
-    Returns
-    -------
-    GdopMap
-        Over all places (x, y, z).
-
     Raises
     ------
     InputError
@@ -217,17 +201,12 @@ class PositionScore:
         return float(np.mean(np.isfinite(self.error)))
 
     def percentile(self, percent: float) -> float:
-        """Return the error that so many per cent of the positions found do not exceed.
+        """Return the error that so many per cent of the positions found do not exceed, m; NaN if none was found.
 
         Parameters
         ----------
         percent : float
             From 0 to 100, %.
-
-        Returns
-        -------
-        float
-            m; NaN if none was found.
 
         Raises
         ------
@@ -265,13 +244,7 @@ class PositionScore:
         return pandas.DataFrame(columns | {"error": self.error.ravel(), "gdop": self.gdop.ravel()})
 
     def plot(self) -> Figure:
-        """Draw estimated and true positions seen from above, and how errors are distributed.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot with two axes.
-        """
+        """Draw estimated and true positions seen from above, and how errors are distributed."""
         check_pictures("plot")
         from matplotlib import pyplot
 

@@ -50,11 +50,6 @@ class RangeDopplerMap:
     def to_xarray(self) -> Any:
         """Return it with named dimensions ``speed`` and ``range``.
 
-        Returns
-        -------
-        xarray.DataArray
-            The complex amplitude.
-
         Raises
         ------
         InputError
@@ -70,12 +65,7 @@ class RangeDopplerMap:
         return xarray.DataArray(self.amplitude, coordinates, ("speed", "range"), name="amplitude")
 
     def to_dataframe(self) -> Any:
-        """Return a row for each speed and range as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns ``speed`` in m/s, ``range`` in m, and the complex ``amplitude``.
+        """Return a pandas DataFrame with a row for each ``speed``, m/s, and ``range``, m: complex ``amplitude``.
 
         Raises
         ------
@@ -89,13 +79,7 @@ class RangeDopplerMap:
         return pandas.DataFrame({"speed": speeds.ravel(), "range": ranges.ravel(), "amplitude": self.amplitude.ravel()})
 
     def plot(self) -> Figure:
-        """Draw the level over range and speed.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot.
-        """
+        """Draw the level over range and speed."""
         title = f"unambiguous up to ±{self.unambiguous_speed:.3g} m/s"
         return _drawn(self.ranges, self.speeds, self.amplitude, ylabel="speed at which it grows (m/s)", title=title)
 
@@ -121,13 +105,7 @@ class EchoMap:
     __repr__ = short_repr
 
     def plot(self) -> Figure:
-        """Draw the level over range and number of the pulse.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot.
-        """
+        """Draw the level over range and number of the pulse."""
         return _drawn(self.ranges, np.arange(float(len(self.amplitude))), self.amplitude, ylabel="pulse")
 
 
@@ -271,11 +249,6 @@ def echoes(
         Whether sound travels the range forth and back, as a sonar's does, or one way.
     max_range : float, optional
         m; what fits between two emissions when left out.
-
-    Returns
-    -------
-    EchoMap
-        A row for each pulse that ends within the recording.
 
     Raises
     ------

@@ -107,17 +107,12 @@ class RangingScore:
         return float(np.std(self._inliers())) if len(self._inliers()) else math.nan
 
     def percentile(self, percent: float) -> float:
-        """Return the magnitude of the error that so many per cent of the ranges found do not exceed, outliers too.
+        """Return the magnitude of error that so many per cent of all ranges found do not exceed, m; NaN without any.
 
         Parameters
         ----------
         percent : float
             From 0 to 100, %.
-
-        Returns
-        -------
-        float
-            m; NaN if none was found.
 
         Raises
         ------
@@ -155,13 +150,7 @@ class RangingScore:
         return pandas.DataFrame(columns | {name: getattr(self, name).ravel() for name in over})
 
     def plot(self) -> Figure:
-        """Draw errors over time, by line of sight, and the distribution of their magnitudes.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot with two axes.
-        """
+        """Draw errors over time, by line of sight, and the distribution of their magnitudes."""
         check_pictures("plot")
         from matplotlib import pyplot
 
@@ -232,11 +221,6 @@ def ranging(
         Error from which on a range counts as an outlier, m.
     motion : {"retarded", "quasi-static"}
         As the recording was rendered.
-
-    Returns
-    -------
-    RangingScore
-        For all receivers.
 
     Raises
     ------

@@ -55,18 +55,13 @@ class Sensitivities:
     __repr__ = short_repr
 
     def fisher(self, noise: Any) -> Floats:
-        """Fisher information of the parameters in a recording with white Gaussian noise.
+        """Fisher information (parameters, parameters) for white Gaussian noise, per product of units of the parameters.
 
         Parameters
         ----------
         noise : float or array_like (receivers,)
             Standard deviation of a sample, in the unit of the signals, Pa or V, above 0; in baseband of its real and
             of its imaginary part.
-
-        Returns
-        -------
-        ndarray (parameters, parameters)
-            Per product of the units of both parameters.
 
         Raises
         ------
@@ -85,17 +80,12 @@ class Sensitivities:
         return np.asarray((rows @ rows.conj().T).real)
 
     def bounds(self, noise: Any) -> Floats:
-        """Cramér-Rao bounds: the least standard deviations of unbiased estimates of all parameters together.
+        """Cramér-Rao bounds (parameters,): least standard deviations of unbiased estimates, in units of the parameters.
 
         Parameters
         ----------
         noise : float or array_like (receivers,)
             As of `fisher`, Pa or V.
-
-        Returns
-        -------
-        ndarray (parameters,)
-            In the units of the parameters.
 
         Raises
         ------
@@ -105,12 +95,7 @@ class Sensitivities:
         return crb(self.fisher(noise), self.parameters)
 
     def to_xarray(self) -> Any:
-        """Return the Jacobian as an xarray DataArray.
-
-        Returns
-        -------
-        xarray.DataArray
-            Dimensions ``parameter``, ``receiver`` and ``time``, s; the units as a coordinate ``unit``.
+        """Return the Jacobian as an xarray DataArray (parameter, receiver, time), with units as a coordinate.
 
         Raises
         ------

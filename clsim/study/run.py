@@ -259,11 +259,6 @@ def run_study(
         Called with a text and a total for each stage of the work; returns a context manager that yields a function
         to be called with every amount of work that is done.
 
-    Returns
-    -------
-    tuple of MemberRow
-        Outcome of every member.
-
     Raises
     ------
     InputError

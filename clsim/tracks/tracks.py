@@ -117,7 +117,7 @@ class Tracks(ABC):
         rows: NDArray[np.int64] | None = None,
         every: int = 1,
     ) -> list[tuple[Floats, Floats, Floats]]:
-        """Tracks as of `evaluate`, of pairs of the same `paths_of`.
+        """Return delays (P, T), s, rates and gains as of `evaluate`, of pairs of the same `paths_of`.
 
         Parameters
         ----------
@@ -125,11 +125,6 @@ class Tracks(ABC):
             Indices of source and receiver, in `pairs`.
         times, basis, rows, every
             As of `evaluate`.
-
-        Returns
-        -------
-        list of (delay, rate, gains)
-            As of `evaluate`, for each pair.
         """
         return [self.evaluate(pair, times, basis, rows, every) for pair in pairs]
 
@@ -140,11 +135,6 @@ class Tracks(ABC):
         ----------
         pair : int
             Index of the source and receiver, in `pairs`.
-
-        Returns
-        -------
-        hashable
-            Of pairs that differ in their channels only, the same.
         """
         return pair
 
@@ -155,32 +145,22 @@ class Tracks(ABC):
         ----------
         pair : int
             Index of the source and receiver, in `pairs`.
-
-        Returns
-        -------
-        bool
-            Whether they do.
         """
         return False
 
     @abstractmethod
     def max_rate(self, source: int) -> float:
-        """Return a bound on how fast delays change.
+        """Return a bound on the magnitude of the rate of change of delays, s/s.
 
         Parameters
         ----------
         source : int
             Whose delays.
-
-        Returns
-        -------
-        float
-            Largest magnitude of a delay's derivative by the time of reception, s/s.
         """
 
     @abstractmethod
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
-        """Return the largest speed of a source or its receivers, and what it would be at another rate of delays.
+        """Return the largest speed of a source or its receivers, and that by another rate of delays, m/s.
 
         Parameters
         ----------
@@ -188,16 +168,11 @@ class Tracks(ABC):
             Index of the source.
         max_rate : float
             The other bound on how fast its delays change, s/s: without a unit.
-
-        Returns
-        -------
-        speed, speed_at_rate : float
-            Both in m/s.
         """
 
     @abstractmethod
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
-        """Return bounds on the delays of a pair's paths.
+        """Return bounds (paths,), (paths,) on the delays of a pair's paths, s.
 
         Parameters
         ----------
@@ -205,15 +180,10 @@ class Tracks(ABC):
             Index of the source and receiver, in `pairs`.
         start, end : float
             Between which times of reception, s.
-
-        Returns
-        -------
-        low, high : ndarray (paths,)
-            Bounds of each path's delay, s.
         """
 
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
-        """Return bounds on the delays of the paths of some pairs.
+        """Return bounds (low, high) on the delays of the paths of some pairs, as of `delay_range`, s.
 
         Parameters
         ----------
@@ -221,16 +191,11 @@ class Tracks(ABC):
             Indices of source and receiver, in `pairs`.
         start, end : float
             Between which times of reception, s.
-
-        Returns
-        -------
-        list of (low, high)
-            As of `delay_range`, s.
         """
         return [self.delay_range(pair, start, end) for pair in pairs]
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
-        """Return a bound on the delays of one source or of all.
+        """Return a bound on the delays of one source or of all, s; 0 without paths.
 
         Parameters
         ----------
@@ -238,11 +203,6 @@ class Tracks(ABC):
             Between which times of reception, s.
         source : int, optional
             Whose delays; those of all when left out.
-
-        Returns
-        -------
-        float
-            Not below any delay, s; 0 without paths.
         """
         pairs = [i for i, pair in enumerate(self.pairs) if source in (None, pair.source)]
         return max((float(high.max()) for _, high in self.delay_ranges(pairs, start, end)), default=0.0)
@@ -538,11 +498,6 @@ def track(
         Exponent 1, 0 or 2 of ``1 / (1 - M)``.
     transition : float
         Over which paths begin and end, s; 0 for at once.
-
-    Returns
-    -------
-    SceneTracks
-        Computed when asked for.
 
     Raises
     ------

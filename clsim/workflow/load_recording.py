@@ -50,11 +50,6 @@ def load_recording(
         Whether the files that are read are compared with the digests in the folder's record. Damaged chunks of a Zarr
         store are refused without it, too.
 
-    Returns
-    -------
-    Recording
-        With samples in memory, and `paths` (of a scene with the receivers that are wanted) or None.
-
     Raises
     ------
     InputError

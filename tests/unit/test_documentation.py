@@ -22,7 +22,7 @@ ROOT = Path(clsim.__file__).parents[1]
 # A unit, or that there is none.
 UNIT = re.compile(
     r"(?<![\w^])(m|mm|s|Hz|kHz|dB|dB/m|Pa|kPa|V|V/Pa|Pa/V|rad|rad/s|m/s|m/s²|m²|m³|°|°C|K|kg|kg/m³|kg/m²|%|ppm|MiB|GiB|bytes|N s/m⁴|Pa s/m²)(?![\w/])"
-    r"|degrees|per cent|samples?\b|frames|octaves?|[Uu]nit vectors?|quaternions?|rows|1\.|[0-9] to [0-9]|[Ff]rom 0|from -1|[Ww]ithout (a )?unit|ratio|share|fraction|factors?|[Gg]ains?|direction"
+    r"|degrees|per cent|samples?\b|frames|octaves?|[Uu]nit vectors?|quaternions?|rows|1\.|[0-9] to [0-9]|[Ff]rom 0|from -1|[Ww]ithout (a )?unit|ratio|share|fraction|factors?|[Gg]ains?|direction|units of"
 )
 SHAPE = re.compile(r"\([^()]*\w*[^()]*,?[^()]*\)|scalar|sequence|one per|as many|broadcast|same shape|any shape")
 NUMBERS = re.compile(r"float|array|complex|Floats")
@@ -160,7 +160,8 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
     if (seen := OVERRIDDEN.search(told[""])) is not None and list(told) == [""]:
         modules = [module for name, module in sys.modules.items() if name.startswith("clsim.")]
         base = next(vars(module)[seen[1]] for module in modules if seen[1] in vars(module))
-        told = sections(getattr(base, seen[2]).__doc__) | {"": told[""]}
+        told_by_base = sections(getattr(base, seen[2]).__doc__)
+        told = told_by_base | {"": told[""] + told_by_base[""]}
     if is_class and issubclass(value, Exception | Warning):
         return
     signature = inspect.signature(value)
@@ -193,10 +194,14 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         ):
             yield f"{name}: no Raises"
         return
-    answer = signature.return_annotation
-    is_property = not arguments and "property" in inspect.getsource(value).split("def ")[0]
-    told_in_full = is_property or not arguments or str(answer) in (name.split(".")[0], "Self")  # by the first sentence
-    if answer not in (None, "None") and not told_in_full and not {"Returns", "Yields"} & set(told):
+    answer = str(signature.return_annotation)
+    needs_shape = "NDArray" in answer or "Floats" in answer or "Complexes" in answer
+    needs_unit = "float" in answer.lower() or "Complexes" in answer
+    told_in_full = not arguments or not (  # by the first sentence
+        (needs_shape and not re.search(rf"{SHAPE.pattern}|shaped as", told[""]))
+        or (needs_unit and not UNIT.search(told[""]))
+    )
+    if not told_in_full and not {"Returns", "Yields"} & set(told):
         yield f"{name}: no Returns"
     if raises(value) and "Raises" not in told:
         yield f"{name}: no Raises"

@@ -238,11 +238,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
-        Returns
-        -------
-        AxialDirectivity
-            The table.
-
         Raises
         ------
         InputError
@@ -284,11 +279,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
             Scale of the first file's values.
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
-
-        Returns
-        -------
-        AxialDirectivity
-            The table.
 
         Raises
         ------
@@ -334,11 +324,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
-        Returns
-        -------
-        AxialDirectivity
-            The table.
-
         Raises
         ------
         InputError
@@ -367,11 +352,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
             As in `from_npz`.
         variable : str, optional
             Name of the struct; `angle`, `frequency` and `values` are its fields then.
-
-        Returns
-        -------
-        AxialDirectivity
-            The table.
 
         Raises
         ------

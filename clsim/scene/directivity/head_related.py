@@ -167,11 +167,6 @@ class HeadRelated(ChannelDirectivity):
         **options : Any
             `outside` and `name` of the constructor.
 
-        Returns
-        -------
-        HeadRelated
-            The responses.
-
         Raises
         ------
         InputError
@@ -242,7 +237,7 @@ class SphericalHead(ChannelDirectivity):
         return 0.5 * math.pi * self.radius / _SLOWEST
 
     def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
-        """Return about the times of arrival at each ear: straight, and along the surface behind (Woodworth).
+        """Return approximate arrival times (..., 2) at both ears, s: straight, or along the surface (Woodworth).
 
         Parameters
         ----------
@@ -250,17 +245,12 @@ class SphericalHead(ChannelDirectivity):
             Unit vectors in the head's own frame.
         speed_of_sound : float
             m/s.
-
-        Returns
-        -------
-        ndarray (..., 2)
-            s: a smooth polynomial of the cosine of incidence.
         """
         late = np.polynomial.polynomial.polyval(self._cosines(direction), _WOODWORTH)
         return np.asarray(self.radius / speed_of_sound * late)
 
     def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
-        """Return the gains of some ears without the phase of their lateness; see `ChannelDirectivity.aligned`.
+        """Return the gains (C, ..., F) of some ears without the phase of their lateness.
 
         Parameters
         ----------
@@ -272,11 +262,6 @@ class SphericalHead(ChannelDirectivity):
             m/s.
         channels : range
             Indices of C ears.
-
-        Returns
-        -------
-        ndarray (C, ..., F)
-            Gain, 1.
         """
         terms = _aligned_terms(self.radius, np.asarray(frequencies).tobytes(), speed_of_sound)
         cosine = np.moveaxis(self._cosines(direction), -1, 0)[channels.start : channels.stop]

@@ -163,11 +163,6 @@ class SphericalDirectivity(Directivity):
         **options : Any
             `outside`, `relative_to_axis` and `name` of the constructor.
 
-        Returns
-        -------
-        SphericalDirectivity
-            The table.
-
         Raises
         ------
         InputError

@@ -360,7 +360,7 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(factor, np.broadcast_shapes(f.shape, cos.shape)))
 
     def energy_at(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
-        """Return the share of energy that is reflected, specularly and scattered together.
+        """Return the share (...) of energy that is reflected, specularly and scattered together.
 
         Parameters
         ----------
@@ -368,11 +368,6 @@ class ReflectingSurface:
             As of `reflection_at`, Hz and without a unit.
         speed_of_sound : float
             In the air, m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Shares, 0 to 1.
 
         Raises
         ------
@@ -395,7 +390,7 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(np.minimum(energy, 1.0), np.broadcast_shapes(f.shape, cos.shape)))
 
     def scattered_share(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
-        """Return the share of the energy sent back that leaves the mirror's direction, by coefficient and roughness.
+        """Return the share (...) of reflected energy that leaves the mirror's direction, by coefficient and roughness.
 
         Parameters
         ----------
@@ -403,11 +398,6 @@ class ReflectingSurface:
             As of `reflection_at`, Hz and without a unit.
         speed_of_sound : float
             In the air, m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Shares, 0 to 1.
 
         Raises
         ------

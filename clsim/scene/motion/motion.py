@@ -130,17 +130,12 @@ class Motion:
         return self.turning is not None and self.turning.turns
 
     def position(self, t: ArrayLike) -> Floats:
-        """Return positions, m.
+        """Return positions (..., 3), m: of the shape of `t` with one more axis.
 
         Parameters
         ----------
         t : array_like
             Times, s, of any shape and in any order.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 3 more columns: ``(n, 3)`` for ``(n,)``, ``(3,)`` for a number.
 
         Examples
         --------
@@ -162,11 +157,6 @@ class Motion:
         t : array_like (...)
             Times, s.
 
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 3 more columns.
-
         Examples
         --------
         >>> from clsim import Trajectory
@@ -187,11 +177,6 @@ class Motion:
         begin, end : ndarray (n,)
             Times, s.
 
-        Returns
-        -------
-        ndarray (n,)
-            m/s.
-
         Examples
         --------
         >>> from clsim import Trajectory
@@ -204,17 +189,12 @@ class Motion:
         return np.where((begin > last) | (end < first), 0.0, speed * (1.0 + 1e-12))
 
     def orientation(self, t: ArrayLike) -> Floats:
-        """Return unit quaternions x y z w whose sign does not jump; identity without orientation.
+        """Return unit quaternions x y z w (..., 4) whose sign does not jump; identity without orientation.
 
         Parameters
         ----------
         t : array_like (...)
             Times, s. Before the first and after the last orientation given, that one is held.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 4 more columns.
 
         Examples
         --------
@@ -235,11 +215,6 @@ class Motion:
         t : array_like (...)
             Times, s; where the turning changes, the angular velocity after it.
 
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 3 more columns.
-
         Examples
         --------
         >>> from clsim import Trajectory
@@ -258,7 +233,7 @@ class Motion:
         return 0.0 if self.turning is None else self.turning.peak
 
     def peak_speed(self, start: float, end: float, rate: float = 1000.0) -> tuple[float, float]:
-        """Return the largest speed at evenly spaced instants to nine digits, and when it is reached.
+        """Return the largest speed at evenly spaced instants to nine digits, m/s, and its time, s.
 
         Instants between which no speed can be larger are left out, so that long rests and even motions cost nothing.
 
@@ -268,11 +243,6 @@ class Motion:
             First and last instant, s.
         rate : float
             Instants per second, at least; above 0, Hz.
-
-        Returns
-        -------
-        speed, time : float
-            m/s and s.
 
         Raises
         ------

@@ -208,11 +208,6 @@ class Trajectory(Motion):
             Position of the swinging thing at angle 0, m; the axis point where left out. For a body it is the origin of
             its mesh. With 0, 0, 0 a mesh has coordinates of the room, as it is at angle 0.
 
-        Returns
-        -------
-        Trajectory
-            From the first to the last time, with orientation.
-
         Raises
         ------
         InputError
@@ -262,11 +257,6 @@ class Trajectory(Motion):
         smooth : bool
             Whether to join the points by a C2 cubic spline. It is not-a-knot at its ends, so two points give a line and
             three a parabola. Otherwise straight legs join them, and the velocity jumps at each point.
-
-        Returns
-        -------
-        Trajectory
-            From the first to the last time.
 
         Raises
         ------
@@ -339,11 +329,6 @@ class Trajectory(Motion):
         aim : array_like (3,), optional
             A direction in that frame in which the axis of what is carried points.
 
-        Returns
-        -------
-        Trajectory
-            As long as both are known, with orientation.
-
         Examples
         --------
         >>> robot = Trajectory.line((0, 0, 0), (1, 0, 0), duration=1.0)
@@ -407,11 +392,6 @@ class Trajectory(Motion):
             Speed from row to row above which it is a jump, m/s.
         max_gap : float, optional
             Step of time above which it is a gap, s; five median steps where left out.
-
-        Returns
-        -------
-        Trajectory
-            From `time_offset` on; orientations, where the file has them, are joined by great arcs (slerp).
 
         Raises
         ------

@@ -348,11 +348,6 @@ class MeshRoom:
             Panels of less thickness, each a shell of its own, become one layer in their middle, 0 to 10 m; two
             wavelengths are a good choice with `find_paths(…, diffraction=1)`.
 
-        Returns
-        -------
-        MeshRoom
-            The room; its notes state the changes. Of a panel's two sides one gives the material.
-
         Raises
         ------
         InputError
@@ -420,17 +415,12 @@ class MeshRoom:
         return self.shape.watertight
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return every wall's reflection factor at normal incidence; see `Faces.reflections`.
+        """Return every wall's reflection factor (W, ...) at normal incidence; see `Faces.reflections`.
 
         Parameters
         ----------
         frequency : array_like (...)
             Positive, Hz.
-
-        Returns
-        -------
-        ndarray (W, ...)
-            Factors for every frequency, complex where a wall's is.
         """
         return self.faces.reflections(frequency)
 
@@ -443,11 +433,6 @@ class MeshRoom:
         ----------
         positions : array_like (n, 3)
             m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            Whether they are inside.
         """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         inside, other = (self._met(x, ray) % 2 == 1 for ray in _RAYS[:2])

@@ -64,17 +64,12 @@ class Room(Protocol):
         ...
 
     def surrounds(self, positions: Floats) -> NDArray[np.bool_]:
-        """Return mask of positions with walls on all sides, inside or not.
+        """Return mask (n,) of positions with walls on all sides, inside or not.
 
         Parameters
         ----------
         positions : ndarray (n, 3)
             m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            Whether walls surround them.
         """
         ...
 
@@ -113,17 +108,12 @@ class Room(Protocol):
         ...
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return the walls that a position is on.
+        """Return indices (k,) of the walls that a position is on, one for each plane.
 
         Parameters
         ----------
         position : ndarray (3,)
             m.
-
-        Returns
-        -------
-        ndarray (k,) of int
-            Indices of walls, one for each plane.
         """
         ...
 

@@ -57,7 +57,7 @@ class ConvexRoom(ABC):
         return np.asarray((np.asarray(positions, dtype=np.float64) @ faces.normals.T - faces.offsets).min(axis=-1))
 
     def contains(self, positions: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Return a mask of positions strictly inside the room.
+        """Return a mask (n,) of positions strictly inside the room: False on a wall, at the margin and for NaN.
 
         Parameters
         ----------
@@ -65,11 +65,6 @@ class ConvexRoom(ABC):
             Positions, m.
         margin : float
             Distance from every wall that is asked for, m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            False on a wall, at the margin and for NaN.
         """
         return np.asarray(self._heights(positions) > margin)
 
@@ -169,17 +164,12 @@ class Shoebox(ConvexRoom):
         return float(2.0 * self.size @ np.roll(self.size, 1))
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return the reflection factor of sound pressure of every wall at normal incidence; see `Faces.reflections`.
+        """Return every wall's reflection factor (6, ...) at normal incidence, in the order of `WALLS`.
 
         Parameters
         ----------
         frequency : array_like (...)
             Positive, Hz.
-
-        Returns
-        -------
-        ndarray (6, ...)
-            Factors in the order of `WALLS` for every frequency, complex where a wall's is.
         """
         return self.faces.reflections(frequency)
 

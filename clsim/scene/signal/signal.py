@@ -128,11 +128,6 @@ class Signal:
         ----------
         start, stop : int
             First sample, and the one after the last.
-
-        Returns
-        -------
-        ndarray (n,)
-            Pa, or V where a transducer is driven.
         """
         out = np.zeros(max(stop - start, 0))
         first, last = max(start, 0), min(stop, self.count)
@@ -159,11 +154,6 @@ class Signal:
 
         Hann-windowed segments with half overlap, from before the onset to after the end. Of long signals the
         first and last segments and, from equal stretches between them, one each are taken, which stand for the rest.
-
-        Returns
-        -------
-        frequencies, energy : ndarray (n,)
-            Hz, and Pa² times samples.
         """
         length, hop = SEGMENT_LENGTH, SEGMENT_LENGTH // 2
         picked, weight = _picked_segments(self.count, hop)
@@ -219,13 +209,7 @@ class Signal:
         return np.where(emitting, level, 0.0), np.abs(np.fft.rfft(windowed[1:-1], axis=1)) ** 2
 
     def band(self) -> tuple[float, float]:
-        """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz.
-
-        Returns
-        -------
-        low, high : float
-            Hz.
-        """
+        """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz."""
         frequencies, energy = self.energy_spectrum()
         share = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
         low, high = np.minimum(np.searchsorted(share, [0.005, 0.995]), len(share) - 1)

@@ -130,11 +130,6 @@ class Electronics:
         ----------
         sampling_rate : float
             Hz.
-
-        Returns
-        -------
-        float
-            Pa.
         """
         if self.snr_db is not None and self.reference_level_db is not None:
             return _REFERENCE * 10 ** ((self.reference_level_db - self.snr_db) / 20)
@@ -147,11 +142,6 @@ class Electronics:
         ----------
         sampling_rate : float
             Hz.
-
-        Returns
-        -------
-        float
-            Pa.
         """
         return _rms(self.self_noise_db, sampling_rate)
 
@@ -167,11 +157,6 @@ class Electronics:
         ----------
         times : ndarray (n,)
             By the receiver's clock, s.
-
-        Returns
-        -------
-        ndarray (n,)
-            s.
         """
         return 1e-6 * self.clock_ppm * times + self.clock_offset
 
@@ -199,11 +184,6 @@ class Electronics:
         ----------
         unit : str
             Unit of the samples, "Pa" or "V".
-
-        Returns
-        -------
-        str
-            A line.
         """
         parts = []
         if self.ambient_noise_db is not None:

@@ -309,17 +309,12 @@ class Transducer:
         return self.model.peak
 
     def impulse_response(self, sampling_rate: float) -> Floats:
-        """Return the causal impulse response (n,) at a sampling rate: what the transducer is rendered with.
+        """Return the causal impulse response (n,) at a sampling rate, Pa at 1 m per V, or V per Pa.
 
         Parameters
         ----------
         sampling_rate : float
             Hz.
-
-        Returns
-        -------
-        ndarray (n,)
-            Taps, Pa at 1 m per V, or V per Pa.
 
         Raises
         ------
@@ -337,28 +332,18 @@ class Transducer:
             Hz.
         sampling_rate : float
             Hz.
-
-        Returns
-        -------
-        ndarray (n,)
-            Complex, Pa at 1 m per V, or V per Pa.
         """
         taps = self.impulse_response(sampling_rate)
         angle = -2j * np.pi * np.asarray(frequencies, dtype=np.float64) / sampling_rate
         return np.array([np.exp(a * np.arange(len(taps))) @ taps for a in np.atleast_1d(angle)])
 
     def drive(self, voltage: Signal) -> Signal:
-        """Return the sound pressure at 1 m that a voltage makes; the ring-down makes it longer.
+        """Return the sound pressure at 1 m that a voltage makes, Pa; the ring-down makes it longer.
 
         Parameters
         ----------
         voltage : Signal
             V.
-
-        Returns
-        -------
-        Signal
-            Pa at 1 m.
 
         Raises
         ------
@@ -542,11 +527,6 @@ class Transducer:
             a resonance at 40 kHz, 2.4 kHz wide at -6 dB. MA40S4S makes 120 dB re 20 µPa at 0.3 m from 10 V rms, MA40S4R
             has -63 dB re 10 V/Pa. Frequency, level and sensitivity are the catalogue's (Murata, "Ultrasonic Sensor
             Application Manual", Cat. No. S15E), each within 3 dB; the width is a round typical value.
-
-        Returns
-        -------
-        Transducer
-            A resonance. Its directivity is another matter: see `Directivity.named`.
 
         Raises
         ------
