@@ -75,11 +75,6 @@ class PathOptions:
         As in `render`.
     progress : callable, optional
         Called now and then with the share of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If an option breaks a rule.
     """
 
     max_order: int

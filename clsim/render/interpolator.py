@@ -94,11 +94,6 @@ class Lagrange(Interpolator):
     order : int
         From 1 to 40; it has one tap more.
 
-    Raises
-    ------
-    InputError
-        If the order is out of bounds.
-
     Notes
     -----
     Even orders jump where the whole part of the delay changes (-63 dB at 0.42 of Nyquist for order 12).
@@ -170,11 +165,6 @@ class Bandlimited(Interpolator):
     ----------
     error_db : float
         Bound on the deviation from a pure delay, from -120 to -40 dB, relative to what sounds within some 40 ms.
-
-    Raises
-    ------
-    InputError
-        If the error is out of bounds.
     """
 
     error_db: float = -90.0

@@ -80,11 +80,6 @@ def plan_render(paths: PathSet, options: RenderOptions) -> Plan:
     options : RenderOptions
         Each is a keyword, but for the first, the sampling rate, which may also stand behind the paths.
 
-    Raises
-    ------
-    InputError
-        If an argument breaks a rule.
-
     Warns
     -----
     ClsimWarning

@@ -32,11 +32,6 @@ class Fluctuation:
     seed : int
         Seed of the noise.
 
-    Raises
-    ------
-    InputError
-        If a value is out of bounds.
-
     Notes
     -----
     A sum of 64 waves over time, the receiver as the source sees it, and the source,
@@ -128,11 +123,6 @@ class TargetFluctuation:
         Swerling's cases 1 and 2. At 0.71 it varies as much as in his cases 3 and 4.
     seed : int
         Seed of the noise: the same seed gives the same noise, in any chunks.
-
-    Raises
-    ------
-    InputError
-        If a value is out of bounds.
 
     Notes
     -----

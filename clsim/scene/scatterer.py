@@ -343,11 +343,6 @@ class Scatterer:
         trajectory : Trajectory
             Position over time.
 
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
-
         Examples
         --------
         >>> Scatterer.point("bat", -40.0, Trajectory.fixed((2.0, 1.0, 1.0))).shape.strongest
@@ -375,11 +370,6 @@ class Scatterer:
         model : {"series", "geometrical", "outline"}
             "series" sums its modes, exact at every frequency, distance and angle, shadow included. "geometrical" is
             geometrical optics, without a shadow. "outline" adds to this the shadow of its outline, as ellipsoids have.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
 
         Examples
         --------
@@ -456,11 +446,6 @@ class Scatterer:
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
 
         Examples
         --------

@@ -113,11 +113,6 @@ class RangingScore:
         ----------
         percent : float
             From 0 to 100, %.
-
-        Raises
-        ------
-        InputError
-            If the share is out of bounds.
         """
         percent = as_number("percent", percent, at_least=0.0, at_most=100.0, unit="%")
         found = np.abs(self.error[self.detected])

@@ -32,11 +32,6 @@ class Ambisonic(ChannelDirectivity):
     normalization : {"SN3D", "N3D"}
         Normalization of the harmonics: SN3D as in AmbiX files, or N3D, larger by ``sqrt(2 l + 1)`` at degree l.
 
-    Raises
-    ------
-    InputError
-        If a value is out of bounds.
-
     Examples
     --------
     >>> Ambisonic(1).gain_towards(np.array([1.0, 0.0, 0.0]), 1e3, 343.0).tolist()

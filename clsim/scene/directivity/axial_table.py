@@ -238,11 +238,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
-        Raises
-        ------
-        InputError
-            If a value breaks a rule.
-
         Examples
         --------
         >>> table = AxialDirectivity.from_db([0, 180], [1e3], [[0.0], [-6.0206]], [[0.0], [90.0]])

@@ -189,11 +189,6 @@ class SphericalHead(ChannelDirectivity):
     ear_azimuth : float
         Angle of the left ear from the front, degrees; the right one is opposite.
 
-    Raises
-    ------
-    InputError
-        If a value is out of bounds.
-
     Notes
     -----
     R. O. Duda and W. L. Martens, "Range dependence of the response of a spherical head model", J. Acoust. Soc. Am. 104

@@ -56,11 +56,6 @@ class FirstOrder(AxisymmetricDirectivity):
     weight : float
         Share of the omnidirectional part, 0 to 1: 0.5 cardioid, 0.25 hypercardioid, 0 figure of eight.
 
-    Raises
-    ------
-    InputError
-        If the weight is out of bounds.
-
     Examples
     --------
     >>> FirstOrder(0.5).gain(np.array([1.0, 0.0, -1.0]), 1e3, 343.0).tolist()

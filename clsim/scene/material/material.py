@@ -187,11 +187,6 @@ class Material(ReflectingSurface):
         ----------
         factor : float or complex
             From -1 (pressure release) to 1 (rigid), or complex with a magnitude of 1 at most.
-
-        Raises
-        ------
-        InputError
-            If the factor is out of bounds.
         """
         return cls(ConstantFactor(as_factor("factor", factor)), name, scattering=scattering)
 
@@ -494,11 +489,6 @@ class Material(ReflectingSurface):
         outside : {None, "extend"}
             Rule where frequency over flow resistivity is not from 0.01 to 1 m³/kg, for which the formula was
             fitted: refused, or the formula is used all the same.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds.
 
         Notes
         -----

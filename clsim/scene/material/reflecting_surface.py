@@ -243,11 +243,6 @@ class ReflectingSurface:
         rms : float
             Root mean square of the heights about the mean plane, 0 to 0.1 m. Twice rough adds up by squares.
 
-        Raises
-        ------
-        InputError
-            If it is out of bounds.
-
         Notes
         -----
         Factors are multiplied by ``exp(-2 (k rms cos θ)²)``: see `clsim.acoustics.reflection.coherent_share`, also for
@@ -369,11 +364,6 @@ class ReflectingSurface:
         speed_of_sound : float
             In the air, m/s.
 
-        Raises
-        ------
-        InputError
-            As of `reflection_at`.
-
         Warns
         -----
         ClsimWarning
@@ -398,11 +388,6 @@ class ReflectingSurface:
             As of `reflection_at`, Hz and without a unit.
         speed_of_sound : float
             In the air, m/s.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds.
 
         Notes
         -----

@@ -112,11 +112,6 @@ class Trajectory(Motion):
         duration : float
             s, above 0.
 
-        Raises
-        ------
-        InputError
-            If a value is not finite or the duration not above 0.
-
         Examples
         --------
         >>> Trajectory.line((0, 0, 0), (1, 2, 3), duration=2.0).position(1.0)

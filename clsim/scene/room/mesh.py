@@ -348,11 +348,6 @@ class MeshRoom:
             Panels of less thickness, each a shell of its own, become one layer in their middle, 0 to 10 m; two
             wavelengths are a good choice with `find_paths(…, diffraction=1)`.
 
-        Raises
-        ------
-        InputError
-            If the thickness is out of bounds.
-
         Examples
         --------
         >>> from clsim import Shoebox

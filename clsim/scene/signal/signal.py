@@ -238,11 +238,6 @@ class Signal:
         fade : float
             Length of a raised-cosine rise and fall, s; at most half the duration.
 
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
-
         Examples
         --------
         >>> Signal.tone(1e3, duration=0.01, sampling_rate=8e3).read(0, 3)
@@ -374,11 +369,6 @@ class Signal:
         fade : float
             Length of a raised-cosine rise and fall, s; at most half the duration. Abrupt ends sound over all
             frequencies, outside of the band too.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
 
         Notes
         -----

@@ -396,11 +396,6 @@ class Transducer:
         sensitivity : float
             Magnitude at resonance: Pa at 1 m per V, or V per Pa.
 
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
-
         Examples
         --------
         >>> made = Transducer.resonance(40e3, width=2.4e3, sensitivity=0.5)
