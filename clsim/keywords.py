@@ -24,7 +24,6 @@ class OfOptions(Protocol[V_contra, P, T_co]):
 
     def __call__(self, value: V_contra, /, *args: P.args, **kwargs: P.kwargs) -> T_co:
         """Call the function with each option as a keyword."""
-        ...
 
 
 def keywords_of(make: Callable[P, O], kind: type[V]) -> Callable[[Callable[[V, O], T]], OfOptions[V, P, T]]:

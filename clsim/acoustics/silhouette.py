@@ -66,23 +66,18 @@ class Outline(Protocol):
     @property
     def largest(self) -> float:
         """Largest distance of the surface from the centre, m."""
-        ...
 
     def requested(self, wave: float) -> RequestedPoints:
         """Points that a largest wave number needs, 1/m."""
-        ...
 
     def table(self, count: int) -> Floats:
         """Points (6, count) along any line of sight: cosine, sine, sign, whether on a side, place there, share."""
-        ...
 
     def points(self, source: Floats, receiver: Floats, count: int) -> OutlinePoints:
         """Points of the outline as seen along the lines between endpoints (n, 3), `count` for each line."""
-        ...
 
     def clearance(self, source: Floats, receiver: Floats) -> Floats:
         """Distances (n,) by which lines of sight (n, 3) pass it, about, m; negative where they meet it."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

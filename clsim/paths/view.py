@@ -49,20 +49,16 @@ class Viewable(Protocol):
     @property
     def scene(self) -> Scene:
         """Where the paths are."""
-        ...
 
     @property
     def interactions(self) -> NDArray[np.signedinteger[Any]]:
         """What happens on each path's way (paths, N)."""
-        ...
 
     def table(self, times: Floats, motion: str, amplitude: str) -> PathTable:
         """Table of every path."""
-        ...
 
     def vertices(self, time: float, motion: str) -> Floats:
         """Return the vertices of every path (paths, N + 2, 3), m."""
-        ...
 
 
 def view_scene(paths: Viewable, page: Path, *, title: str = "scene", **options: Any) -> None:

@@ -34,62 +34,50 @@ class Shape(Protocol):
     @property
     def kind(self) -> str:
         """The word for it."""
-        ...
 
     @property
     def semi_axes(self) -> Floats:
         """Half of its extent along its own axes (3,), m."""
-        ...
 
     @property
     def radius(self) -> float:
         """Radius of the bounding sphere about the centre, m."""
-        ...
 
     @property
     def is_complex(self) -> bool:
         """Whether its field has a phase of its own."""
-        ...
 
     @property
     def shadows(self) -> bool:
         """Whether the scattered field includes the shadow behind it."""
-        ...
 
     @property
     def outlined(self) -> bool:
         """Whether that is the field about its outline."""
-        ...
 
     @property
     def aspects(self) -> int:
         """Number of arguments of `field` per path."""
-        ...
 
     def specular(
         self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
     ) -> SpecularPoint | None:
         """Return specular point for endpoints (3, n), see `ellipsoid_specular_point`; None for its centre."""
-        ...
 
     def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
         """Return scattering strength (n,) between endpoints (3, n), m, and arguments (n, aspects) of `field`."""
-        ...
 
     def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return factor (..., F) of the strength at wave numbers (F,), 1/m; None for 1."""
-        ...
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
         """Return bounds (n, F) of the scattered pressure times the path length at wave numbers (F,), 1/m.
 
         The distances of both ends from it have at least these harmonic means, over 2, (n,) m.
         """
-        ...
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return mask of positions (n, 3) inside it, or nearer to it than a margin, m."""
-        ...
 
 
 def _over(nearest: Floats, strength: Floats) -> Floats:

@@ -312,4 +312,3 @@ class RayEngine(Protocol):
 
     def trace(self, run: RayRun, layout: Layout, energies: Energies) -> None:
         """Trace a run's rays and add up their energies."""
-        ...

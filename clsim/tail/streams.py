@@ -32,11 +32,9 @@ class Emissions(Protocol):
 
     def sounds(self, zone: int, first: int, last: int) -> bool:
         """Test whether a zone emits between samples `first` and `last`."""
-        ...
 
     def read(self, zone: int, departures: NDArray[np.int64], first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last` (Q, n) of what a zone sends in directions."""
-        ...
 
 
 @dataclass(eq=False)
@@ -182,7 +180,6 @@ class Waves(Protocol):
 
         Motion is known at the nodes from that of `start` to the one that is not before `stop`.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

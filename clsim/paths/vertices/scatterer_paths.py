@@ -47,11 +47,9 @@ class Ends(Protocol):
 
     def emitted(self, times: Floats) -> tuple[Floats, Floats, Floats | None]:
         """Return images of the source, its places, and its velocities, None for rest, (P, T, 3) at times (P, T)."""
-        ...
 
     def leaving(self, direction: Floats) -> Floats:
         """Return in which directions (P, T, 3) ways leave the source that reach the scatterer in given ones."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -159,11 +159,9 @@ class Lookup(Protocol):
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
         """Crossings of segments and walls."""
-        ...
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
         """Return pairs of a beam and a wall that it may meet."""
-        ...
 
 
 class WallLookup:

@@ -132,22 +132,18 @@ class SurfaceModel(Protocol):
     @property
     def is_complex(self) -> bool:
         """Whether factors have a phase."""
-        ...
 
     @property
     def depends_on_angle(self) -> bool:
         """Whether factors depend on the angle of incidence."""
-        ...
 
     @property
     def band(self) -> tuple[float, float]:
         """Frequencies (low, high) in Hz that are covered; ``(0, inf)`` if all."""
-        ...
 
     @property
     def beyond(self) -> str:
         """Note on frequencies outside the band, where the nearest end is held; empty if they are refused."""
-        ...
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
         """Return factors.
@@ -167,11 +163,9 @@ class SurfaceModel(Protocol):
             Float64, or complex128 if `is_complex`: of the shape to which the arguments broadcast, or, where
             nothing depends on the angle, of that of `frequency`.
         """
-        ...
 
     def describe(self) -> str:
         """Return a short description."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -124,7 +124,6 @@ class Tabulated(Protocol):
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
         """Return values at frequencies (...), Hz."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,15 +36,12 @@ class Curve(Protocol):
 
     def position(self, time: Floats) -> Floats:
         """Return positions, m."""
-        ...
 
     def velocity(self, time: Floats) -> Floats:
         """Return velocities, m/s."""
-        ...
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
         """Return upper bounds of the speed between two times (n,), m/s; tighter for shorter intervals."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

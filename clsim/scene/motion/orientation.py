@@ -23,29 +23,23 @@ class Turning(Protocol):
     @property
     def turns(self) -> bool:
         """Whether it changes."""
-        ...
 
     @property
     def peak(self) -> float:
         """Bound of the angular velocity, rad/s."""
-        ...
 
     @property
     def breaks(self) -> Floats:
         """Times (k,) at which the angular velocity may jump, s."""
-        ...
 
     def lever(self, points: Floats) -> float:
         """Return a bound of the distance of points (n, 3) of what turns from the axes about which it does, m."""
-        ...
 
     def orientation(self, time: Floats) -> Floats:
         """Return unit quaternions x y z w with 4 more columns, whose sign does not jump."""
-        ...
 
     def angular_velocity(self, time: Floats) -> Floats:
         """Return angular velocities in the room with 3 more columns, rad/s."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

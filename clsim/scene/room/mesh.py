@@ -47,7 +47,6 @@ _PAIRS = 500_000  # of positions and walls at a time
 class _Part(Protocol):
     def as_mesh(self) -> MeshRoom:
         """Return it as a mesh."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

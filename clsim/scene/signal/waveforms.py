@@ -46,19 +46,15 @@ class Waveform(Protocol):
     @property
     def centre_frequency(self) -> float | None:
         """Frequency that stands for all, Hz; None for all frequencies alike."""
-        ...
 
     def count(self, sampling_rate: float) -> int:
         """Return the number of samples."""
-        ...
 
     def read(self, first: int, last: int, sampling_rate: float) -> NDArray[Any]:
         """Return samples `first` to `last`, which lie inside."""
-        ...
 
     def at_rate(self, old: float, new: float) -> Waveform:
         """Return the same sound for another sampling rate."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

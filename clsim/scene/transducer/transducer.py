@@ -50,7 +50,6 @@ class Response(Protocol):
 
     def impulse_response(self, sampling_rate: float) -> Floats:
         """Return the causal impulse response, (n,)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
