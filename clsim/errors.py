@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 import traceback
 import warnings
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 _FEW = 8  # names that are listed though one of them is close to what was given

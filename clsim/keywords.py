@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import functools
 import inspect
-from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
+from collections.abc import Callable
+from typing import Any, ParamSpec, Protocol, TypeVar
 
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 O = TypeVar("O")  # noqa: E741 - options
 P = ParamSpec("P")

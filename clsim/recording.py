@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_floats, as_index, as_number, short_repr, texts
+from clsim.arrays import Floats, as_floats, as_index, as_number, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
+from clsim.paths.path_set import PathSet
 from clsim.pictures.view_page import html_table, inline_sound
+from clsim.scene.ends import Receiver
+from clsim.scene.signal.signal import Signal
 from clsim.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from os import PathLike
-
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.path_set import PathSet
-    from clsim.scene.ends import Receiver
-    from clsim.scene.signal.signal import Signal
 
 _MOST_DRAWN = 8  # receivers in one picture
 _MOST_LISTED = 64  # in a table

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.room_acoustics import (
     SPEECH_BANDS,
@@ -36,12 +37,8 @@ from clsim.numerics.convolution import band_taper
 from clsim.paths.path_table import labelled_dataset
 from clsim.scene.directivity.ambisonic import Ambisonic
 from clsim.scene.directivity.head_related import EARS
+from clsim.scene.scene import Scene
 from clsim.tail.zones import DiffuseField
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.scene.scene import Scene
 
 BANDS = {"octave": 1, "third-octave": 3}
 _DIRECT = 2.5e-3  # s, after the first arrival, that count as direct sound

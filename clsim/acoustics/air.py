@@ -14,14 +14,11 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Floats
+from clsim.arrays import Floats
 
 KELVIN = 273.15  # K at 0 degrees Celsius
 REFERENCE_PRESSURE = 101_325.0  # Pa

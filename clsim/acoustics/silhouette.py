@@ -8,18 +8,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.fock import fock_hard, lit_reflection
+from clsim.acoustics.scattering import SpecularPoint
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.acoustics.scattering import SpecularPoint
-    from clsim.arrays import Complexes, Floats
 
 ASPECTS = 11  # numbers that a field takes
 # The share of the outline in a path falls from 1 to 0 where it is reflected at these Fock parameters, or at these

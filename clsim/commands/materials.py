@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from clsim.files.ownership import NewFile
 from clsim.output.plots import reflection_loss, reflection_losses
 from clsim.packages import check_pictures
 from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import as_number
+from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
@@ -21,11 +21,6 @@ from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene_file.scene import build_scene
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.arrays import Floats
 
 _SIZE = (8.0, 6.0, 3.0)  # m, of a room of which nothing is known
 _MARGIN = 1.0  # m, about a trajectory

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from clsim.output.result_files import check_table, write_table
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import input_files, plan_scene
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

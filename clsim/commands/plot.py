@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,14 +17,10 @@ from clsim.packages import check_pictures
 from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
+from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
 from clsim.scene_file.ends import DirectivityTableModel, SofaModel
 from clsim.workflow.pipeline import input_files
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.scene.scene import Scene
 
 _MOST_CURVES = 5
 _USUAL = (20e3, 40e3, 60e3)  # Hz, of a directivity that is known everywhere

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,14 +12,9 @@ from clsim.errors import InputError
 from clsim.files.atomic import atomic_path
 from clsim.files.ownership import NewFile
 from clsim.scene_file import load_scene
-from clsim.score.ranging import METHODS, ranging, source_index
+from clsim.score.ranging import METHODS, RangingScore, ranging, source_index
 from clsim.workflow.load_recording import load_recording
 from clsim.workflow.outputs import COMPLETED
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.score.ranging import RangingScore
 
 _COLUMNS = ("delay", "exact", "error", "crlb", "line_of_sight")
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from clsim.commands.arguments import as_path, as_whole
 from clsim.study.run import run_study
 from clsim.workflow.console import progress
-
-if TYPE_CHECKING:
-    import argparse
 
 _SHOWN = 10  # failed members that are printed
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 from clsim.commands.arguments import as_path
 from clsim.errors import InputError
 from clsim.output import record as runs
 from clsim.study import member as studies
 from clsim.study import shards
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

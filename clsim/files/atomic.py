@@ -9,17 +9,14 @@ import secrets
 import shutil
 import zlib
 from collections import deque
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, Any
 
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from typing import IO, Any
 
 _NEXT_TO_NOTHING = 2**16  # bytes; a disk with less is full
 _FLUSHES = 16  # that wait at the same time

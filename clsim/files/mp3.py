@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import mmap
 import struct
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from os import PathLike
 
 _BIT_RATES = {  # kbit/s of layer III, by whether it is MPEG 1
     True: (0, 32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 192, 224, 256, 320),

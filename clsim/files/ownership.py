@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from clsim.errors import InputError
 from clsim.files.atomic import remove_leftovers
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 
 class NewFile:

@@ -6,23 +6,20 @@ import errno
 import os
 import re
 import struct
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from types import TracebackType
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import LOUDEST, as_flag, as_number
 from clsim.errors import InputError, warn
 from clsim.files.atomic import not_written, temporary_path
 from clsim.files.input_files import check_file
 from clsim.files.mp3 import cut_of_mp3
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from types import TracebackType
-
-    from numpy.typing import NDArray
 
 _LARGEST = 2**35  # bytes of a file, whatever its channels
 _LONGEST = 2**28  # samples of a channel, 1 GiB: 23 minutes at 192 kHz

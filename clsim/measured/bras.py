@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import csv
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.measured.rooms import Aim, MeasuredRoom, MeasuredState
 from clsim.scene_file.scene import build_scene
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from clsim.arrays import Floats
 
 NAME = "bras-cr2"
 _MESH = "scene9.ac"

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
+from clsim.impulse_responses import ImpulseResponses
 from clsim.numerics.convolution import band_taper
-
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
-    from clsim.impulse_responses import ImpulseResponses
-    from clsim.paths.path_table import PathTable
+from clsim.paths.path_table import PathTable
 
 _ALIKE = 0.2  # correlation coefficient with the images, below which responses are aligned by their beginnings
 _ONSET_DB = -20.0  # re the largest sample, at which a measured response begins (ISO 3382-1:2009, annex A.2.1)

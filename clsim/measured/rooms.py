@@ -5,21 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from clsim.arrays import Floats
 from clsim.errors import ClsimError, InputError, not_one_of
 from clsim.files.input_files import read_toml
 from clsim.scene_file import load_scene
 from clsim.scene_file.model import Model, explain
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene_file.scene import SceneFile
+from clsim.scene_file.scene import SceneFile
 
 BUILT_IN = {"ptb-studio": "ptb_studio"}  # rooms that come with clsim, and their folders
 

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
-from clsim.impulse_responses import impulse_responses
+from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.measured.rooms import MeasuredRoom, MeasuredState
 from clsim.room_measures import BANDS, lateral_measures, room_measures
 from clsim.scene.ends import Receiver
 from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.scene import Scene
+from clsim.workflow.console import Progress
 from clsim.workflow.pipeline import find_scene_paths, shares
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.impulse_responses import ImpulseResponses
-    from clsim.measured.rooms import MeasuredRoom, MeasuredState
-    from clsim.scene.scene import Scene
-    from clsim.workflow.console import Progress
 
 # Just noticeable differences, relative or absolute (ISO 3382-1:2009, table A.1; LFC, which it does not have, as LF).
 _RELATIVE = {"t20": 0.05, "t30": 0.05, "edt": 0.05}

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clsim.acoustics.air import (
     absorption_iso9613,
@@ -18,15 +19,10 @@ from clsim.acoustics.air import (
     vapour_fraction_giacomo,
     vapour_percent_iso9613,
 )
-from clsim.arrays import Floats, as_choice, as_flag, as_floats, as_number
+from clsim.arrays import Complexes, Floats, as_choice, as_flag, as_floats, as_number
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.scene.fluctuation import Fluctuation
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Complexes
 
 ByHeight = float | tuple[float, float] | Callable[["Floats"], Any]  # a number, (lower, upper), or a function of heights
 UNPLACED = (0.0, 1.0)  # m, heights of air that is in no room yet

@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from clsim.arrays import LARGEST_ROOM, as_floats
+from clsim.arrays import LARGEST_ROOM, Floats, as_floats
 from clsim.errors import InputError, counted
 from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import in_face
+from clsim.scene.material.material import Material
 from clsim.scene.motion.checks import as_places
 from clsim.scene.motion.motion import Instants, even_lengths, seen_by
 from clsim.scene.motion.trajectory import Trajectory
-from clsim.scene.placement import first_refused
+from clsim.scene.placement import Placed, first_refused
 from clsim.scene.room.mesh import MeshRoom
-from clsim.scene.room.protocol import is_room
+from clsim.scene.room.protocol import Room, is_room
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Floats
-    from clsim.scene.material.material import Material
-    from clsim.scene.placement import Placed
-    from clsim.scene.room.protocol import Room
-
-    T = TypeVar("T")
-    Named = Sequence[tuple[str, T]]
+T = TypeVar("T")
+Named = Sequence[tuple[str, T]]
 
 End = TypeVar("End", Source, Receiver)
 _SHEET = (0, 1, 3, 2)  # corners of the face of a box on one side of an axis, around it

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_choice, as_count, as_flag, as_floats, as_number, short_repr
 from clsim.errors import InputError
@@ -24,12 +26,7 @@ from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Directions = Callable[[Floats], tuple[Floats, NDArray[np.bool_]]]
+Directions = Callable[[Floats], tuple[Floats, NDArray[np.bool_]]]
 
 _STEP = 1.0 / 32.0  # s, between the orientations that are tried first
 _TOLERANCE = 1e-4  # rad, of the axis between two orientations

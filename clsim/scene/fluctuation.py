@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import as_count, as_number, read_only
-
-if TYPE_CHECKING:
-    from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats, as_count, as_number, read_only
 
 _WAVES = 64
 _AT_A_TIME = 16384  # instants

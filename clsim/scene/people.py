@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clsim.arrays import Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
@@ -23,9 +23,7 @@ from clsim.scene.motion.orientation import quaternion_product, turning_between
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scatterer import Scatterer
 
-if TYPE_CHECKING:
-    Pose = dict[str, tuple[Floats, tuple[Floats, Floats, Floats]]]
-    from numpy.typing import ArrayLike
+Pose = dict[str, tuple[Floats, tuple[Floats, Floats, Floats]]]
 
 
 _TURNS, _EVERY = 1000.0, 4  # Hz of orientations; positions are splines through every fourth

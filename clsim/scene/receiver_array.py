@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import FARTHEST, Floats, as_count, as_number
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
+from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Element, Receiver
 from clsim.scene.motion.checks import as_direction, as_places
 from clsim.scene.motion.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.scene.directivity.directivity import Directivity
 
 _MOST = 100_000  # receivers of an array
 

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics import silhouette, sphere
 from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_specular_point
-from clsim.acoustics.scattering import ellipsoid_mirror, ellipsoid_specular_point, ellipsoid_strength
-from clsim.arrays import FARTHEST, as_choice, as_flag, as_floats, as_number, read_only, short_repr
+from clsim.acoustics.scattering import SpecularPoint, ellipsoid_mirror, ellipsoid_specular_point, ellipsoid_strength
+from clsim.arrays import FARTHEST, Complexes, Floats, as_choice, as_flag, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.fluctuation import TargetFluctuation
 from clsim.scene.motion.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.acoustics.scattering import SpecularPoint
-    from clsim.arrays import Complexes, Floats
 
 MODELS = ("series", "geometrical", "outline")
 _STRONGEST = 60.0  # dB re 1 m, a target strength that no thing in a room exceeds

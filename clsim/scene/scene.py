@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from clsim.arrays import FARTHEST, as_count, as_number, row_name, short_repr
+from clsim.arrays import FARTHEST, Floats, as_count, as_number, row_name, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.pictures.view_page import (
@@ -25,6 +25,7 @@ from clsim.pictures.view_page import (
 from clsim.scene.air import Air
 from clsim.scene.body import Body, check_bodies, with_carriers
 from clsim.scene.ends import End, Receiver, Source
+from clsim.scene.material.material import Material
 from clsim.scene.placement import (
     check_distances,
     check_motions,
@@ -38,12 +39,8 @@ from clsim.scene.placement import (
 from clsim.scene.room.protocol import Room, checked_room
 from clsim.scene.scatterer import Scatterer
 
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
-
-    Ends = Sequence[tuple[str, End | Scatterer]]  # as `Scene.named_ends` and `named_scatterers` give them
-    Bodies = Sequence[tuple[str, Body]]
-    from clsim.scene.material.material import Material
+Ends = Sequence[tuple[str, End | Scatterer]]  # as `Scene.named_ends` and `named_scatterers` give them
+Bodies = Sequence[tuple[str, Body]]
 
 _TRAIL = 400  # points of a drawn trajectory
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -12,14 +13,11 @@ from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, sho
 from clsim.errors import InputError
 from clsim.packages import check_packages, check_pictures
 from clsim.pictures.view_page import html_table
+from clsim.scene.room.protocol import Room
 from clsim.score.ranging import RangingScore
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.figure import Figure
-
-    from clsim.scene.room.protocol import Room
 
 Multilateration = Literal["toa", "tdoa"]
 METHODS: tuple[str, ...] = get_args(Multilateration)

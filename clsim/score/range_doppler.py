@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_only, short_repr
+from clsim.arrays import Complexes, Floats, as_count, as_flag, as_index, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.packages import check_packages, check_pictures
+from clsim.recording import Recording
+from clsim.scene.signal.signal import Signal
 from clsim.score.matched_filter import MatchedFilter
 from clsim.score.ranging import emissions_of, outputs_of, scored_paths, source_index, span_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from clsim.arrays import Complexes
-    from clsim.recording import Recording
-    from clsim.scene.signal.signal import Signal
 
 _RANGE_DB = 60.0  # shown below the loudest
 _COLUMNS = 1600  # of a picture

@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import Floats, as_choice, as_index, as_number, read_only, short_repr, texts
+from clsim.arrays import Complexes, Floats, as_choice, as_index, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.ground_truth import in_sight, reception_times
 from clsim.paths.legs.static import direct_paths
+from clsim.paths.path_set import PathSet
 from clsim.pictures.view_page import html_table
-from clsim.recording import as_recording
+from clsim.recording import Recording, as_recording
+from clsim.scene.ends import Receiver
+from clsim.scene.scene import Scene
+from clsim.scene.signal.signal import Signal
 from clsim.score.matched_filter import MatchedFilter, envelope_peak, phase_peak
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.path_set import PathSet
-    from clsim.recording import Recording
-    from clsim.scene.ends import Receiver
-    from clsim.scene.scene import Scene
-    from clsim.scene.signal.signal import Signal
 
 Method = Literal["matched-filter", "first-peak", "phase"]
 METHODS: tuple[str, ...] = get_args(Method)

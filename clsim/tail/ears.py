@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.sphere import fibonacci_sphere, table_directions, table_values
 from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.scene import Scene
 from clsim.tail.streams import NODE
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.scene import Scene
-
-    Blocks = dict[int, NDArray[np.float32] | None]
+Blocks = dict[int, NDArray[np.float32] | None]
 
 _DIRECTIONS = 600  # over which responses are taken apart
 _EVEN = 512  # steps between frequencies: impulses of twice as many samples

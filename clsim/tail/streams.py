@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.fractional_delay import design_bandlimited
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.tail.noise import Responses
+from clsim.tail.noise import Responses
 
 _LEAST_BLOCK = 16384  # samples
 _OF_LENGTH = 3.0  # a block over a response, unless there is less to render

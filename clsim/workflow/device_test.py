@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from clsim.paths.find_paths import find_paths
 from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
+from clsim.render.opencl.nodes import Nodes
+from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
 from clsim.scene.air import Air
 from clsim.scene.directivity.patterns import FirstOrder, Piston
@@ -25,12 +28,6 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from clsim.render.opencl.nodes import Nodes
-    from clsim.render.plan import Plan
 
 RATE = 192e3
 PROMISED_DB = -85.0  # relative to the received signal, at default settings

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import as_flag, row_name
 from clsim.errors import InputError, not_one_of
 from clsim.files.names import file_names
 from clsim.files.sound import EnvelopeFile, SoundFile
 from clsim.output.open_store import open_store
-from clsim.output.record import changed_results, load_record
+from clsim.output.record import Record, changed_results, load_record
 from clsim.output.stores import STORES
 from clsim.recording import Recording
+from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
 from clsim.workflow.outputs import COMPLETED
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.output.record import Record
-    from clsim.scene.scene import Scene
 
 
 def load_recording(

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from clsim.files.names import file_names
 from clsim.output.stores import store_kinds
-
-if TYPE_CHECKING:
-    from clsim.scene_file.scene import SceneFile
+from clsim.scene_file.scene import SceneFile
 
 COMPLETED = "scene.completed.toml"
 GROUND_TRUTH = "ground_truth.npz"

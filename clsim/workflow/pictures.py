@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import counted, warn
-from clsim.pictures.plots import DIRECT, RANGE_DB, envelope_spectrogram, new_figure, save_figure, spectrogram_picture
+from clsim.output.stores import SoundStore
+from clsim.paths.path_table import PathTable
+from clsim.pictures.plots import (
+    DIRECT,
+    RANGE_DB,
+    Readable,
+    envelope_spectrogram,
+    new_figure,
+    save_figure,
+    spectrogram_picture,
+)
 from clsim.recording import sweep_window
+from clsim.render.plan import Plan
 from clsim.workflow.console import progress
-from clsim.workflow.outputs import MOST_DRAWN, PICTURES, picture
+from clsim.workflow.outputs import MOST_DRAWN, PICTURES, RunOutputs, picture
+from clsim.workflow.pipeline import PlannedScene
+from clsim.workflow.result_folder import ResultFolder
 
 if TYPE_CHECKING:
-    import os
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.output.stores import SoundStore
-    from clsim.paths.path_table import PathTable
-    from clsim.pictures.plots import Readable
-    from clsim.render.plan import Plan
-    from clsim.workflow.outputs import RunOutputs
-    from clsim.workflow.pipeline import PlannedScene
-    from clsim.workflow.result_folder import ResultFolder
 
 _PURE, _MOST_CURVES = (
     0.02,

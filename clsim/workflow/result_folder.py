@@ -13,21 +13,18 @@ import re
 import shutil
 import time
 import zipfile
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import InputError, warn
 from clsim.files.atomic import is_temporary, locked, remove_leftovers, safe_path, temporary_path, to_disk
 from clsim.files.ownership import check_folder, refuse_inputs
 from clsim.output.record import RECORD, Fingerprint, Record, fingerprint, load_record, save_record
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 State = dict[str, "NDArray[Any]"]
 _LOCK, _JOURNAL, _CONTENTS = "lock", "journal.npz", "contents.json"

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from clsim.arrays import as_choice, as_count
+from clsim.arrays import Floats, as_choice, as_count
 from clsim.numerics.sphere import real_harmonics
 from clsim.scene.directivity.directivity import ChannelDirectivity
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Floats
 
 HIGHEST = 7  # order
 NORMALIZATIONS = ("SN3D", "N3D")

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_choice, as_floats
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
 
 _SAME_FREQUENCY = 1e-9  # of an end of a band
 _SILENT = 1e-12  # of the loudest direction

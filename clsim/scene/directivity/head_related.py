@@ -5,26 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.sphere import sphere_surface_field
-from clsim.arrays import Floats, as_floats, as_number, read_only, short_repr
+from clsim.arrays import Complexes, Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.convolution import advanced, arrival_times
 from clsim.numerics.sphere import RadialOnSphere, fibonacci_sphere, largest_hole, merged, real_harmonics
 from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage
 from clsim.scene.directivity.sofa_hrtf import read_hrtf
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Complexes
 
 EARS = ("left", "right")
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clsim.acoustics.directivity import first_order_gain, piston_gain
 from clsim.arrays import Floats, as_number
 from clsim.errors import InputError
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, name_directivity
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 # Murata states 80° between the -6 dB points at 40 kHz for both: the directivity of a baffled piston of this radius.
 _MURATA_RADIUS = 0.0047  # m

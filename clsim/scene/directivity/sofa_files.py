@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_BINARY, check_file
 from clsim.packages import check_packages
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from clsim.arrays import Floats
 
 _MOST_UNPACKED = 2**29  # bytes
 

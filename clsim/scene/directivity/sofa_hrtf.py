@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.scene.directivity.sofa_files import axes_of, cartesian, opened_sofa, sampling_rate_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from clsim.arrays import Floats
 
 _CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "SimpleFreeFieldHRTF", "FreeFieldHRTF")
 _EVEN = 1e-6  # by which steps between frequencies may differ

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import (
     backed_layer_reflection,
@@ -17,7 +19,7 @@ from clsim.acoustics.reflection import (
     porous_medium,
     reflection_from_impedance,
 )
-from clsim.arrays import LOUDEST, as_choice, as_count, as_floats, as_number
+from clsim.arrays import LOUDEST, Floats, as_choice, as_count, as_floats, as_number
 from clsim.errors import InputError
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.scene.material.reflecting_surface import ReflectingSurface
@@ -35,13 +37,6 @@ from clsim.scene.material.tabulated import (
     checked_frequencies,
     warn_of_noise,
 )
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Floats
 
 MIKI_RANGE = (0.01, 1.0)  # m³/kg, of frequency over flow resistivity
 _CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}

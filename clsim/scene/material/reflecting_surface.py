@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import coherent_share, limp_transmission
 from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError, warn
 from clsim.scene.material.tabulated import checked_frequencies, curve_of, over_octaves
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
 
 _LIGHTEST, _HEAVIEST = 1e-3, 1e5  # kg/m²
 _MOST_LOSS = 300.0  # dB

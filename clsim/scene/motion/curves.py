@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.numerics.quaternions import rotate
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
     from scipy.interpolate import PPoly
 
 _SLICE = 65536  # cubics that are bounded at a time

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_number, read_only
 from clsim.numerics.quaternions import inverse, rotate
 from clsim.scene.motion.curves import CONTINUATION, Curve, is_static
-from clsim.scene.motion.orientation import quaternion_product
+from clsim.scene.motion.orientation import Hinge, Turning, quaternion_product
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.scene.motion.orientation import Hinge, Turning
-
-    Indices = NDArray[np.int64]
-    Probe = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
+Indices = NDArray[np.int64]
+Probe = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
 
 _BATCH = 8192  # ranges evaluated at a time
 _SAME = 1e-9  # relative difference of speeds that does not matter

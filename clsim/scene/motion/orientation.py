@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from clsim.arrays import Floats, as_floats, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import same_hemisphere
-
-if TYPE_CHECKING:
-    from clsim.scene.motion.curves import Piecewise
+from clsim.scene.motion.curves import Piecewise
 
 _UNIT_TOLERANCE = 1e-2  # largest error of a quaternion's norm that counts as rounding
 

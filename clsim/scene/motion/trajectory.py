@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from os import PathLike
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
@@ -37,12 +39,6 @@ from clsim.scene.motion.curves import (
 )
 from clsim.scene.motion.motion import Carried, CarriedTurning, Motion, Swung, velocity_breaks
 from clsim.scene.motion.orientation import Hinge, as_quaternions, quaternion_product, turning_between
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from os import PathLike
-
-    from numpy.typing import ArrayLike
 
 _MOST_SAMPLES = 2e7  # of a function
 

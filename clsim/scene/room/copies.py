@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import unique_rows
+from clsim.arrays import Floats, unique_rows
 from clsim.errors import InputError
 from clsim.scene.room.mesh_cleaning import clusters, cross_products
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-
-    Ints = NDArray[np.int64]
+Ints = NDArray[np.int64]
 
 WELD = 1e-6  # m; vertices nearer than this are one
 SMALLEST_AREA = 1e-12  # m²

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_number, unique_rows
+from clsim.arrays import Floats, as_number, unique_rows
 from clsim.errors import InputError
 from clsim.scene.room.copies import SMALLEST_AREA, WELD, clean_mesh, without_copies
 from clsim.scene.room.mesh_cleaning import cross_products, mesh_shape
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-
-    Ints = NDArray[np.int64]
+Ints = NDArray[np.int64]
 
 HEAL = "auto"
 _TOLERANCES = (1e-4, 1e-3, 3e-3, 1.2e-2)  # m, of which "auto" takes the first that leaves the fewest open edges

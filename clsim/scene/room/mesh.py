@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
@@ -28,12 +30,6 @@ from clsim.scene.room.mesh_cleaning import (
 )
 from clsim.scene.room.polygons import checked_polygons, extruded_plan, triangulated
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls, first_contact, first_off, walls_at
-
-if TYPE_CHECKING:
-    import os
-
-    from numpy.typing import ArrayLike, NDArray
-
 
 Materials = Material | Mapping[str, Material] | Sequence[Material]
 # Directions that no wall is likely to lie along; where one of them meets an edge, the two others outvote it.

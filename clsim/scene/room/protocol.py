@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import Any, Protocol, TypeGuard
 
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats
 from clsim.errors import InputError
-from clsim.scene.room.faces import Faces
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.room.edges import Edges
-    from clsim.scene.room.faces import Contact, Mount
-    from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.edges import Edges
+from clsim.scene.room.faces import Contact, Faces, Mount
+from clsim.scene.room.mesh import MeshRoom
 
 
 class Room(Protocol):

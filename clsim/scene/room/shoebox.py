@@ -5,23 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import LARGEST_ROOM, SMALLEST_ROOM, Complexes, Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges
-from clsim.scene.room.faces import NEAREST, Contact, Faces, first_of
+from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.mesh import MeshRoom
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.room.faces import Mount
-    from clsim.scene.room.protocol import Room
+from clsim.scene.room.protocol import Room
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
 

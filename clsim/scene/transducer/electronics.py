@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from clsim.arrays import FASTEST, LOUDEST, QUIETEST, SLOWEST, as_count, as_number
+from clsim.arrays import FASTEST, LOUDEST, QUIETEST, SLOWEST, Floats, as_count, as_number
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
 
 _REFERENCE = 20e-6  # Pa
 _LARGEST_OFFSET = 1.0  # s

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Protocol
+from os import PathLike
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.air import absorption_iso9613
 from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
@@ -16,14 +19,7 @@ from clsim.files.sound import as_scale, read_sound_file
 from clsim.numerics.band_filters import minimum_phase, resonance_response, resonance_taps
 from clsim.numerics.resampling import Resampler
 from clsim.scene.signal.signal import Signal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.scene.signal.waveforms import Waveform
+from clsim.scene.signal.waveforms import Waveform
 
 _BLOCK = 8192  # samples of a filtered signal that are made at a time
 _CACHED = 64  # blocks kept
