@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_pages import data_of
+from scene_texts import along, chirp_of, receiver_at, scene_text, shoebox_of, source_at, thing_at
 
 import clsim
 from clsim.cli import main
@@ -16,45 +17,38 @@ from clsim.study.content import computed
 from clsim.study.file import load_study
 
 RATE = 96e3
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.8 }
-[[sources]]
-name = "sonar"
-mounted_on = "robot"
-aim = [1.0, 0.0, 0.0]
-signal = { kind = "chirp", start = 24e3, stop = 26e3, duration = 0.03, sampling_rate = 96e3, window = "hann" }
-trajectory = { kind = "fixed", position = [0.21, 0.0, 0.3] }
-[[receivers]]
-name = "ear"
-trajectory = { kind = "fixed", position = [3.5, 2.6, 1.2] }
-[[receivers]]
-name = "own"
-mounted_on = "robot"
-trajectory = { kind = "fixed", position = [0.21, 0.05, 0.3] }
-[[bodies]]
-kind = "box"
-name = "door"
-size = [0.0, 0.9, 2.0]
-centre = [0.0, 0.5, 1.1]
-material = { reflection = 0.9 }
-trajectory = { kind = "swing", axis_point = [2.5, 0.5, 0.0], axis = [0, 0, 1], angles = [0, 0.3], times = [0, 0.3] }
-[[bodies]]
-kind = "faces"
-name = "robot"
-vertices = [[0.2, -0.2, 0.1], [0.2, 0.2, 0.1], [0.2, 0.2, 0.5], [0.2, -0.2, 0.5]]
-triangles = [[0, 1, 2], [0, 2, 3]]
-material = { reflection = 0.9 }
-trajectory = { kind = "line", start = [0.5, 1.0, 0.0], end = [0.8, 1.0, 0.0], duration = 0.3 }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 96e3
-duration = 0.06
-"""
+SCENE = scene_text(
+    source_at(
+        "sonar",
+        chirp_of(24e3, 26e3, 0.03, 96e3, window="hann"),
+        (0.21, 0.0, 0.3),
+        mounted_on="robot",
+        aim=(1.0, 0.0, 0.0),
+    ),
+    receiver_at("ear", (3.5, 2.6, 1.2)),
+    receiver_at("own", (0.21, 0.05, 0.3), mounted_on="robot"),
+    thing_at(
+        "bodies",
+        "door",
+        {"kind": "swing", "axis_point": (2.5, 0.5, 0.0), "axis": (0, 0, 1), "angles": (0, 0.3), "times": (0, 0.3)},
+        kind="box",
+        size=(0.0, 0.9, 2.0),
+        centre=(0.0, 0.5, 1.1),
+        material={"reflection": 0.9},
+    ),
+    thing_at(
+        "bodies",
+        "robot",
+        along((0.5, 1.0, 0.0), (0.8, 1.0, 0.0), 0.3),
+        kind="faces",
+        vertices=[(0.2, -0.2, 0.1), (0.2, 0.2, 0.1), (0.2, 0.2, 0.5), (0.2, -0.2, 0.5)],
+        triangles=[(0, 1, 2), (0, 2, 3)],
+        material={"reflection": 0.9},
+    ),
+    room=shoebox_of(reflection=0.8),
+    rate=96e3,
+    render={"duration": 0.06},
+)
 STUDY = 'format = 1\nscene = "scene.toml"\nkeep = ["ground_truth"]\n[[vary]]\nfield = "paths.max_order"\nvalues = [0]\n'
 
 

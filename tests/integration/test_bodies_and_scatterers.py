@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from failing import Failing
+from scene_texts import chirp_of, receiver_at, scene_text, source_at
 
 import clsim
 from clsim.cli import main
@@ -16,32 +17,20 @@ from clsim.study.file import load_study
 from clsim.workflow import checkpoint
 
 RATE = 96e3
-HEAD = """
-format = 1
-[room]
-kind = "plan"
-outline = [[0, 0], [4, 0], [4, 3], [2, 3], [2, 1.9], [0, 1.9]]
-height = 2.5
-materials = { reflection = 0.8 }
-[air]
-absorption = false
-[[sources]]
-name = "sonar"
-signal = { kind = "chirp", start = 6e3, stop = 9e3, duration = 0.2, sampling_rate = 96e3, window = "hann" }
-trajectory = { kind = "fixed", position = [1.0, 1.0, 1.2] }
-[[receivers]]
-name = "ear"
-trajectory = { kind = "fixed", position = [3.5, 2.6, 1.2] }
-[paths]
-max_order = 1
-diffraction = 1
-scattering_order = 1
-edge_scattering = true
-[render]
-sampling_rate = 96e3
-duration = 0.22
-chunk = 18432
-"""
+HEAD = scene_text(
+    source_at("sonar", chirp_of(6e3, 9e3, 0.2, 96e3, window="hann"), (1.0, 1.0, 1.2)),
+    receiver_at("ear", (3.5, 2.6, 1.2)),
+    room={
+        "kind": "plan",
+        "outline": [(0, 0), (4, 0), (4, 3), (2, 3), (2, 1.9), (0, 1.9)],
+        "height": 2.5,
+        "materials": {"reflection": 0.8},
+    },
+    air={"absorption": False},
+    paths={"diffraction": 1, "scattering_order": 1, "edge_scattering": True},
+    rate=96e3,
+    render={"duration": 0.22, "chunk": 18432},
+)
 THINGS = """
 [[bodies]]
 kind = "box"

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from failing import Failing
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -16,32 +17,20 @@ from clsim.scene_file.scene import build_scene, completed_scene
 from clsim.study.file import load_study
 from clsim.workflow import checkpoint
 
-SCENE = """
-format = 1
-[room]
-kind = "plan"
-outline = [[0, 0], [8, 0], [8, 5], [4, 5], [4, 9], [0, 9]]
-height = 3.0
-materials = { default = { reflection = 0.8 } }
-[air]
-absorption = false
-[[sources]]
-name = "beacon"
-signal = { kind = "tone", frequency = 40e3, duration = 0.06, sampling_rate = 192e3, fade = 0.005 }
-trajectory = { kind = "fixed", position = [6.0, 2.0, 1.2] }
-[[receivers]]
-name = "robot"
-trajectory = { kind = "line", start = [2.95, 6.9, 1.0], end = [3.1, 7.0, 1.0], duration = 0.1 }
-[[receivers]]
-name = "shelf"
-trajectory = { kind = "fixed", position = [3.3, 7.5, 1.5] }
-[paths]
-max_order = 1
-diffraction = 1
-[render]
-sampling_rate = 192e3
-duration = 0.09
-"""
+SCENE = scene_text(
+    source_at("beacon", tone_of(40e3, 0.06, fade=0.005), (6.0, 2.0, 1.2)),
+    receiver_at("robot", along((2.95, 6.9, 1.0), (3.1, 7.0, 1.0), 0.1)),
+    receiver_at("shelf", (3.3, 7.5, 1.5)),
+    room={
+        "kind": "plan",
+        "outline": [(0, 0), (8, 0), (8, 5), (4, 5), (4, 9), (0, 9)],
+        "height": 3.0,
+        "materials": {"default": {"reflection": 0.8}},
+    },
+    air={"absorption": False},
+    paths={"diffraction": 1},
+    render={"duration": 0.09},
+)
 
 
 @pytest.fixture(scope="module")

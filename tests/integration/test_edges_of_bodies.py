@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from failing import Failing
+from scene_texts import receiver_at, scene_text, shoebox_of, source_at, thing_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -15,34 +16,23 @@ from clsim.study.content import computed
 from clsim.study.file import load_study
 from clsim.workflow import checkpoint
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.5 }
-[[sources]]
-name = "beacon"
-signal = { kind = "tone", frequency = 24e3, duration = 0.11, sampling_rate = 96e3, fade = 0.002 }
-trajectory = { kind = "fixed", position = [1.0, 1.4, 1.0] }
-[[receivers]]
-name = "ear"
-trajectory = { kind = "fixed", position = [3.0, 1.5, 1.2] }
-[[bodies]]
-kind = "box"
-name = "door"
-size = [0.0, 0.9, 2.0]
-centre = [0.0, 0.5, 1.1]
-material = { reflection = 0.9 }
-trajectory = { kind = "swing", axis_point = [2.0, 0.6, 0.0], axis = [0, 0, 1], angles = [0, -0.1], times = [0, 0.2] }
-[paths]
-max_order = 0
-diffraction = 1
-[render]
-sampling_rate = 192e3
-duration = 0.12
-chunk = 18432
-"""
+SCENE = scene_text(
+    source_at("beacon", tone_of(24e3, 0.11, 96e3, fade=0.002), (1.0, 1.4, 1.0)),
+    receiver_at("ear", (3.0, 1.5, 1.2)),
+    thing_at(
+        "bodies",
+        "door",
+        {"kind": "swing", "axis_point": (2.0, 0.6, 0.0), "axis": (0, 0, 1), "angles": (0, -0.1), "times": (0, 0.2)},
+        kind="box",
+        size=(0.0, 0.9, 2.0),
+        centre=(0.0, 0.5, 1.1),
+        material={"reflection": 0.9},
+    ),
+    room=shoebox_of(reflection=0.5),
+    max_order=0,
+    paths={"diffraction": 1},
+    render={"duration": 0.12, "chunk": 18432},
+)
 STUDY = 'format = 1\nscene = "scene.toml"\nkeep = ["ground_truth"]\n[[vary]]\nfield = "paths.diffraction_model"\nvalues = ["utd", "btm"]\n'
 
 

@@ -6,33 +6,18 @@ import numpy as np
 import pytest
 import soundfile
 from failing import Failing
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
 from clsim.render import planning
 from clsim.workflow import checkpoint
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "beacon"
-signal = { kind = "tone", frequency = 40e3, duration = 0.25, sampling_rate = 192e3 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 0.5 }
-[[receivers]]
-name = "ear"
-trajectory = { kind = "fixed", position = [3.0, 1.5, 2.0] }
-electronics = { clock_ppm = 50.0, high_cut = 80e3, gain_db = 20.0 }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-chunk = 18432
-narrowband = true
-"""
+SCENE = scene_text(
+    source_at("beacon", tone_of(40e3, 0.25), along((1, 1, 1), (2, 1, 1), 0.5)),
+    receiver_at("ear", (3.0, 1.5, 2.0), electronics={"clock_ppm": 50.0, "high_cut": 80e3, "gain_db": 20.0}),
+    render={"chunk": 18432, "narrowband": True},
+)
 pytestmark = [
     pytest.mark.usefixtures("device"),
     pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning"),  # the tone begins at once

@@ -7,40 +7,30 @@ import numpy as np
 import pytest
 import soundfile
 from killing import Killer
+from scene_texts import along, chirp_of, receiver_at, scene_text, source_at
 
 import clsim
 from clsim.cli import main
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.6, scattering = 0.3 }
-[[sources]]
-name = "moving"
-signal = { kind = "chirp", start = 1e3, stop = 3e3, duration = 3.0, sampling_rate = 16e3, window = "tukey" }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 5.0 }
-[[sources]]
-name = "still"
-signal = { kind = "chirp", start = 3e3, stop = 1e3, duration = 3.0, sampling_rate = 16e3, window = "tukey" }
-trajectory = { kind = "fixed", position = [3.0, 1.0, 1.5] }
-[[receivers]]
-name = "turning"
-trajectory = { kind = "waypoints", times = [0, 5], positions = [[2, 2, 1], [2.3, 1.7, 1.2]], orientations = [[0, 0, 0, 1], [0, 0, 0.8, 0.6]], smooth = false }
-directivity = { kind = "first-order", weight = 0.5 }
-[[receivers]]
-name = "fixed"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 16e3
-chunk = 18432
-tail = "auto"
-tail_directions = 16
-tail_error_db = 3.0
-"""
+SCENE = scene_text(
+    source_at("moving", chirp_of(1e3, 3e3, 3.0, 16e3, window="tukey"), along((1, 1, 1), (2, 1, 1), 5.0)),
+    source_at("still", chirp_of(3e3, 1e3, 3.0, 16e3, window="tukey"), (3.0, 1.0, 1.5)),
+    receiver_at(
+        "turning",
+        {
+            "kind": "waypoints",
+            "times": (0, 5),
+            "positions": [(2, 2, 1), (2.3, 1.7, 1.2)],
+            "orientations": [(0, 0, 0, 1), (0, 0, 0.8, 0.6)],
+            "smooth": False,
+        },
+        directivity={"kind": "first-order", "weight": 0.5},
+    ),
+    receiver_at("fixed", (3.0, 2.0, 2.0)),
+    room={"kind": "shoebox", "size": (4.0, 3.0, 2.5), "walls": {"reflection": 0.6, "scattering": 0.3}},
+    rate=16e3,
+    render={"chunk": 18432, "tail": "auto", "tail_directions": 16, "tail_error_db": 3.0},
+)
 
 
 STUDY = """

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from scene_texts import along, chirp_of, receiver_at, scene_text, source_at
 from scipy.signal import lfilter
 
 import clsim
@@ -19,31 +20,19 @@ from clsim.workflow import checkpoint
 
 RATE = 48e3
 LEVEL = 0.01
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "chirp", start = 3e3, stop = 5e3, duration = 1.5, sampling_rate = 48e3, window = "tukey" }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 2.0 }
-[[receivers]]
-name = "moving"
-trajectory = { kind = "line", start = [3, 1, 2], end = [3, 2, 2], duration = 2.0 }
-[[receivers]]
-name = "fixed"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 0
-[render]
-sampling_rate = 48e3
-engine = "reference"
-chunk = 18432
-responses = "centre"
-interpolator = { kind = "bandlimited", error_db = -60.0 }
-"""
+SCENE = scene_text(
+    source_at("robot", chirp_of(3e3, 5e3, 1.5, 48e3, window="tukey"), along((1, 1, 1), (2, 1, 1), 2.0)),
+    receiver_at("moving", along((3, 1, 2), (3, 2, 2), 2.0)),
+    receiver_at("fixed", (3.0, 2.0, 2.0)),
+    max_order=0,
+    rate=48e3,
+    render={
+        "engine": "reference",
+        "chunk": 18432,
+        "responses": "centre",
+        "interpolator": {"kind": "bandlimited", "error_db": -60.0},
+    },
+)
 
 
 @dataclass(frozen=True)

@@ -4,30 +4,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 from clsim.cli import main
 from clsim.output.result_files import read_table
 
-CORNER_SCENE = """
-format = 1
-[room]
-kind = "mesh"
-path = "room.obj"
-up = "y"
-materials = { default = { reflection = 0.9 }, soft = { reflection = 0.3 } }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 0.2, sampling_rate = 192e3, fade = 0.005 }
-trajectory = { kind = "line", start = [2.0, -8.0, 1.0], end = [3.0, -2.0, 1.2], duration = 0.2 }
-[[receivers]]
-name = "corner"
-trajectory = { kind = "fixed", position = [7.0, -1.0, 1.5] }
-[paths]
-max_order = 2
-[render]
-sampling_rate = 192e3
-transition = 0.002
-"""
+CORNER_SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 0.2, fade=0.005), along((2.0, -8.0, 1.0), (3.0, -2.0, 1.2), 0.2)),
+    receiver_at("corner", (7.0, -1.0, 1.5)),
+    room={
+        "kind": "mesh",
+        "path": "room.obj",
+        "up": "y",
+        "materials": {"default": {"reflection": 0.9}, "soft": {"reflection": 0.3}},
+    },
+    max_order=2,
+    render={"transition": 0.002},
+)
 # An L-shaped room, 3 m high, y up; the floor is one concave polygon.
 CORNERS = [(0, 0), (8, 0), (8, 5), (4, 5), (4, 9), (0, 9)]
 

@@ -6,29 +6,18 @@ import numpy as np
 import pytest
 import soundfile
 from clsim_barn.columns import Columns
+from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 from clsim.cli import main
 from clsim.output import stores
 
-SCENE = """
-format = 1
-room = { kind = "shoebox", size = [4.0, 3.0, 2.5], walls = { reflection = 0.9 } }
-[[sources]]
-name = "s"
-signal = { kind = "tone", frequency = 40e3, duration = 0.005, sampling_rate = 192e3, fade = 0.001 }
-trajectory = { kind = "fixed", position = [1.0, 1.0, 1.0] }
-[[receivers]]
-name = "left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 0
-[render]
-sampling_rate = 192e3
-engine = "reference"
-"""
+SCENE = scene_text(
+    source_at("s", tone_of(40e3, 0.005, fade=0.001), (1.0, 1.0, 1.0)),
+    receiver_at("left", (3.0, 1.0, 2.0)),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+    max_order=0,
+    render={"engine": "reference"},
+)
 
 
 class Named(Columns):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_meshes import box, joined
+from scene_texts import receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -117,26 +118,13 @@ def test_no_ray_through_an_edge_makes_an_inside(rng: np.random.Generator) -> Non
         assert room.contains([hits - np.sign(ray @ [1, 0, 1]) * 0.7 * ray])[0] == (ray[0] * ray[2] > 0)
 
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [8000.0, 6000.0, 3000.0]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "s"
-signal = { kind = "tone", frequency = 40.0, duration = 0.002, sampling_rate = 192e3 }
-trajectory = { kind = "fixed", position = [4.0, 3.0, 1.5] }
-[[receivers]]
-name = "r"
-trajectory = { kind = "fixed", position = [4.5, 3.0, 1.5] }
-[paths]
-max_order = 0
-[render]
-sampling_rate = 192e3
-engine = "reference"
-responses = "centre"
-"""
+SCENE = scene_text(
+    source_at("s", tone_of(40.0, 0.002), (4.0, 3.0, 1.5)),
+    receiver_at("r", (4.5, 3.0, 1.5)),
+    room=shoebox_of(8e3, 6e3, 3e3),
+    max_order=0,
+    render={"engine": "reference", "responses": "centre"},
+)
 STUDY = """
 format = 1
 scene = "scene.toml"
