@@ -77,12 +77,7 @@ class Recording:
         object.__setattr__(self, "channels", tuple(self.channels) or tuple((n, "") for n in self.receiver_names))
 
     def rows_of(self, receiver: str) -> list[int]:
-        """Return the rows of a receiver's channels.
-
-        Parameters
-        ----------
-        receiver : str
-            Name of the receiver, without a channel.
+        """Return the rows of the channels of a `receiver` by its name, in their order.
 
         Raises
         ------
@@ -121,13 +116,7 @@ class Recording:
         return np.arange(self.samples.shape[1]) / self.sampling_rate
 
     def reception_times(self, receiver: int) -> NDArray[np.float64]:
-        """Return the true times (samples,) at which a receiver took its samples, s; see `Electronics`.
-
-        Parameters
-        ----------
-        receiver : int
-            Index of the row.
-        """
+        """Return the true times (samples,) at which row `receiver` was sampled, s; see `Electronics`."""
         times = self.times
         return times if self.paths is None else times + self._ends[receiver].clock_error(times)
 
@@ -191,12 +180,7 @@ class Recording:
         return with_times(found, self.sampling_rate)
 
     def plot(self, receivers: int | str | Sequence[int | str] | None = None) -> Figure:
-        """Draw the samples of receivers over time, one below the other; in baseband their magnitude.
-
-        Parameters
-        ----------
-        receivers : int, str or sequence of them, optional
-            Indices or names; the first eight when left out.
+        """Draw samples of `receivers` (indices or names; by default eight) over time; in baseband their magnitude.
 
         Raises
         ------

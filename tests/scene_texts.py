@@ -13,7 +13,9 @@ def toml(value: Any) -> str:
         return value
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(toml, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float):
+        return f"{value / 1000.0:g}e3" if value >= 1000.0 and value % 100.0 == 0.0 else repr(value)
+    return json.dumps(value, ensure_ascii=False)
 
 
 def tone_of(frequency: float, duration: float, rate: float = 192e3, **more: Any) -> dict[str, Any]:

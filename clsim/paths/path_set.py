@@ -160,13 +160,7 @@ class PathSet:
             first += len(family)
 
     def at_receiver(self, receiver: int) -> PathSet:
-        """Return the paths to one receiver.
-
-        Parameters
-        ----------
-        receiver : int
-            Index in the scene.
-        """
+        """Return the paths to `receiver`, an index in the scene."""
         return PathSet(self.scene, tuple(f.part(np.flatnonzero(f.receiver == receiver)) for f in self.families))
 
     def digest(self) -> str:
@@ -219,23 +213,11 @@ class PathSet:
         )  # fmt: skip
 
     def to_dataframe(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
-        """Table of every path at the given times as a pandas DataFrame, a row per path and time.
-
-        Parameters
-        ----------
-        times, motion, amplitude
-            As for `table`.
-        """
+        """Table of paths as a pandas DataFrame, by `times` (T,), s, `motion` and `amplitude` as for `table`."""
         return self.table(times, motion, amplitude).to_dataframe()
 
     def to_xarray(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
-        """Table of every path at the given times as an xarray Dataset.
-
-        Parameters
-        ----------
-        times, motion, amplitude
-            As for `table`.
-        """
+        """Table of paths as an xarray Dataset, by `times` (T,), s, `motion` and `amplitude` as for `table`."""
         return self.table(times, motion, amplitude).to_xarray()
 
     def cir(

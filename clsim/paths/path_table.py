@@ -83,13 +83,7 @@ class PathTable:
         return np.where(self.interactions == SPECULAR, self.objects, -1)
 
     def name_objects(self, path: int | np.integer[Any]) -> str:
-        """Return the names of the objects that a path meets, from the source's side; "direct" if it meets none.
-
-        Parameters
-        ----------
-        path : int
-            Row of the table.
-        """
+        """Return names of what the `path` of a row meets, from the source's side; "direct" if it meets nothing."""
         return ", ".join(self.object_names[i] for i in self.objects[path] if i >= 0) or "direct"
 
     def to_dataframe(self) -> Any:

@@ -65,15 +65,7 @@ class Interpolator(ABC):
         return self._bank(edge, oversampling * max_rate, importance)
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
-        """Return the filter's own taps (n, length), as the reference engine uses them, without a unit.
-
-        Parameters
-        ----------
-        bank : Bank
-            Made by `bank`.
-        mu : ndarray (n,)
-            Delays beyond the bank's shift, samples.
-        """
+        """Return the taps (n, length) of a `bank` for delays `mu` (n,) beyond its shift, samples: the reference's."""
         return self._taps(bank, mu)
 
     @abstractmethod
@@ -183,13 +175,7 @@ class Bandlimited(Interpolator):
         return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, subblock, reached)
 
     def rounded(self, importance: tuple[float, ...]) -> tuple[float, ...]:
-        """Return importances rounded up, so that designs are found again, and that no error is above -12 dB.
-
-        Parameters
-        ----------
-        importance : tuple of float
-            By which errors count, as factors.
-        """
+        """Return each `importance`, a factor, rounded up, so that designs are found again; no error is above -12 dB."""
         least = 10.0 ** ((self.error_db + 12.0) / 20.0)
         steps = np.ceil(20.0 * np.log10(np.maximum(importance, least)) / 6.0)
         return tuple((10.0 ** (0.3 * steps)).tolist())

@@ -244,13 +244,7 @@ class Rendering:
         return self._pressure.state() | self._receivers.state()
 
     def restore(self, state: State) -> None:
-        """Go on where another one of the same plan was.
-
-        Parameters
-        ----------
-        state : dict of ndarray, of any shape
-            What that one's `state` returned.
-        """
+        """Go on where another one of the same plan was, by its `state`: arrays of any shape."""
         self._pressure.restore(state)
         self._receivers.restore(state)
 

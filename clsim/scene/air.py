@@ -207,24 +207,13 @@ class Air:
                 warn(message)
 
     def at_height(self, height: Floats) -> Floats:
-        """Return temperature, °C, and relative humidity, 0 to 1, at some heights: (2, n).
-
-        Parameters
-        ----------
-        height : ndarray (n,)
-            m.
-        """
+        """Return temperature, °C, and relative humidity, 0 to 1, (2, n) at each `height` (n,), m."""
         where = self.heights or self.extent or UNPLACED
         given = {"temperature_celsius": self.temperature_celsius, "relative_humidity": self.relative_humidity}
         return np.stack([at_heights(name, value, where, height) for name, value in given.items()])
 
     def between(self, lowest: float, highest: float) -> Air:
-        """Return the same air in a room between two heights, m: with layers if it depends on the height, else itself.
-
-        Parameters
-        ----------
-        lowest, highest : float
-            Lowest and highest point of the room, m.
+        """The air of a room from `lowest` to `highest`, m: with layers if it depends on the height, else itself.
 
         Raises
         ------
@@ -236,13 +225,7 @@ class Air:
         return replace(self, extent=(lowest, highest))
 
     def by_height(self, quantity: Callable[[Air], ArrayLike]) -> Floats:
-        """Return Chebyshev coefficients (terms, ...) over `extent` of a quantity, in its unit: m, s or without a unit.
-
-        Parameters
-        ----------
-        quantity : callable
-            Takes the air of a layer; returns numbers (...).
-        """
+        """Return Chebyshev coefficients (terms, ...) over `extent` of a `quantity` of layers, in its unit: m, s or 1."""
         if not self.layers:
             return np.asarray(quantity(self), dtype=np.float64)[None]
         return coefficients(np.array([quantity(layer) for layer in self.layers]))
@@ -328,26 +311,14 @@ class Air:
         return np.asarray(k - lead_iso9613(f, *self.state) if self.dispersion else k)
 
     def speed_at(self, frequency: float) -> float:
-        """Return the speed of sound of a pure tone, that of its phase, m/s.
-
-        Parameters
-        ----------
-        frequency : float
-            Above 0, Hz.
-        """
+        """Return the speed of sound of a pure tone at a `frequency` above 0 Hz, that of its phase, m/s."""
         c = self.speed_of_sound
         if not self.dispersion:
             return c
         return c / (1.0 - c * float(lead_iso9613(frequency, *self.state)) / (2.0 * np.pi * frequency))
 
     def group_speed_at(self, frequency: float) -> float:
-        """Return the group speed at a frequency, at which envelopes travel, m/s.
-
-        Parameters
-        ----------
-        frequency : float
-            At least 0, Hz.
-        """
+        """Return the group speed at a `frequency` of at least 0 Hz, at which envelopes travel, m/s."""
         c = self.speed_of_sound
         if not self.dispersion:
             return c

@@ -157,13 +157,7 @@ class Body:
         return moved + motion.peak_turn * self.lever
 
     def speed(self, times: Floats) -> Floats:
-        """Return bounds of the speed of any point of it at times (n,), m/s.
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            s.
-        """
+        """Return bounds of the speed of any point of it at `times` (n,) s, m/s."""
         turning = np.linalg.norm(self.trajectory.angular_velocity(times), axis=-1)
         return np.asarray(np.linalg.norm(self.trajectory.velocity(times), axis=-1) + self.lever * turning)
 
@@ -175,27 +169,11 @@ class Body:
         return [f"body {self.name!r}: {counted(len(self.mesh.walls), 'face')}, {size} m, {moves}"]
 
     def placed(self, points: Floats, time: Floats) -> Floats:
-        """Return room positions at times (...) of points (..., 3) in the body's own coordinates, m.
-
-        Parameters
-        ----------
-        points : ndarray (..., 3)
-            m.
-        time : ndarray (...)
-            s.
-        """
+        """Return room positions at `time` (...) s of `points` (..., 3) in the body's own coordinates, m."""
         return self.trajectory.position(time) + rotate(self.trajectory.orientation(time), points)
 
     def seen(self, places: Floats, time: Floats) -> Floats:
-        """Return places (..., 3) of the room in its own coordinates at times (...), m.
-
-        Parameters
-        ----------
-        places : ndarray (..., 3)
-            m.
-        time : ndarray (...)
-            s.
-        """
+        """Return `places` (..., 3) of the room in its own coordinates at `time` (...) s, m."""
         back = self.trajectory.orientation(time) * np.array([-1.0, -1.0, -1.0, 1.0])
         return rotate(back, places - self.trajectory.position(time))
 

@@ -210,13 +210,7 @@ class Source:
         return 0.0, self.end if math.isinf(self.trajectory.end) else self.trajectory.end
 
     def orientation(self, times: Floats) -> Floats:
-        """Return unit quaternions x y z w at `times` (n,), shape (n, 4).
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            s.
-        """
+        """Return unit quaternions x y z w (n, 4) at `times` (n,), s."""
         return _orientation(self, times)
 
 
@@ -386,13 +380,7 @@ class Receiver:
         return 1.0 if self.electronics is None else 1.0 + 1e-6 * self.electronics.clock_ppm
 
     def clock_error(self, times: Floats) -> Floats:
-        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken.
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            By the receiver's clock, s.
-        """
+        """Return the error (n,) of the receiver's clock at its own `times` (n,), s: the lateness of samples."""
         return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
     @property
@@ -401,13 +389,7 @@ class Receiver:
         return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
 
     def orientation(self, times: Floats) -> Floats:
-        """Return unit quaternions x y z w at `times` (n,), shape (n, 4).
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            s.
-        """
+        """Return unit quaternions x y z w (n, 4) at `times` (n,), s."""
         return _orientation(self, times)
 
 

@@ -94,13 +94,7 @@ class Fluctuation:
         return self.rms * math.sqrt(2.0 * _WAVES)
 
     def most_rate(self, source_speed: float, receiver_speed: float) -> float:
-        """Return a bound on the rate of change of the noise, s/s.
-
-        Parameters
-        ----------
-        source_speed, receiver_speed : float
-            Largest speeds of the ends, m/s.
-        """
+        """Return a bound on the rate of change of the noise, s/s, by `source_speed` and `receiver_speed`, m/s."""
         by_place = [np.linalg.norm(self._waves[rows], axis=0) for rows in (slice(1, 4), slice(4, 7))]
         turns = np.abs(self._waves[0]) + receiver_speed * by_place[0] + source_speed * by_place[1]
         return self.rms * math.sqrt(2.0 / _WAVES) * float(turns.sum())
@@ -156,13 +150,7 @@ class TargetFluctuation:
         return math.sqrt(self.steady) + math.sqrt((1.0 - self.steady) * _WAVES)
 
     def at(self, times: Floats) -> Complexes:
-        """Return the complex factor (...) of the pressure; its mean square over time is 1.
-
-        Parameters
-        ----------
-        times : ndarray (...)
-            Times of scattering, s.
-        """
+        """Return the complex factor (...) of the pressure at `times` (...) of scattering, s; its mean square is 1."""
         flat, found = times.ravel(), np.empty(times.size, dtype=np.complex128)
         for first in range(0, len(flat), _AT_A_TIME):
             some = slice(first, first + _AT_A_TIME)

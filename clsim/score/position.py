@@ -199,13 +199,7 @@ class PositionScore:
         return float(np.mean(np.isfinite(self.error)))
 
     def percentile(self, percent: float) -> float:
-        """Return the error that so many per cent of the positions found do not exceed, m; NaN if none was found.
-
-        Parameters
-        ----------
-        percent : float
-            From 0 to 100, %.
-        """
+        """Return the error that `percent` of the positions found do not exceed, 0 to 100 %, m; NaN without any."""
         percent = as_number("percent", percent, at_least=0.0, at_most=100.0, unit="%")
         found = self.error[np.isfinite(self.error)]
         return float(np.percentile(found, percent)) if len(found) else math.nan

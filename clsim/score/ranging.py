@@ -103,13 +103,7 @@ class RangingScore:
         return float(np.std(self._inliers())) if len(self._inliers()) else math.nan
 
     def percentile(self, percent: float) -> float:
-        """Return the magnitude of error that so many per cent of all ranges found do not exceed, m; NaN without any.
-
-        Parameters
-        ----------
-        percent : float
-            From 0 to 100, %.
-        """
+        """Return the magnitude of error that `percent` of all ranges do not exceed, 0 to 100 %, m; NaN without any."""
         percent = as_number("percent", percent, at_least=0.0, at_most=100.0, unit="%")
         found = np.abs(self.error[self.detected])
         return float(np.percentile(found, percent)) if len(found) else math.nan

@@ -120,7 +120,7 @@ def test_a_study_judges_envelopes(scene: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     xarray = pytest.importorskip("xarray")
     scene.write_text(
-        SHORT.replace("max_order = 1", "max_order = 0").replace("duration = 1000", "duration = 1"), "utf-8"
+        SHORT.replace("max_order = 1", "max_order = 0").replace("duration = 1e3", "duration = 1.0"), "utf-8"
     )
     (tmp_path / "judge.py").write_text(METRICS, "utf-8")
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")

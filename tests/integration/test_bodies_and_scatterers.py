@@ -5,16 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from failing import Failing
+from failing import stopped_and_resumed
 from scene_texts import chirp_of, receiver_at, scene_text, source_at
 
 import clsim
 from clsim.cli import main
 from clsim.paths.path_set import PathSet
-from clsim.render import planning
 from clsim.study.content import computed
 from clsim.study.file import load_study
-from clsim.workflow import checkpoint
 
 RATE = 96e3
 HEAD = scene_text(
@@ -104,17 +102,8 @@ def test_a_tail_is_that_of_the_room_without_bodies(file: Any) -> None:
 @pytest.mark.exhaustive
 def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None) -> None:
     """Bit for bit."""
-    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
-    scene, fails = tmp_path / "scene.toml", [-1]
-    scene.write_text(HEAD + THINGS, "utf-8")
-    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
-    run = ["run", str(scene), "--no-plots", "-o"]
-    assert main([*run, str(tmp_path / "a")]) == 0
-    fails[0] = 18432
-    assert main([*run, str(tmp_path / "b")]) == 2
-    fails[0] = -1
-    assert main([*run, str(tmp_path / "b"), "--resume"]) == 0
-    assert (tmp_path / "a" / "ear.wav").read_bytes() == (tmp_path / "b" / "ear.wav").read_bytes()
+    (tmp_path / "scene.toml").write_text(HEAD + THINGS, "utf-8")
+    stopped_and_resumed(monkeypatch, tmp_path / "scene.toml", tmp_path)
 
 
 @pytest.mark.exhaustive

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from failing import Failing
+from failing import stopped_and_resumed
 from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
@@ -12,10 +12,8 @@ from clsim.cli import main
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.paths.view import viewed
-from clsim.render import planning
 from clsim.scene_file.scene import build_scene, completed_scene
 from clsim.study.file import load_study
-from clsim.workflow import checkpoint
 
 SCENE = scene_text(
     source_at("beacon", tone_of(40e3, 0.06, fade=0.005), (6.0, 2.0, 1.2)),
@@ -143,27 +141,17 @@ def test_runs_that_were_stopped_go_on(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None
 ) -> None:
     """Bit for bit, with the exact field at the edge; not with that of the theory, whose paths are others."""
-    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
     text, path = (
         scene.read_text("utf-8").replace("duration = 0.09", "duration = 0.12\nchunk = 18432"),
         tmp_path / "scene.toml",
     )
     text = text.replace("duration = 0.1 }", "duration = 0.2 }").replace("duration = 0.06,", "duration = 0.11,")
     path.write_text(text.replace("diffraction = 1", 'diffraction = 1\ndiffraction_model = "btm"'), "utf-8")
-    fails = [-1]
-    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
-    assert main(["run", str(path), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
-    fails[0] = 18432
-    assert main(["run", str(path), "-o", str(tmp_path / "b"), "--no-plots"]) == 2
-    fails[0] = -1
     other = tmp_path / "other.toml"
     other.write_text(text, "utf-8")
-    assert main(["run", str(other), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 2
-    assert main(["run", str(path), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
-    for name in ("robot", "shelf"):
-        assert (tmp_path / "a" / f"{name}.wav").read_bytes() == (tmp_path / "b" / f"{name}.wav").read_bytes()
-    assert 'diffraction_model = "btm"' in (tmp_path / "a" / "scene.completed.toml").read_text("utf-8")
-    with np.load(tmp_path / "a" / "ground_truth.npz") as found:
+    out = stopped_and_resumed(monkeypatch, path, tmp_path, other=other)
+    assert 'diffraction_model = "btm"' in (out / "scene.completed.toml").read_text("utf-8")
+    with np.load(out / "ground_truth.npz") as found:
         assert not found["line_of_sight"].any()
 
 

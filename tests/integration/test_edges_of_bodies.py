@@ -4,17 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from failing import Failing
+from failing import stopped_and_resumed
 from scene_texts import receiver_at, scene_text, shoebox_of, source_at, thing_at, tone_of
 
 import clsim
 from clsim.cli import main
 from clsim.paths.view import view_scene, viewed
-from clsim.render import planning
 from clsim.scene_file.scene import build_scene
 from clsim.study.content import computed
 from clsim.study.file import load_study
-from clsim.workflow import checkpoint
 
 SCENE = scene_text(
     source_at("beacon", tone_of(24e3, 0.11, 96e3, fade=0.002), (1.0, 1.4, 1.0)),
@@ -40,27 +38,17 @@ def test_a_door_is_run_and_gone_on_with(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], device: None
 ) -> None:
     """The line of sight is hidden all the time: all that is heard comes over edges of the door."""
-    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
     path = tmp_path / "scene.toml"
     path.write_text(SCENE, "utf-8")
-    fails = [-1]
-    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
-    assert main(["run", str(path), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
-    fails[0] = 18432
-    assert main(["run", str(path), "-o", str(tmp_path / "b"), "--no-plots"]) == 2
-    fails[0] = -1
     without = tmp_path / "without.toml"
     without.write_text(SCENE.replace("diffraction = 1", "diffraction = 0"), "utf-8")
-    capsys.readouterr()
-    assert main(["run", str(without), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 2
+    out = stopped_and_resumed(monkeypatch, path, tmp_path, other=without)
     assert "scene.paths.diffraction was 1 and is 0" in capsys.readouterr().err
-    assert main(["run", str(path), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
-    assert (tmp_path / "a" / "ear.wav").read_bytes() == (tmp_path / "b" / "ear.wav").read_bytes()
-    assert "diffraction = 1" in (tmp_path / "a" / "scene.completed.toml").read_text("utf-8")
-    with np.load(tmp_path / "a" / "ground_truth.npz") as found:
+    assert "diffraction = 1" in (out / "scene.completed.toml").read_text("utf-8")
+    with np.load(out / "ground_truth.npz") as found:
         assert not found["line_of_sight"].any()
         assert found["body_names"].tolist() == ["door"]
-    recorded = clsim.load_recording(tmp_path / "a")
+    recorded = clsim.load_recording(out)
     assert np.abs(recorded.pressure).max() > 0.01 / 2.0, "over the door's near edge"
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from failing import Failing
+from failing import stopped_and_resumed
 from made_sonar import RATE, SCENE, level_db, sonar, sonar_paths
 
 import clsim
@@ -13,13 +13,11 @@ from clsim.cli import main
 from clsim.output.result_files import read_table, write_table
 from clsim.paths.path_set import PathSet
 from clsim.paths.view import viewed
-from clsim.render import planning
 from clsim.render.methods.static import pairs_at_rest
 from clsim.scene_file.scene import SceneFile
 from clsim.study.content import computed
 from clsim.study.file import load_study
 from clsim.tracks.pruning import pruned
-from clsim.workflow import checkpoint
 
 STUDY = """
 format = 1
@@ -148,20 +146,11 @@ def test_without_scatterers_nothing_is_looked_for(paths: PathSet) -> None:
 
 def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None) -> None:
     """Bit for bit, of a sonar's echoes alone; and the completed scene is the same scene."""
-    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
     scene = tmp_path / "scene.toml"
     text = SCENE.replace("duration = 0.2 }", "duration = 0.6 }").replace("duration = 0.06", "duration = 0.5")
     text = text.replace("duration = 0.02,", "duration = 0.5,").replace("scattering_order = 1", "direct = false")
     scene.write_text(text.replace("max_order = 1", "max_order = 0\nscattering_order = 0"), "utf-8")
-    fails = [-1]
-    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
-    assert main(["run", str(scene), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
-    fails[0] = 18432
-    assert main(["run", str(scene), "-o", str(tmp_path / "b"), "--no-plots"]) == 2
-    fails[0] = -1
-    assert main(["run", str(scene), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
-    whole = (tmp_path / "a" / "ear.wav").read_bytes()
-    assert whole == (tmp_path / "b" / "ear.wav").read_bytes()
+    whole = (stopped_and_resumed(monkeypatch, scene, tmp_path) / "ear.wav").read_bytes()
     assert np.any(np.frombuffer(whole[100_000:140_000], dtype=np.uint8))
     with np.load(tmp_path / "a" / "ground_truth.npz") as found:
         truth = clsim.scatterer_truth(clsim.load_scene(scene).scene, found["times"])

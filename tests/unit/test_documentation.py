@@ -169,6 +169,8 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         described = parameters(sections(owner.__doc__ or "").get("Parameters", "")) | described
     for argument in arguments:
         kind, text = described.get(argument.name, (None, ""))
+        if kind is None and f"`{argument.name}`" in told[""] and not is_class:  # the first sentence describes it
+            kind, text = re.sub("Floats|ArrayLike|NDArray", "ndarray", str(argument.annotation)), told[""]
         if kind is None:
             yield f"{name}: parameter {argument.name} is not described"
         elif not kind and not text.strip().startswith(("As ", "See ", "Passed ", "Of ")):
@@ -312,9 +314,9 @@ def test_a_figure_typed_by_hand_is_found() -> None:
     figures = loaded("../docs/site/figures")
     rows = {
         (
-            "unit/test_version.py",
+            "unit/test_errors.py",
             "a claim",
-        ): "| `unit/test_version.py` | a claim | an oracle | -85 dB | -101 to -98 dB |"
+        ): "| `unit/test_errors.py` | a claim | an oracle | -85 dB | -101 to -98 dB |"
     }
     page = figures.update(f"# A page\n\n<!-- written by make measured:  -->\n{figures.END}\n", rows, ROOT / "tests")
     assert figures.written(page)[0] == rows

@@ -426,12 +426,7 @@ class ReflectingSurface:
         return factor
 
     def check_coverage(self, frequency: ArrayLike) -> None:
-        """Check that the material covers frequencies.
-
-        Parameters
-        ----------
-        frequency : array_like (...)
-            Hz.
+        """Check that the material covers each `frequency` (...), Hz.
 
         Raises
         ------

@@ -145,12 +145,7 @@ class Motion:
         return self.curve.position(time)
 
     def velocity(self, t: ArrayLike) -> Floats:
-        """Return velocities, m/s, shaped as in `position`; at a break the one after it.
-
-        Parameters
-        ----------
-        t : array_like (...)
-            Times, s.
+        """Return velocities, m/s, at times `t` (...), s, shaped as in `position`; at a break the one after it.
 
         Examples
         --------
@@ -165,12 +160,7 @@ class Motion:
         return velocity
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return upper bounds of the speed between two times (n,), m/s; tighter for shorter intervals.
-
-        Parameters
-        ----------
-        begin, end : ndarray (n,)
-            Times, s.
+        """Return upper bounds of the speed from `begin` to `end` (n,), s, in m/s; tighter for shorter intervals.
 
         Examples
         --------
@@ -203,12 +193,7 @@ class Motion:
         return self.turning.orientation(time)
 
     def angular_velocity(self, t: ArrayLike) -> Floats:
-        """Return angular velocities in the room, rad/s, shaped as in `position`; 0 without orientation.
-
-        Parameters
-        ----------
-        t : array_like (...)
-            Times, s; where the turning changes, the angular velocity after it.
+        """Return angular velocities in the room at `t` (...), s, in rad/s, shaped as in `position`; 0 without turning.
 
         Examples
         --------

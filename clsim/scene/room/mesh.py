@@ -293,12 +293,7 @@ class MeshRoom:
 
     @staticmethod
     def joined(parts: Sequence[_Part]) -> MeshRoom:
-        """Return one room made of several: a room and the objects in it.
-
-        Parameters
-        ----------
-        parts : sequence of Room
-            Room, furniture, screens.
+        """Return one room made of several `parts`: a room, furniture, screens.
 
         Raises
         ------
@@ -360,12 +355,7 @@ class MeshRoom:
         )  # fmt: skip
 
     def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
-        """Return the panels that `with_sheets` would make sheets of.
-
-        Parameters
-        ----------
-        thinner_than : float
-            Their thickness at most, m.
+        """Return name and thickness, m, of panels below `thinner_than`, m, of which `with_sheets` makes sheets.
 
         Returns
         -------
@@ -405,24 +395,13 @@ class MeshRoom:
         return self.shape.watertight
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return every wall's reflection factor (W, ...) at normal incidence; see `Faces.reflections`.
-
-        Parameters
-        ----------
-        frequency : array_like (...)
-            Positive, Hz.
-        """
+        """Return every wall's reflection factor (W, ...) at normal incidence by `frequency` (...) above 0 Hz."""
         return self.faces.reflections(frequency)
 
     def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask (n,) of positions (n, 3) inside: most rays from them meet the walls an odd number of times.
+        """Return a mask (n,) of `positions` (n, 3), m, inside: most rays from them meet walls an odd number of times.
 
         Of use for watertight rooms only.
-
-        Parameters
-        ----------
-        positions : array_like (n, 3)
-            m.
         """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         inside, other = (self._met(x, ray) % 2 == 1 for ray in _RAYS[:2])

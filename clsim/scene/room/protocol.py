@@ -53,13 +53,7 @@ class Room(Protocol):
         """Return mask (n,) of positions (n, 3), m, that lie inside."""
 
     def surrounds(self, positions: Floats) -> NDArray[np.bool_]:
-        """Return mask (n,) of positions with walls on all sides, inside or not.
-
-        Parameters
-        ----------
-        positions : ndarray (n, 3)
-            m.
-        """
+        """Return mask (n,) of `positions` (n, 3), m, with walls on all sides, inside or not."""
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
         """Return lower bounds of the distance that sources and receivers can move before a contact.
@@ -94,13 +88,7 @@ class Room(Protocol):
         """
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return indices (k,) of the walls that a position is on, one for each plane.
-
-        Parameters
-        ----------
-        position : ndarray (3,)
-            m.
-        """
+        """Return indices (k,) of the walls that a `position` (3,), m, is on, one for each plane."""
 
     def edges(self) -> Edges:
         """Return the diffracting edges."""

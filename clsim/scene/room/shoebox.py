@@ -51,15 +51,7 @@ class ConvexRoom(ABC):
         return np.asarray((np.asarray(positions, dtype=np.float64) @ faces.normals.T - faces.offsets).min(axis=-1))
 
     def contains(self, positions: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Return a mask (n,) of positions strictly inside the room: False on a wall, at the margin and for NaN.
-
-        Parameters
-        ----------
-        positions : array_like (n, 3)
-            Positions, m.
-        margin : float
-            Distance from every wall that is asked for, m.
-        """
+        """Return a mask (n,) of `positions` (n, 3), m, inside by more than a `margin`, m; False for NaN."""
         return np.asarray(self._heights(positions) > margin)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
@@ -158,13 +150,7 @@ class Shoebox(ConvexRoom):
         return float(2.0 * self.size @ np.roll(self.size, 1))
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return every wall's reflection factor (6, ...) at normal incidence, in the order of `WALLS`.
-
-        Parameters
-        ----------
-        frequency : array_like (...)
-            Positive, Hz.
-        """
+        """Return every wall's factor (6, ...) at normal incidence by `frequency` (...) above 0 Hz, as in `WALLS`."""
         return self.faces.reflections(frequency)
 
     def as_mesh(self) -> MeshRoom:

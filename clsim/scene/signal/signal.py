@@ -119,13 +119,7 @@ class Signal:
         return wave.steady_band(self.sampling_rate) if fade <= first and last <= self.count - 1 - fade else None
 
     def read(self, start: int, stop: int) -> Floats:
-        """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut.
-
-        Parameters
-        ----------
-        start, stop : int
-            First sample, and the one after the last.
-        """
+        """Return samples (n,) from `start` to `stop`, Pa or V; zero outside the signal, the same however cut."""
         out = np.zeros(max(stop - start, 0))
         first, last = max(start, 0), min(stop, self.count)
         if first < last:

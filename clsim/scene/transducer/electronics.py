@@ -120,25 +120,13 @@ class Electronics:
         return self.adc_full_scale * 2.0 ** (1 - self.adc_bits)
 
     def ambient_rms(self, sampling_rate: float) -> float:
-        """Return the root mean square of the air's noise from 0 Hz to half the sampling rate, Pa.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
-        """
+        """Return the root mean square of the air's noise from 0 Hz to half the `sampling_rate`, Hz, in Pa."""
         if self.snr_db is not None and self.reference_level_db is not None:
             return _REFERENCE * 10 ** ((self.reference_level_db - self.snr_db) / 20)
         return _rms(self.ambient_noise_db, sampling_rate)
 
     def self_rms(self, sampling_rate: float) -> float:
-        """Return that of the receiver's noise, as the pressure that would make it, Pa.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
-        """
+        """Return that of the receiver's noise at a `sampling_rate`, Hz, as the pressure that would make it, Pa."""
         return _rms(self.self_noise_db, sampling_rate)
 
     @property
@@ -147,22 +135,11 @@ class Electronics:
         return self.clock_ppm != 0.0 or self.clock_offset != 0.0
 
     def clock_error(self, times: Floats) -> Floats:
-        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken.
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            By the receiver's clock, s.
-        """
+        """Return the error (n,) of the receiver's clock at its own `times` (n,), s: the lateness of samples."""
         return 1e-6 * self.clock_ppm * times + self.clock_offset
 
     def check_rate(self, sampling_rate: float) -> None:
-        """Raise an InputError if a cut does not lie below half the sampling rate.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
+        """Raise an InputError if a cut does not lie below half the `sampling_rate`, Hz.
 
         Raises
         ------
@@ -174,13 +151,7 @@ class Electronics:
                 as_number(name, getattr(self, name), below=0.5 * sampling_rate, unit="Hz")
 
     def describe(self, unit: str) -> str:
-        """Return a description of the processing in one line.
-
-        Parameters
-        ----------
-        unit : str
-            Unit of the samples, "Pa" or "V".
-        """
+        """Return a description of the processing in one line, with the `unit` of the samples, "Pa" or "V"."""
         parts = []
         if self.ambient_noise_db is not None:
             parts.append(f"ambient noise {self.ambient_noise_db:g} dB re 20 µPa/√Hz")

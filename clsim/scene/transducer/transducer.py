@@ -304,12 +304,7 @@ class Transducer:
         return self.model.peak
 
     def impulse_response(self, sampling_rate: float) -> Floats:
-        """Return the causal impulse response (n,) at a sampling rate, Pa at 1 m per V, or V per Pa.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
+        """Return the causal impulse response (n,) at a `sampling_rate`, Hz, in Pa at 1 m per V, or V per Pa.
 
         Raises
         ------
@@ -319,26 +314,13 @@ class Transducer:
         return _taps(self, as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz"))
 
     def response(self, frequencies: ArrayLike, sampling_rate: float) -> NDArray[np.complex128]:
-        """Return the complex response at frequencies (n,) in Hz, as rendered at a sampling rate.
-
-        Parameters
-        ----------
-        frequencies : ndarray (n,)
-            Hz.
-        sampling_rate : float
-            Hz.
-        """
+        """Return the complex response (n,) at `frequencies` (n,), Hz, as rendered at a `sampling_rate`, Hz."""
         taps = self.impulse_response(sampling_rate)
         angle = -2j * np.pi * np.asarray(frequencies, dtype=np.float64) / sampling_rate
         return np.array([np.exp(a * np.arange(len(taps))) @ taps for a in np.atleast_1d(angle)])
 
     def drive(self, voltage: Signal) -> Signal:
-        """Return the sound pressure at 1 m that a voltage makes, Pa; the ring-down makes it longer.
-
-        Parameters
-        ----------
-        voltage : Signal
-            V.
+        """Return the sound pressure at 1 m that a `voltage` makes, Pa; the ring-down makes it longer.
 
         Raises
         ------
@@ -355,14 +337,7 @@ class Transducer:
         return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
 
     def check_coverage(self, band: tuple[float, float], what: str) -> None:
-        """Raise an InputError if the band (low, high) in Hz of `what` is not covered by the response.
-
-        Parameters
-        ----------
-        band : tuple of float
-            Frequencies (low, high), Hz.
-        what : str
-            Has the band; for the message.
+        """Raise an InputError if the `band` (low, high), Hz, of `what` is not covered by the response.
 
         Raises
         ------
