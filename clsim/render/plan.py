@@ -140,7 +140,7 @@ class Plan:
         return build(self) if any(part is not None for part in getattr(self.allocation, claim)) else None
 
     def where_left(self, build: Callable[[Plan], Contribution]) -> Contribution | None:
-        """Build a contribution by `build` of the plan if other methods leave a pair of source and receiver, else None."""
+        """Build a contribution by `build` of the plan if other methods leave a pair, else None."""
         return None if len(self.allocation.claimed) == len(self.tracks.pairs) else build(self)
 
     def is_claimed(self, source: int) -> bool:

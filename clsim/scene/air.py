@@ -213,7 +213,7 @@ class Air:
         return np.stack([at_heights(name, value, where, height) for name, value in given.items()])
 
     def between(self, lowest: float, highest: float) -> Air:
-        """The air of a room from `lowest` to `highest`, m: with layers if it depends on the height, else itself.
+        """Return the air from `lowest` to `highest`, m: with layers if it depends on the height, else itself.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class Air:
         return replace(self, extent=(lowest, highest))
 
     def by_height(self, quantity: Callable[[Air], ArrayLike]) -> Floats:
-        """Return Chebyshev coefficients (terms, ...) over `extent` of a `quantity` of layers, in its unit: m, s or 1."""
+        """Return Chebyshev coefficients (terms, ...) over `extent` of a `quantity` of layers, in its unit, m or s."""
         if not self.layers:
             return np.asarray(quantity(self), dtype=np.float64)[None]
         return coefficients(np.array([quantity(layer) for layer in self.layers]))
