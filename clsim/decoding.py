@@ -11,9 +11,9 @@ from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.recording import Recording, as_recording
-from clsim.scene.directivity.ambisonic import HIGHEST, NORMALIZATIONS, Ambisonic
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.head_related import EARS, HeadRelated, SphericalHead
+from clsim.scene.directivity.patterns import HIGHEST, NORMALIZATIONS, Ambisonic
 
 _STEPS = 512  # between frequencies: ears' filters have twice as many taps
 _SPREAD = 4  # directions to a component

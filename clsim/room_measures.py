@@ -35,8 +35,8 @@ from clsim.files.sound import read_sound_file
 from clsim.impulse_responses import ImpulseResponses, as_response_band
 from clsim.numerics.convolution import band_taper
 from clsim.paths.path_table import labelled_dataset
-from clsim.scene.directivity.ambisonic import Ambisonic
 from clsim.scene.directivity.head_related import EARS
+from clsim.scene.directivity.patterns import Ambisonic
 from clsim.scene.scene import Scene
 from clsim.tail.zones import DiffuseField
 

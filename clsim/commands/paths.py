@@ -8,7 +8,7 @@ import numpy as np
 
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile
 from clsim.output.result_files import check_table, write_table
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress

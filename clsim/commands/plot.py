@@ -11,7 +11,7 @@ import numpy as np
 from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError, not_one_of
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile
 from clsim.output.plots import DirectivityDiagram, air_picture, directivity_picture
 from clsim.packages import check_pictures
 from clsim.scene.air import Air

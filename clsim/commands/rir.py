@@ -7,7 +7,7 @@ from pathlib import Path
 
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile
 from clsim.impulse_responses import TAILS, as_response_band, impulse_responses
 from clsim.output.result_files import response_names, write_response_sounds, write_responses
 from clsim.scene.scene import Scene

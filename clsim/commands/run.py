@@ -17,9 +17,8 @@ from clsim.scene_file import load_scene
 from clsim.scene_file.scene import SceneFile
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
-from clsim.workflow.outputs import COMPLETED, GROUND_TRUTH, RunOutputs
 from clsim.workflow.pipeline import check_table_size, input_files, plan_scene, table_times
-from clsim.workflow.result_folder import ResultFolder
+from clsim.workflow.result_folder import COMPLETED, GROUND_TRUTH, ResultFolder, RunOutputs
 
 _OVERRIDES = {  # of the scene file's [render]
     "device": "OpenCL device, by id or part of its name (see `clsim devices`)",

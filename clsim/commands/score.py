@@ -9,12 +9,11 @@ import numpy as np
 
 from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError
-from clsim.files.atomic import atomic_path
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile, atomic_path
 from clsim.scene_file import load_scene
 from clsim.score.ranging import METHODS, RangingScore, ranging, source_index
 from clsim.workflow.load_recording import load_recording
-from clsim.workflow.outputs import COMPLETED
+from clsim.workflow.result_folder import COMPLETED
 
 _COLUMNS = ("delay", "exact", "error", "crlb", "line_of_sight")
 

@@ -7,11 +7,9 @@ from pathlib import Path
 
 from clsim.commands.arguments import add_force, as_path, as_whole
 from clsim.errors import InputError, not_one_of
-from clsim.files.atomic import atomic_path
-from clsim.files.ownership import NewFile
-from clsim.measured.bras import NAME, bras_room
+from clsim.files.atomic import NewFile, atomic_path
 from clsim.measured.page import Validated, draw, page_text, picture_names, summary
-from clsim.measured.rooms import BUILT_IN, MeasuredRoom, measured_room
+from clsim.measured.rooms import BUILT_IN, NAME, MeasuredRoom, bras_room, measured_room
 from clsim.measured.simulated import simulate
 from clsim.packages import check_pictures
 from clsim.workflow.console import progress

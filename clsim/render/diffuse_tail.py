@@ -16,7 +16,6 @@ from clsim.render.contributions import Stateless
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tail.design import NoTailError, TailOptions, find_tail, searched_order
-from clsim.tail.ears import ears_among
 from clsim.tail.noise import (
     at_one_place,
     combined,
@@ -26,7 +25,7 @@ from clsim.tail.noise import (
     row_gains,
     static_gains,
 )
-from clsim.tail.streams import NODE, Between, HostWaves, Motion, Streams
+from clsim.tail.streams import NODE, Between, HostWaves, Motion, Streams, ears_among
 from clsim.tail.zones import Crossings, Zones, fastest, is_static
 
 if TYPE_CHECKING:
@@ -37,9 +36,8 @@ if TYPE_CHECKING:
     from clsim.render.plan import Plan
     from clsim.scene.scene import Scene
     from clsim.tail.design import SourceTail
-    from clsim.tail.ears import Blocks
     from clsim.tail.noise import Responses
-    from clsim.tail.streams import Waves
+    from clsim.tail.streams import Blocks, Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
 _RECEIVERS = 16  # of them at a time

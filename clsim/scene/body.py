@@ -16,8 +16,8 @@ from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import in_face
 from clsim.scene.material.material import Material
-from clsim.scene.motion.checks import as_places
 from clsim.scene.motion.motion import Instants, even_lengths, seen_by
+from clsim.scene.motion.orientation import as_places
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.placement import Placed, first_refused
 from clsim.scene.room.mesh import MeshRoom

@@ -16,9 +16,8 @@ from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.numerics.quaternions import rotate as turned
-from clsim.scene.motion.checks import LONGEST, as_increasing, as_path, as_places
 from clsim.scene.motion.curves import spline_through
-from clsim.scene.motion.orientation import as_quaternions
+from clsim.scene.motion.orientation import LONGEST, as_increasing, as_path, as_places, as_quaternions
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.people import PARTS, SHANK, THIGH, pose_times, quaternions_along, through_poses
 from clsim.scene.scatterer import Scatterer

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike
 from clsim.arrays import Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
-from clsim.scene.motion.checks import as_increasing
 from clsim.scene.motion.curves import spline_through
-from clsim.scene.motion.orientation import quaternion_product, turning_between
+from clsim.scene.motion.orientation import as_increasing, quaternion_product, turning_between
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scatterer import Scatterer
 

@@ -21,7 +21,7 @@ from clsim.output.stores import STORES
 from clsim.recording import Recording
 from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
-from clsim.workflow.outputs import COMPLETED
+from clsim.workflow.result_folder import COMPLETED
 
 
 def load_recording(

@@ -29,9 +29,8 @@ from clsim.pictures.plots import (
 from clsim.recording import sweep_window
 from clsim.render.plan import Plan
 from clsim.workflow.console import progress
-from clsim.workflow.outputs import MOST_DRAWN, PICTURES, RunOutputs, picture
 from clsim.workflow.pipeline import PlannedScene
-from clsim.workflow.result_folder import ResultFolder
+from clsim.workflow.result_folder import MOST_DRAWN, PICTURES, ResultFolder, RunOutputs, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

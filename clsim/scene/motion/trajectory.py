@@ -13,18 +13,6 @@ from numpy.typing import ArrayLike
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
-from clsim.scene.motion.checks import (
-    LONGEST,
-    as_choices,
-    as_columns,
-    as_direction,
-    as_increasing,
-    as_path,
-    as_places,
-    as_span,
-    as_topic,
-    question_turns,
-)
 from clsim.scene.motion.curves import (
     Circular,
     Placement,
@@ -38,7 +26,22 @@ from clsim.scene.motion.curves import (
     spline_through,
 )
 from clsim.scene.motion.motion import Carried, CarriedTurning, Motion, Swung, velocity_breaks
-from clsim.scene.motion.orientation import Hinge, as_quaternions, quaternion_product, turning_between
+from clsim.scene.motion.orientation import (
+    LONGEST,
+    Hinge,
+    as_choices,
+    as_columns,
+    as_direction,
+    as_increasing,
+    as_path,
+    as_places,
+    as_quaternions,
+    as_span,
+    as_topic,
+    quaternion_product,
+    question_turns,
+    turning_between,
+)
 
 _MOST_SAMPLES = 2e7  # of a function
 

@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
-from clsim.scene.room.copies import clean_mesh
 from clsim.scene.room.edges import Edges, find_edges, numbered
 from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
-from clsim.scene.room.healing import HEAL, heal_mesh, healing_tolerance
+from clsim.scene.room.healing import HEAL, clean_mesh, heal_mesh, healing_tolerance
 from clsim.scene.room.mesh_cleaning import (
     MeshShape,
     cross_products,

@@ -12,11 +12,11 @@ import clsim
 import clsim.commands
 from clsim import cli
 from clsim.cli import main
+from clsim.commands import devices
 from clsim.opencl import launch as compiler_module
 from clsim.opencl.device import find_device
 from clsim.opencl.kernels import kernel_source
 from clsim.opencl.launch import compiler_of
-from clsim.workflow import device_test
 from clsim.workflow.console import built_programs
 
 pytestmark = pytest.mark.usefixtures("device")
@@ -25,10 +25,10 @@ pytestmark = pytest.mark.usefixtures("device")
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer paths and scenes: all of it is under a minute, but not much."""
-    plans = device_test._plans
+    plans = devices._plans
     some = ("pulses", "paths that come and go")
-    monkeypatch.setattr(device_test, "_plans", lambda device: {k: v for k, v in plans(device).items() if k in some})
-    monkeypatch.setattr(device_test, "_ORDER", 2)
+    monkeypatch.setattr(devices, "_plans", lambda device: {k: v for k, v in plans(device).items() if k in some})
+    monkeypatch.setattr(devices, "_ORDER", 2)
 
 
 def test_a_device_passes_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,8 +10,7 @@ from scene_texts import receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 import clsim
 from clsim.cli import main
-from clsim.measured.bras import bras_room
-from clsim.measured.rooms import data_folder, measured_room
+from clsim.measured.rooms import bras_room, data_folder, measured_room
 from clsim.measured.simulated import mean_difference
 
 SCENE = scene_text(

@@ -7,7 +7,7 @@ import pytest
 from made_meshes import box, cut_box, l_room, screen
 
 import clsim
-from clsim.scene.room.copies import clean_mesh
+from clsim.scene.room.healing import clean_mesh
 
 WALL, SOFT = clsim.Material.from_reflection(0.9), clsim.Material.from_reflection(0.1)
 TONE = clsim.Signal.tone(40e3, 0.1, 192e3)
