@@ -13,7 +13,7 @@ import pytest
 import soundfile
 from exhaustive import few
 from late import installed
-from test_toy_tail import Tail
+from test_tails import Tail
 
 import clsim
 from clsim.cli import main
