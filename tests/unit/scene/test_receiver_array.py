@@ -8,7 +8,7 @@ import pytest
 import clsim
 from clsim.cli import main
 from clsim.scene_file import load_scene
-from clsim.workflow import outputs, pictures
+from clsim.workflow import pictures, result_folder
 
 SCENE = """
 format = 1
@@ -214,8 +214,8 @@ def test_arrays_of_nothing_are_refused(name: str, positions, message: str) -> No
 def test_a_run_tells_the_truth_about_all_and_draws_some(
     scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert outputs.MOST_DRAWN == 16
-    for module in (outputs, pictures):
+    assert result_folder.MOST_DRAWN == 16
+    for module in (result_folder, pictures):
         monkeypatch.setattr(module, "MOST_DRAWN", 2)  # each takes half a second
     out = tmp_path / "out"
     assert main(["run", str(scene), "-o", str(out)]) == 0
