@@ -5,14 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from failing import stopped_and_resumed
 from scene_texts import chirp_of, receiver_at, scene_text, source_at
 
 import clsim
 from clsim.cli import main
 from clsim.paths.path_set import PathSet
-from clsim.study.content import computed
-from clsim.study.file import load_study
 
 RATE = 96e3
 HEAD = scene_text(
@@ -97,27 +94,6 @@ def test_a_tail_is_that_of_the_room_without_bodies(file: Any) -> None:
     np.testing.assert_allclose(tails[0], tails[1], atol=1e-6 * np.abs(tails[0]).max())
     plan = clsim.plan_render(clsim.find_paths(scene, 0), RATE, **options)
     assert any("tails are those of the room without its bodies ('crate')" in line for line in plan.describe())
-
-
-@pytest.mark.exhaustive
-def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None) -> None:
-    """Bit for bit."""
-    (tmp_path / "scene.toml").write_text(HEAD + THINGS, "utf-8")
-    stopped_and_resumed(monkeypatch, tmp_path / "scene.toml", tmp_path)
-
-
-@pytest.mark.exhaustive
-def test_studies_vary_them(tmp_path: Path) -> None:
-    pytest.importorskip("zarr")
-    (tmp_path / "scene.toml").write_text(HEAD + THINGS, "utf-8")
-    vary = '[[vary]]\nfield = "paths.scattering_order"\nvalues = [0, 1]\n'
-    study = 'format = 1\nscene = "scene.toml"\nkeep = ["paths"]\n' + vary
-    (tmp_path / "study.toml").write_text(study, "utf-8")
-    read = load_study(tmp_path / "study.toml")
-    content = [computed(read, member, None, tmp_path / str(i)).content for i, member in enumerate(read.members)]
-    kinds = [np.asarray(each.path_interactions) for each in content]
-    both = [np.sum(np.any(kind == 2, axis=1) & np.any(kind == 3, axis=1)) for kind in kinds]
-    assert both[0] == 0 < both[1]
 
 
 def thing(kind: str, name: str, way: str, more: str = "") -> str:

@@ -12,8 +12,6 @@ from clsim.cli import main
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.paths.view import viewed
-from clsim.scene_file.scene import build_scene, completed_scene
-from clsim.study.file import load_study
 
 SCENE = scene_text(
     source_at("beacon", tone_of(40e3, 0.06, fade=0.005), (6.0, 2.0, 1.2)),
@@ -113,11 +111,6 @@ def test_bounds_of_gains_hold(paths: PathSet) -> None:
         assert np.all(level <= pair.family.gain_bound(pair.rows, at)[:, None])
 
 
-def test_completed_scenes_tell_it(scene: Path, tmp_path: Path) -> None:
-    text = completed_scene(clsim.load_scene(scene), tmp_path, duration=0.09, chunk=18432)
-    assert "diffraction = 1" in text
-
-
 def test_pruned_baseband_and_impulse_responses_know_them(paths: PathSet, device: None) -> None:
     """The shelf sees nothing of the beacon: each way of rendering hears it round the edge, and all agree."""
     wanted = clsim.render(paths, 192e3, duration=0.08).pressure[1].astype(np.float64)
@@ -160,19 +153,3 @@ def test_responses_are_written_by_the_command(scene: Path, tmp_path: Path) -> No
     assert main(["rir", str(scene), "-o", str(file), "--at", "0.05", "--band", "30000", "50000"]) == 0
     with np.load(file) as found:
         assert np.abs(found["samples"][0, 1]).max() > 1e-4, "all of it is from round the edge"
-
-
-def test_studies_vary_what_goes_round_edges(scene: Path, tmp_path: Path) -> None:
-    study = tmp_path / "study.toml"
-    study.write_text(
-        f'format = 1\nscene = "{scene}"\n'
-        '[[vary]]\nfield = "paths.diffraction"\nname = "edges"\nvalues = [0, 1]\n'
-        '[[vary]]\nfield = "paths.diffraction_model"\nname = "model"\nvalues = ["utd", "btm"]\n', "utf-8"
-    )  # fmt: skip
-    loaded, heard = load_study(study), []
-    for member in loaded.members:
-        file = build_scene(loaded.content_of(member), tmp_path)
-        paths = clsim.find_paths(file.scene, **file.paths)
-        heard.append((member.parameters["edges"], paths.digest(), len(paths.families)))
-    assert len({digest for edges, digest, _ in heard if edges}) == 2
-    assert len({digest for edges, digest, _ in heard if not edges}) == 1

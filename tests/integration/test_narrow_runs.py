@@ -8,7 +8,6 @@ import soundfile
 from failing import stopped_and_resumed
 from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
-import clsim
 from clsim.cli import main
 
 SCENE = scene_text(
@@ -40,15 +39,3 @@ def test_check_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
     assert main(["check", str(tmp_path / "scene.toml")]) == 0
     assert "source 0, narrow part: rendered as complex envelope of " in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(("kind", "name"), [("zarr", "recording.zarr"), ("hdf5", "recording.h5")])
-def test_stores_hold_the_same(kind: str, name: str, tmp_path: Path) -> None:
-    pytest.importorskip("xarray")
-    pytest.importorskip({"zarr": "zarr", "hdf5": "h5netcdf"}[kind])
-    (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
-    for out, store in (("wav", "wav"), (kind, kind)):
-        assert run(tmp_path, out, "--store", store) == 0
-    wanted = soundfile.read(tmp_path / "wav" / "ear.wav", dtype="float32")[0]
-    with clsim.open_store(tmp_path / kind / name) as stored:
-        np.testing.assert_array_equal(np.asarray(stored["sound"][0]), wanted)
