@@ -61,10 +61,7 @@ def vapour_fraction_giacomo(temperature_celsius: float, relative_humidity: float
 
 @lru_cache(maxsize=64)
 def speed_of_sound_cramer(
-    temperature_celsius: float,
-    relative_humidity: float,
-    pressure: float,
-    co2_fraction: float = CO2_FRACTION,
+    temperature_celsius: float, relative_humidity: float, pressure: float, co2_fraction: float = CO2_FRACTION
 ) -> float:
     """Return the speed of sound at zero frequency in moist air, m/s.
 

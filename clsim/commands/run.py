@@ -90,11 +90,7 @@ def _workers(options: argparse.Namespace) -> Workers | None:
 
 
 def _fill(
-    results: ResultFolder,
-    outputs: RunOutputs,
-    file: SceneFile,
-    options: argparse.Namespace,
-    workers: Workers | None,
+    results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: argparse.Namespace, workers: Workers | None
 ) -> list[Path]:
     """Create missing results in a folder; return their paths. Sound comes first: a later failure does not lose it."""
     planned = plan_scene(file, progress)

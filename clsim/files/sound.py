@@ -236,11 +236,7 @@ class WavWriter:
     """Writes a WAV file of 32-bit floats; it gets its name when the block ends well, and is deleted otherwise."""
 
     def __init__(
-        self,
-        path: str | PathLike[str],
-        sampling_rate: float,
-        channels: int = 1,
-        samples: int | None = None,
+        self, path: str | PathLike[str], sampling_rate: float, channels: int = 1, samples: int | None = None
     ) -> None:
         import soundfile
 

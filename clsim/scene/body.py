@@ -87,11 +87,7 @@ class Body:
 
     @staticmethod
     def box(
-        name: str,
-        size: ArrayLike,
-        material: Material,
-        trajectory: Trajectory,
-        centre: ArrayLike = (0.0, 0.0, 0.0),
+        name: str, size: ArrayLike, material: Material, trajectory: Trajectory, centre: ArrayLike = (0.0, 0.0, 0.0)
     ) -> Body:
         """Return a box, or a sheet.
 

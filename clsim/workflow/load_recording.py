@@ -25,11 +25,7 @@ from clsim.workflow.result_folder import COMPLETED
 
 
 def load_recording(
-    folder: str | os.PathLike[str],
-    receivers: Sequence[str] | None = None,
-    *,
-    paths: bool = False,
-    verify: bool = False,
+    folder: str | os.PathLike[str], receivers: Sequence[str] | None = None, *, paths: bool = False, verify: bool = False
 ) -> Recording:
     """Return the recording in a folder that ``clsim run`` wrote, whatever the store.
 

@@ -36,10 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PURE, _MOST_CURVES = (
-    0.02,
-    6,
-)  # band of a tone as a share of its frequency; curves of theory that remain distinguishable
+_PURE = 0.02  # band of a tone as a share of its frequency
+_MOST_CURVES = 6  # of theory that remain distinguishable
 _MOST_INSTANTS = 3000  # of lines in a picture, more than it has columns
 
 

@@ -123,7 +123,7 @@ def test_what_cannot_run_is_one_line(
             "sampling_rate = 192e3\n",
             'sampling_rate = 192e3\ndevice = "no such thing"\n',
             "the device must be the id or part of the name of one of",
-        ),
+        )
     ],
 )
 def test_a_worker_without_a_device_is_one_line(folder_of_study: Path, capfd, old: str, new: str, message: str) -> None:

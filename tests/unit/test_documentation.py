@@ -313,10 +313,7 @@ def test_figures_of_validation_are_written_by_their_tests() -> None:
 def test_a_figure_typed_by_hand_is_found() -> None:
     figures = loaded("../docs/site/figures")
     rows = {
-        (
-            "unit/test_errors.py",
-            "a claim",
-        ): "| `unit/test_errors.py` | a claim | an oracle | -85 dB | -101 to -98 dB |"
+        ("unit/test_errors.py", "a claim"): "| `unit/test_errors.py` | a claim | an oracle | -85 dB | -101 to -98 dB |"
     }
     page = figures.update(f"# A page\n\n<!-- written by make measured:  -->\n{figures.END}\n", rows, ROOT / "tests")
     assert figures.written(page)[0] == rows

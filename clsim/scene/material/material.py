@@ -415,13 +415,7 @@ class Material(ReflectingSurface):
 
     @classmethod
     def from_solid(
-        cls,
-        density: float,
-        sound_speed: float,
-        boundary_layer: bool = True,
-        name: str = "",
-        *,
-        scattering: Any = None,
+        cls, density: float, sound_speed: float, boundary_layer: bool = True, name: str = "", *, scattering: Any = None
     ) -> Material:
         """Return a thick, hard, smooth, airtight solid.
 

@@ -30,8 +30,7 @@ def checked_frequencies(value: ArrayLike) -> Floats:
         raise InputError(f"frequencies[{i}]", f"must be above 0 Hz, but is {f[i]:g} Hz")
     for i in np.flatnonzero(np.diff(f) <= ROUNDING * f[:-1])[:1] + 1:
         raise InputError(
-            "frequencies",
-            f"must increase strictly, but [{i}] = {f[i]:g} Hz follows [{i - 1}] = {f[i - 1]:g} Hz",
+            "frequencies", f"must increase strictly, but [{i}] = {f[i]:g} Hz follows [{i - 1}] = {f[i - 1]:g} Hz"
         )
     return f
 

@@ -60,8 +60,7 @@ def as_increasing(times: Any) -> Floats:
     if len(close):
         i = int(close[0])
         raise InputError(
-            "times",
-            f"must increase strictly, but [{i + 1}] = {t[i + 1]:.12g} s follows [{i}] = {t[i]:.12g} s",
+            "times", f"must increase strictly, but [{i + 1}] = {t[i + 1]:.12g} s follows [{i}] = {t[i]:.12g} s"
         )
     return t
 

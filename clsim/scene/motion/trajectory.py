@@ -180,11 +180,7 @@ class Trajectory(Motion):
 
     @staticmethod
     def swing(
-        axis_point: ArrayLike,
-        axis: ArrayLike,
-        angles: ArrayLike,
-        times: ArrayLike,
-        origin: ArrayLike | None = None,
+        axis_point: ArrayLike, axis: ArrayLike, angles: ArrayLike, times: ArrayLike, origin: ArrayLike | None = None
     ) -> Trajectory:
         """Return a swing about an axis, such as that of a door: position and orientation turn together.
 

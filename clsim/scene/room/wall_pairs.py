@@ -125,10 +125,7 @@ def _span(point: Floats, along: Floats, lines: Floats) -> tuple[float, float]:
         return 0.0, 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         at = -value / slope
-    return (
-        float(np.max(at[slope > 1e-12], initial=-np.inf)),
-        float(np.min(at[slope < -1e-12], initial=np.inf)),
-    )
+    return (float(np.max(at[slope > 1e-12], initial=-np.inf)), float(np.min(at[slope < -1e-12], initial=np.inf)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -355,10 +355,7 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
         code = as_count("code", code, at_least=0, at_most=length - 1)
         return np.asarray(np.roll(1.0 - 2.0 * max_len_seq(bits)[0], code))
     if bits not in _PREFERRED:
-        raise InputError(
-            "bits",
-            f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits}",
-        )
+        raise InputError("bits", f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits}")
     code = as_count("code", code, at_least=0, at_most=length + 1)
     first, second = (1.0 - 2.0 * max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
     if code < 2:

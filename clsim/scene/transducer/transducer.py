@@ -254,8 +254,7 @@ def _causal(taps: Floats, field: str, advice: str, before: int | None = None) ->
     share = float(energy[len(taps) - size :].sum() / energy.sum())
     if share > _BEFORE:
         raise InputError(
-            field,
-            f"must respond after 0 s, but {10 * math.log10(share):.0f} dB of the energy come before; {advice}",
+            field, f"must respond after 0 s, but {10 * math.log10(share):.0f} dB of the energy come before; {advice}"
         )
     return _cut(taps[: len(taps) - size])
 
@@ -451,13 +450,7 @@ class Transducer:
 
     @classmethod
     def from_wav(
-        cls,
-        path: str | PathLike[str],
-        channel: int = 0,
-        scale: float = 1.0,
-        name: str = "",
-        *,
-        truncated: bool = False,
+        cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0, name: str = "", *, truncated: bool = False
     ) -> Transducer:
         """Return the transducer whose impulse response is one channel of a sound file; full scale becomes `scale`.
 

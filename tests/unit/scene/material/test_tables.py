@@ -100,10 +100,7 @@ def test_miki_in_its_other_form(ratio):
     """The form with 1000 f / σ, as it is printed too, with its own rounded coefficients."""
     X = 1000.0 * ratio
     impedance, index = porous_medium(ratio * 20e3, 20e3)
-    for got, expected in (
-        (impedance - 1, (5.50 - 8.43j) * X**-0.632),
-        (index - 1, (7.81 - 11.41j) * X**-0.618),
-    ):
+    for got, expected in ((impedance - 1, (5.50 - 8.43j) * X**-0.632), (index - 1, (7.81 - 11.41j) * X**-0.618)):
         assert got.real == pytest.approx(expected.real, rel=4e-3)
         assert got.imag == pytest.approx(expected.imag, rel=4e-3)
 
@@ -275,8 +272,7 @@ def echoes(f):
 
 
 @pytest.mark.parametrize(
-    ("factor", "error"),
-    [(Material.from_porous(60e3, 0.01).reflection_at, 0.003), (echoes, 0.031)],
+    ("factor", "error"), [(Material.from_porous(60e3, 0.01).reflection_at, 0.003), (echoes, 0.031)]
 )
 def test_smooth_responses_are_joined_well(factor, error, measured):
     """From 20 to 60 kHz, 2 kHz apart: better than straight lines, and than magnitude and phase apart."""

@@ -277,9 +277,7 @@ def test_smoothing_by_default_states_its_residual(tmp_path, rows):
     left = np.std(trajectory.position(t) - x)
     assert left < 0.8 * np.std(rough.position(t) - x)
     np.testing.assert_allclose(  # the residual is what was moved
-        np.sqrt(np.mean((trajectory.position(t) - rough.position(t)) ** 2, axis=0)),
-        trajectory.residual,
-        rtol=1e-9,
+        np.sqrt(np.mean((trajectory.position(t) - rough.position(t)) ** 2, axis=0)), trajectory.residual, rtol=1e-9
     )
 
 

@@ -10,10 +10,7 @@ import clsim
 from clsim.room_measures import _diffuse
 
 REPORT_WALL = clsim.Material.from_reflection(0.9)
-SOUND = [
-    "room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m",
-    "room: watertight",
-]
+SOUND = ["room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m", "room: watertight"]
 
 
 def told(mesh) -> list[str]:
