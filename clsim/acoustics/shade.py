@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.silhouette import Outline, faded, outline_field
-from clsim.arrays import Complexes, Floats
+from clsim.acoustics.silhouette import faded, outline_field
+
+if TYPE_CHECKING:
+    from clsim.acoustics.silhouette import Outline
+    from clsim.arrays import Complexes, Floats
 
 # Radii of the first Fresnel zone by which a line of sight passes a body: up to here its shade counts, beyond twice not.
 WITHIN = 1.0

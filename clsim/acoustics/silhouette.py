@@ -8,15 +8,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.acoustics.fock import fock_hard, lit_reflection
-from clsim.acoustics.scattering import SpecularPoint
-from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.acoustics.scattering import SpecularPoint
+    from clsim.arrays import Complexes, Floats
 
 ASPECTS = 11  # numbers that a field takes
 # The share of the outline in a path falls from 1 to 0 where it is reflected at these Fock parameters, or at these
@@ -63,18 +66,23 @@ class Outline(Protocol):
     @property
     def largest(self) -> float:
         """Largest distance of the surface from the centre, m."""
+        ...
 
     def requested(self, wave: float) -> RequestedPoints:
         """Points that a largest wave number needs, 1/m."""
+        ...
 
     def table(self, count: int) -> Floats:
         """Points (6, count) along any line of sight: cosine, sine, sign, whether on a side, place there, share."""
+        ...
 
     def points(self, source: Floats, receiver: Floats, count: int) -> OutlinePoints:
         """Points of the outline as seen along the lines between endpoints (n, 3), `count` for each line."""
+        ...
 
     def clearance(self, source: Floats, receiver: Floats) -> Floats:
         """Distances (n,) by which lines of sight (n, 3) pass it, about, m; negative where they meet it."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
