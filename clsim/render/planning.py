@@ -80,6 +80,11 @@ def plan_render(paths: PathSet, options: RenderOptions) -> Plan:
     options : RenderOptions
         Each is a keyword, but for the first, the sampling rate, which may also stand behind the paths.
 
+    Returns
+    -------
+    Plan
+        For `render_chunks`, or to be looked at: samples, filters, errors, memory.
+
     Warns
     -----
     ClsimWarning
