@@ -162,11 +162,6 @@ class Recording:
             (receiver) where there are any, ``time``, s, by the receivers' clocks, and, where the scene is known,
             ``position`` (receiver, axis) at 0 s, m; attributes
             ``sampling_rate`` and, in baseband, ``carrier``, Hz.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
         """
         check_packages("to_xarray", "a Dataset", "tables", "xarray")
         positions = None

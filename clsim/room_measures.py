@@ -99,13 +99,7 @@ class RoomMeasures:
     __repr__ = short_repr
 
     def to_xarray(self) -> Any:
-        """Return it with dimensions ``source``, ``receiver`` and ``frequency``, coordinates and units.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
-        """
+        """Return it with dimensions ``source``, ``receiver`` and ``frequency``, coordinates and units."""
         over = ("source", "receiver", "frequency")
         variables: dict[str, Any] = {name: (over, getattr(self, name)) for name in _OF_PAIRS}
         variables |= {name: (("frequency",), getattr(self, name)) for name in ("sabine", "eyring")}

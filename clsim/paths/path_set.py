@@ -352,11 +352,6 @@ class PathSet:
             Strongest paths that are drawn, 1 to 100 000.
         height : int
             Pixels, 100 to 10 000.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds, or IPython is missing.
         """
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         limit = as_count("limit", limit, at_least=1, at_most=100_000)

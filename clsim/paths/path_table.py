@@ -94,11 +94,6 @@ class PathTable:
         pandas.DataFrame
             Columns as in a Parquet file of it, texts as categories, a complex gain as it is; ``attrs["units"]`` tells
             the units.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
         """
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         return labelled_frame(long_columns(self, range(len(self.source)), categories))
@@ -110,11 +105,6 @@ class PathTable:
         -------
         xarray.Dataset
             Variables over paths and times, NaN while a path is not active; properties of paths are coordinates.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
         """
         said = {
             "source": [self.source_names[i] for i in self.source],

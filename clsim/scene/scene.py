@@ -242,11 +242,6 @@ class Scene:
             Instants to choose from, until the first trajectory ends, 1 to 10 000.
         height : int
             Pixels, 100 to 10 000.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds, or IPython is missing.
         """
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         height = as_count("height", height, at_least=100, at_most=10_000)

@@ -50,13 +50,7 @@ class GdopMap:
     __repr__ = short_repr
 
     def to_dataframe(self) -> Any:
-        """Return a pandas DataFrame with a row for each place: ``x``, ``y``, ``z``, in m, and ``gdop``.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
-        """
+        """Return a pandas DataFrame with a row for each place: ``x``, ``y``, ``z``, in m, and ``gdop``."""
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas
 
@@ -212,11 +206,6 @@ class PositionScore:
         pandas.DataFrame
             Columns ``name``, ``time``, ``x``, ``y``, ``z``, ``x_exact``, ``y_exact``, ``z_exact``, ``error`` and
             ``gdop``, in s and m.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
         """
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas

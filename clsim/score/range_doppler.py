@@ -46,13 +46,7 @@ class RangeDopplerMap:
     __repr__ = short_repr
 
     def to_xarray(self) -> Any:
-        """Return it with named dimensions ``speed`` and ``range``.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
-        """
+        """Return it with named dimensions ``speed`` and ``range``."""
         check_packages("to_xarray", "a DataArray", "tables", "xarray")
         import xarray
 
@@ -63,13 +57,7 @@ class RangeDopplerMap:
         return xarray.DataArray(self.amplitude, coordinates, ("speed", "range"), name="amplitude")
 
     def to_dataframe(self) -> Any:
-        """Return a pandas DataFrame with a row for each ``speed``, m/s, and ``range``, m: complex ``amplitude``.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
-        """
+        """Return a pandas DataFrame with a row for each ``speed``, m/s, and ``range``, m: complex ``amplitude``."""
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas
 

@@ -116,11 +116,6 @@ class RangingScore:
         pandas.DataFrame
             Columns ``receiver``, ``emission``, ``emission_time``, ``delay``, ``exact``, ``error``, ``crlb`` and
             ``line_of_sight``, in s and m.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
         """
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas

@@ -95,13 +95,7 @@ class Sensitivities:
         return crb(self.fisher(noise), self.parameters)
 
     def to_xarray(self) -> Any:
-        """Return the Jacobian as an xarray DataArray (parameter, receiver, time), with units as a coordinate.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
-        """
+        """Return the Jacobian as an xarray DataArray (parameter, receiver, time), with units as a coordinate."""
         check_packages("to_xarray", "a DataArray", "tables", "xarray")
         import xarray
 

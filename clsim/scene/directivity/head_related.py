@@ -227,32 +227,12 @@ class SphericalHead(ChannelDirectivity):
         return 0.5 * math.pi * self.radius / _SLOWEST
 
     def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
-        """Return approximate arrival times (..., 2) at both ears, s: straight, or along the surface (Woodworth).
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the head's own frame.
-        speed_of_sound : float
-            m/s.
-        """
+        """Return approximate arrival times (..., 2) at both ears, s (Woodworth); see `ChannelDirectivity.lateness`."""
         late = np.polynomial.polynomial.polyval(self._cosines(direction), _WOODWORTH)
         return np.asarray(self.radius / speed_of_sound * late)
 
     def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
-        """Return the gains (C, ..., F) of some ears without the phase of their lateness.
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the head's own frame.
-        frequencies : ndarray (F,)
-            Hz.
-        speed_of_sound : float
-            m/s.
-        channels : range
-            Indices of C ears.
-        """
+        """Return the gains of some ears without the phase of their lateness; see `ChannelDirectivity.aligned`."""
         terms = _aligned_terms(self.radius, np.asarray(frequencies).tobytes(), speed_of_sound)
         cosine = np.moveaxis(self._cosines(direction), -1, 0)[channels.start : channels.stop]
         powers = np.polynomial.chebyshev.chebvander(cosine, len(terms) - 1)

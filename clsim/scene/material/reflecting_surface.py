@@ -167,21 +167,7 @@ class SurfaceModel(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReflectingSurface:
-    """How much sound a wall sends back, by frequency and angle of incidence; never more than it receives.
-
-    Parameters
-    ----------
-    model : SurfaceModel
-        Model of the reflection factor.
-    name : str
-        Name in messages and tables.
-    roughness : float
-        Root mean square of the wall's heights, m: see `rough`.
-    scattering : float or (frequencies, values), optional
-        Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-    transmission : TransmissionModel, optional
-        Model of the transmission factor of the pressure: see `transmitting`. Nothing passes when left out.
-    """
+    """How much sound a wall sends back, by frequency and angle of incidence; its fields are those of `Material`."""
 
     model: SurfaceModel
     name: str = ""
@@ -346,19 +332,7 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(factor, np.broadcast_shapes(f.shape, cos.shape)))
 
     def energy_at(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
-        """Return the share (...) of energy that is reflected, specularly and scattered together.
-
-        Parameters
-        ----------
-        frequency, cosine : array_like (...)
-            As of `reflection_at`, Hz and without a unit.
-        speed_of_sound : float
-            In the air, m/s.
-
-        Warns
-        -----
-        ClsimWarning
-            As of `reflection_at`.
+        """Return the reflected share (...) of energy, by `frequency`, `cosine`, `speed_of_sound` as of `reflection_at`.
 
         Examples
         --------
@@ -371,14 +345,7 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(np.minimum(energy, 1.0), np.broadcast_shapes(f.shape, cos.shape)))
 
     def scattered_share(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
-        """Return the share (...) of reflected energy that leaves the mirror's direction, by coefficient and roughness.
-
-        Parameters
-        ----------
-        frequency, cosine : array_like (...)
-            As of `reflection_at`, Hz and without a unit.
-        speed_of_sound : float
-            In the air, m/s.
+        """Return the scattered share (...) of energy, by `frequency`, `cosine`, `speed_of_sound` as of `reflection_at`.
 
         Notes
         -----
