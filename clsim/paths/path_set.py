@@ -178,11 +178,6 @@ class PathSet:
             As in `render`.
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
-
-        Raises
-        ------
-        InputError
-            If a time is not finite, or motion or amplitude are no known words.
         """
         times = as_floats("times", times, (None,))
         kinematics = Kinematics(motion, amplitude)

@@ -115,11 +115,6 @@ class TruncatedLagrange(Interpolator):
         Order of the prototype, up to 40.
     length : int
         Taps that are kept; ``order + 1 - length`` must be even.
-
-    Raises
-    ------
-    InputError
-        If order or length are out of bounds, or do not fit each other.
     """
 
     order: int

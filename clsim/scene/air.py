@@ -270,11 +270,6 @@ class Air:
         frequency : array_like
             Frequencies of any shape, at least 0, Hz.
 
-        Raises
-        ------
-        InputError
-            If a frequency is negative or not finite.
-
         Warns
         -----
         ClsimWarning

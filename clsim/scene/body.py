@@ -56,11 +56,6 @@ class Body:
         Radius of the bounding sphere about the origin of its coordinates, m.
     lever : float
         Bound of the distance of its points from the axes about which it turns, m.
-
-    Raises
-    ------
-    InputError
-        If the name is empty, the mesh is none, or the trajectory is none or begins after 0 s.
     """
 
     name: str
@@ -99,11 +94,6 @@ class Body:
             Material of all faces.
         centre : array_like (3,)
             Centre of the box in its own coordinates, m.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
 
         Examples
         --------

@@ -256,11 +256,6 @@ class Receiver:
         Name of the body that carries it; as of a `Source`.
     element : Element, optional
         Place in an array; `receiver_array` sets it.
-
-    Raises
-    ------
-    InputError
-        If a value is of another kind or out of bounds.
     """
 
     name: str
@@ -311,11 +306,6 @@ class Receiver:
             Whether the components keep the room's axes although the microphone turns.
         **options : Any
             Others of `Receiver`, without `directivity`.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
         """
         as_count("order", order, at_least=1, at_most=HIGHEST)
         if as_flag("fixed", fixed):

@@ -352,11 +352,6 @@ def hand(
     shadow : bool
         Whether every part casts a shadow, see `Scatterer.ellipsoid` and `Scatterer.capsule`.
 
-    Raises
-    ------
-    InputError
-        If a value is of another kind or out of bounds, or times do not increase.
-
     Examples
     --------
     >>> wave = hand("hand", Trajectory.fixed((2.0, 1.0, 1.0)), opening=[(0.0, 1.0), (0.4, 0.0), (0.8, 1.0)])

@@ -127,11 +127,6 @@ def grid_positions(x: Any, y: Any, z: Any) -> Floats:
     x, y, z : float or (first, last, count)
         One coordinate, m, or evenly spaced ones from the first to the last.
 
-    Raises
-    ------
-    InputError
-        If a value is no number, a count is below 1, or one of 1 has two ends.
-
     Examples
     --------
     >>> grid_positions((1.0, 2.0, 2), 3.0, 2.5).tolist()

@@ -288,11 +288,6 @@ class Scatterer:
         Position of its centre, and its orientation.
     fluctuation : TargetFluctuation, optional
         Change of its strength with time.
-
-    Raises
-    ------
-    InputError
-        If the name is empty, the trajectory is none or begins after 0 s, or the fluctuation is none.
     """
 
     name: str
@@ -384,11 +379,6 @@ class Scatterer:
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
 
         Examples
         --------

@@ -105,11 +105,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
     name : str
         Name in messages.
 
-    Raises
-    ------
-    InputError
-        If a value breaks one of these rules.
-
     Notes
     -----
     Complex and signed values: the delay that all phases share, linear in the cosine, is found (`fit_delay`) and taken

@@ -52,11 +52,6 @@ class HeadRelated(ChannelDirectivity):
     name : str
         Name in messages.
 
-    Raises
-    ------
-    InputError
-        If a value breaks one of these rules.
-
     Notes
     -----
     A response's time of arrival is where it is most like its minimum-phase version (J. Nam, J. S. Abel and J. O. Smith,

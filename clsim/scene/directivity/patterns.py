@@ -137,11 +137,6 @@ class Piston(AxisymmetricDirectivity):
     radius : float
         Radius of the piston, m; at most 1.
 
-    Raises
-    ------
-    InputError
-        If the radius is not from 1 µm to 1 m.
-
     Examples
     --------
     >>> gain = Piston(0.0047).gain(np.cos(np.radians([0.0, 40.0])), 40e3, 344.0)

@@ -58,11 +58,6 @@ class SphericalDirectivity(Directivity):
     name : str
         Name in messages.
 
-    Raises
-    ------
-    InputError
-        If a value breaks one of these rules.
-
     Notes
     -----
     The delay that all phases share, linear in the direction, is found (`fit_delay`) and taken out; real and imaginary

@@ -199,11 +199,6 @@ class Material(ReflectingSurface):
             Shares of energy absorbed, 0 to 1. Monotone cubics over the logarithm of frequency join them; outside, the
             ends are held with a warning.
 
-        Raises
-        ------
-        InputError
-            If a value is out of bounds or the lengths differ.
-
         Examples
         --------
         >>> Material.from_absorption([1e3, 4e3], [0.0, 0.72]).reflection_at([1e3, 2e3]).round(6).tolist()
@@ -235,11 +230,6 @@ class Material(ReflectingSurface):
             Real, -1 to 1, or complex with magnitudes of 1 at most.
         outside : {None, "hold"}
             Rule for frequencies outside the table: refused (None), or the factor at the nearest end.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds or the lengths differ.
 
         Warns
         -----
@@ -287,11 +277,6 @@ class Material(ReflectingSurface):
             Monotone cubics over the logarithm of frequency join real and imaginary parts.
         outside : {None, "hold"}
             Rule for frequencies outside the table: refused (None), or the impedance at the nearest end.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds or the lengths differ.
 
         Notes
         -----
@@ -428,11 +413,6 @@ class Material(ReflectingSurface):
         boundary_layer : bool
             Whether viscosity and heat conduction at the wall take their part. At 40 kHz this is 0.4 % of the pressure
             at normal incidence, and more at grazing incidence. Otherwise one real factor for all angles.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds.
 
         Notes
         -----

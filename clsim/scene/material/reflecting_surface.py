@@ -395,11 +395,6 @@ class ReflectingSurface:
     def check_coverage(self, frequency: ArrayLike) -> None:
         """Check that the material covers each `frequency` (...), Hz.
 
-        Raises
-        ------
-        InputError
-            If it does not.
-
         Warns
         -----
         ClsimWarning

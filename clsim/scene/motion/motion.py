@@ -224,11 +224,6 @@ class Motion:
         rate : float
             Instants per second, at least; above 0, Hz.
 
-        Raises
-        ------
-        InputError
-            If the range is not finite or ends before it starts, or the rate is not above 0.
-
         Examples
         --------
         >>> from clsim import Trajectory

@@ -85,11 +85,6 @@ class Trajectory(Motion):
         orientation : array_like (4,), optional
             Unit quaternion x y z w.
 
-        Raises
-        ------
-        InputError
-            If a value is not finite or the quaternion's norm is not 1.
-
         Examples
         --------
         >>> Trajectory.fixed((1.0, 1.0, 2.9)).position(7.0)
@@ -148,11 +143,6 @@ class Trajectory(Motion):
             or +y where the axis lies along x. With the axis +z, phase 0 begins
             at ``center + (radius, 0, 0)``.
 
-        Raises
-        ------
-        InputError
-            If a value is not finite or out of range, or the axis is zero.
-
         Warns
         -----
         ClsimWarning
@@ -197,11 +187,6 @@ class Trajectory(Motion):
         origin : array_like (3,), optional
             Position of the swinging thing at angle 0, m; the axis point where left out. For a body it is the origin of
             its mesh. With 0, 0, 0 a mesh has coordinates of the room, as it is at angle 0.
-
-        Raises
-        ------
-        InputError
-            If the axis has no length, lengths differ, a value is not finite or times do not increase.
 
         Warns
         -----
@@ -248,11 +233,6 @@ class Trajectory(Motion):
             Whether to join the points by a C2 cubic spline. It is not-a-knot at its ends, so two points give a line and
             three a parabola. Otherwise straight legs join them, and the velocity jumps at each point.
 
-        Raises
-        ------
-        InputError
-            If shapes differ, a value is not finite, times do not increase or a quaternion's norm is not 1.
-
         Examples
         --------
         >>> legs = Trajectory.waypoints([0, 1, 2], [(0, 0, 0), (1, 0, 0), (1, 2, 0)], smooth=False)
@@ -286,11 +266,6 @@ class Trajectory(Motion):
             s, above 0.
         rate : float
             Samples per second, at least (raised so that the last sample falls on `duration`).
-
-        Raises
-        ------
-        InputError
-            If the function's result has another shape or is not finite.
 
         Examples
         --------

@@ -294,11 +294,6 @@ class MeshRoom:
     def joined(parts: Sequence[_Part]) -> MeshRoom:
         """Return one room made of several `parts`: a room, furniture, screens.
 
-        Raises
-        ------
-        InputError
-            If there is none, or one is no room.
-
         Examples
         --------
         >>> from clsim import Shoebox

@@ -104,11 +104,6 @@ class Shoebox(ConvexRoom):
     faces : Faces
         Planes, names and materials of the six walls, in this order.
 
-    Raises
-    ------
-    InputError
-        If a length is not from 0.1 mm to 100 km, or a wall is unknown or missing.
-
     Examples
     --------
     >>> floor = Material.from_reflection(0.2)

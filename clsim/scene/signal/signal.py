@@ -273,11 +273,6 @@ class Signal:
         fade : float
             Length of a raised-cosine rise and fall, s, in place of a window; at most half the duration.
 
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
-
         Notes
         -----
         With T the duration and k = stop / start, the phase is ``2 pi (start t + (stop - start) t² / 2T)`` or

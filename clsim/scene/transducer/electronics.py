@@ -139,13 +139,7 @@ class Electronics:
         return 1e-6 * self.clock_ppm * times + self.clock_offset
 
     def check_rate(self, sampling_rate: float) -> None:
-        """Raise an InputError if a cut does not lie below half the `sampling_rate`, Hz.
-
-        Raises
-        ------
-        InputError
-            If one does not.
-        """
+        """Raise an InputError if a cut does not lie below half the `sampling_rate`, Hz."""
         for name in ("low_cut", "high_cut"):
             if getattr(self, name) is not None:
                 as_number(name, getattr(self, name), below=0.5 * sampling_rate, unit="Hz")

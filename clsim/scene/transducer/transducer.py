@@ -277,11 +277,6 @@ class Transducer:
         Model of the response.
     name : str
         Name in messages.
-
-    Raises
-    ------
-    InputError
-        If the model is none, or the name no text.
     """
 
     model: Resonance | ResponseTable | ImpulseResponse
@@ -336,13 +331,7 @@ class Transducer:
         return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
 
     def check_coverage(self, band: tuple[float, float], what: str) -> None:
-        """Raise an InputError if the `band` (low, high), Hz, of `what` is not covered by the response.
-
-        Raises
-        ------
-        InputError
-            If the response does not cover it.
-        """
+        """Raise an InputError if the `band` (low, high), Hz, of `what` is not covered by the response."""
         low, high = self.model.band
         if band[0] < low or band[1] > high:
             extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
@@ -391,11 +380,6 @@ class Transducer:
         outside : {None, "zero", "hold"}
             Rule for frequencies beyond the table: refused if a signal needs it (None), nothing, or the value at its
             nearer end.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds or the lengths differ.
 
         Notes
         -----
