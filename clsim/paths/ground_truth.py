@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.scattering import SpecularPoint
-from clsim.arrays import as_choice, as_floats, read_only, short_repr, texts
+from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.packages import check_packages
 from clsim.paths.arrivals import Kinematics, slices_of
+from clsim.paths.family import PairPaths
+from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.static import direct_paths
 from clsim.paths.path_set import PathSet
@@ -23,16 +26,7 @@ from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.paths.visibility.obstacles import Legs, Obstacles
 from clsim.scene.scatterer import PointShape, Scatterer
-
-if TYPE_CHECKING:
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import PairPaths
-    from clsim.paths.legs.events import Events
-    from clsim.scene.scene import Scene
+from clsim.scene.scene import Scene
 
 SCALARS = ("delay", "doppler_factor", "line_of_sight", "radial_speed", "reception_time")
 VECTORS = ("arrival", "local_arrival", "source_position", "receiver_position")

@@ -18,29 +18,23 @@ sides cancel there.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.paths.arrivals import Arrivals
-from clsim.paths.family import BODY, NONE, SPECULAR
+from clsim.arrays import Floats
+from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.paths.family import BODY, NONE, SPECULAR, Instant, Rows
+from clsim.paths.propagation import Medium, UniformAir
+from clsim.paths.response import SceneResponse
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.propagation import Medium, UniformAir
-    from clsim.paths.response import SceneResponse
-    from clsim.scene.scene import Scene
-
-    Integers = NDArray[np.signedinteger[Any]]
-    Columns = dict[str, Floats]
-    Pair = tuple[Floats, Floats]  # of source and receiver
+Integers = NDArray[np.signedinteger[Any]]
+Columns = dict[str, Floats]
+Pair = tuple[Floats, Floats]  # of source and receiver
 
 
 class Leg(Protocol):

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import Floats, as_count, as_floats, as_number, read_only
+from clsim.arrays import Complexes, Floats, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError, counted, old_names
 from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.channel import (
@@ -20,22 +22,13 @@ from clsim.paths.channel import (
     channel_paths,
     channel_taps,
 )
-from clsim.paths.family import SPECULAR, TRANSMISSION, PathFamily
+from clsim.paths.family import SPECULAR, TRANSMISSION, PairPaths, PathFamily
 from clsim.paths.path_table import PathTable
 from clsim.paths.view import paths_page
 from clsim.pictures.view_page import html_table, inline_page
-from clsim.scene.scene import known_until
+from clsim.scene.scene import Scene, known_until
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes
-    from clsim.paths.family import PairPaths
-    from clsim.scene.scene import Scene
-
-    Integers = NDArray[np.signedinteger[Any]]
+Integers = NDArray[np.signedinteger[Any]]
 
 _Number = TypeVar("_Number", bound=np.number[Any])
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import short_repr, texts
+from clsim.arrays import Complexes, Floats, short_repr, texts
 from clsim.errors import old_names
 from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
 
 _OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain")
 _DIRECTIONS = ("departure", "arrival")

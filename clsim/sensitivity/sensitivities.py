@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, read_only, short_repr
+from clsim.arrays import Complexes, Floats, as_floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.paths.path_set import PathSet
@@ -16,11 +17,6 @@ from clsim.render.options import RenderOptions
 from clsim.sensitivity.adjoint import adjoint, adjoint_signal
 from clsim.sensitivity.linear_map import LinearMap, plan_of
 from clsim.sensitivity.parameters import parameters_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from clsim.arrays import Complexes
 
 _WITHOUT_TAIL = "the diffuse tail is left out: derivatives are those of the sound over paths"
 _SINGULAR = 1e-12  # least eigenvalue of normalised information that says something
