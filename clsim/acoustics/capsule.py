@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.acoustics import silhouette
 from clsim.acoustics.scattering import SpecularPoint, lit_share
-from clsim.arrays import Complexes, Floats
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from clsim.arrays import Complexes, Floats
 
 _STEPS = 40  # of Newton's, at most, where ends are far from where they were
 _LONGEST_STEP = 0.5  # rad

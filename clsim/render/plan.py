@@ -129,7 +129,20 @@ class Plan:
         return min(subblock, SMALL_SUBBLOCK) if self.is_fine(block) else subblock
 
     def left_out_over(self, source: int, block: int) -> float:
-        """Return the share of a `block` of a `source` that takes few terms of its polynomials; 0 where all do."""
+        """Return the share of a block of the samples that take few terms of its polynomials; 0 where they take all.
+
+        Parameters
+        ----------
+        source : int
+            Index of the source.
+        block : int
+            Samples in a block.
+
+        Returns
+        -------
+        float
+            Of the source's subblocks; of envelopes' widest vectors, if blocks are long and motion is slow for these.
+        """
         if self.baseband is not None:
             change = WIDEST_SUBBLOCK / self.sampling_rate * self.tracks.max_rate(source)
             return WIDEST_SUBBLOCK / block if block >= LONG_ENVELOPE_BLOCK and change <= SLOW_CHANGE else 0.0
