@@ -25,7 +25,6 @@ _INSTANTS = 10_001  # of a motion at which its speed is looked at
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
 
 

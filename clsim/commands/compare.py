@@ -36,7 +36,6 @@ _SMOOTH = 0.25e-3  # s, over which early levels are averaged
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("measured", type=Path, help="sound file of a measured impulse response")
     parser.add_argument("scene", type=Path, help="scene file (TOML)")
     parser.add_argument(

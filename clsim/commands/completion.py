@@ -8,7 +8,6 @@ from clsim.packages import check_packages
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "shell", choices=("bash", "zsh", "fish"), help='for bash: eval "$(clsim completion bash)" in ~/.bashrc'
     )

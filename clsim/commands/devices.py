@@ -171,7 +171,6 @@ def _apart_db(got: Any, wanted: Any) -> float:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "--test", nargs="?", const="", metavar="DEVICE",
         help="compare a device, by id or part of its name, with the reference engine, and measure its rates; the "

@@ -15,7 +15,6 @@ from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.description = "List the built-in materials, with sources and uncertainty, or draw what they send back."
     parser.add_argument("names", nargs="*", metavar="NAME", help="material (default: all)")
     parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="draw them to this PNG instead")

@@ -59,7 +59,6 @@ sampling_rate = 192e3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("scene", type=Path, help="scene file (TOML) that is written")
     add_force(parser)
     parser.add_argument("--mesh", type=Path, metavar="FILE", help="the room: OBJ, STL, PLY, GLB or OFF")

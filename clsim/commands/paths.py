@@ -16,7 +16,6 @@ from clsim.workflow.pipeline import input_files, plan_scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
     parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
     parser.add_argument("--limit", type=as_whole, default=40, metavar="ROWS", help="paths listed at most (default: 40)")

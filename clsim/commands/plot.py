@@ -27,7 +27,6 @@ _USUAL = (20e3, 40e3, 60e3)  # Hz, of a directivity that is known everywhere
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     pictures = parser.add_subparsers(required=True, metavar="PICTURE")
     directivity = pictures.add_parser(
         "directivity", help="of a scene's sources and receivers, of a transducer or of a table"

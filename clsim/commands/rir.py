@@ -30,7 +30,6 @@ _ENDINGS_OF_FILES = ("npz", "sofa", "wav", "mat", "h5", "hdf5", "csv", "txt", "f
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
     parser.add_argument(
         "-o", "--output", type=as_path, required=True, metavar="PATH",

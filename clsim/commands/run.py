@@ -28,7 +28,6 @@ _OVERRIDES = {  # of the scene file's [render]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
     parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="folder of the results")
     parser.add_argument("--force", action="store_true", help="overwrite results that clsim wrote there")

@@ -19,7 +19,6 @@ _COLUMNS = ("delay", "exact", "error", "crlb", "line_of_sight")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("folder", type=as_path, help="results of clsim run")
     parser.add_argument("--source", metavar="NAME", help="source of the pulses (default: the first)")
     parser.add_argument("--method", choices=METHODS, default="matched-filter", help="default: matched-filter")

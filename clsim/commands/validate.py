@@ -19,7 +19,6 @@ _MOST_SEEDS = 100
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "rooms", nargs="+", metavar="ROOM", help=f"{', '.join(BUILT_IN)}, {NAME}, or a TOML file of a measured room"
     )

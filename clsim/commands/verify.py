@@ -12,7 +12,6 @@ from clsim.study import shards
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("folder", type=as_path, help="results of clsim run or clsim study")
 
 

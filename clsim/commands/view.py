@@ -19,7 +19,6 @@ _MOST_PATHS = 100_000  # drawn at a time
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
     parser.add_argument(
         "-o", "--output", type=as_path, metavar="FILE", help="the page (default: beside the scene file)"

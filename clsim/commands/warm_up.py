@@ -28,7 +28,6 @@ _DURATION = 0.05  # s of each scene: long enough for all kernels, which do not k
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_render_option(parser, "device", 'an OpenCL device, such as "0:0" or part of its name (default: the best)')
 
 
