@@ -31,8 +31,10 @@ def along(start: Any, end: Any, duration: float) -> dict[str, Any]:
 
 
 def thing_at(table: str, name: str, at: Any, **more: Any) -> str:
-    """Return a table of something at a place, or on a trajectory."""
-    fields = {"name": name, **more, "trajectory": at if isinstance(at, dict) else {"kind": "fixed", "position": at}}
+    """Return a table of something at a place, or on a trajectory; at None of several, by their `positions`."""
+    fields = {"name": name, **more}
+    if at is not None:
+        fields["trajectory"] = at if isinstance(at, dict) else {"kind": "fixed", "position": at}
     return f"[[{table}]]\n" + "".join(f"{key} = {toml(value)}\n" for key, value in fields.items())
 
 

@@ -129,31 +129,19 @@ def test_a_mesh_that_is_none_is_one_line(corner_scene: Path, capsys) -> None:
 
 
 C = 343.4  # of the scene's air, m/s
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "noise", duration = 0.05, sampling_rate = 48e3, seed = 1, band = [5e3, 9e3], fade = 0.01 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [1, 2, 1], duration = 1.0 }
-directivity = { kind = "piston", radius = 0.02 }
-aim = "forward"
-[[receivers]]
-name = "ceiling"
-positions = { kind = "grid", x = [1.0, 3.0, 2.0], y = 2.0, z = 2.4 }
-[[receivers]]
-name = "ear"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-directivity = { kind = "first-order" }
-aim_at = [3.0, 1.0, 1.0]
-[paths]
-max_order = 0
-[render]
-sampling_rate = 48e3
-"""
+SCENE = scene_text(
+    source_at(
+        "robot",
+        {"kind": "noise", "duration": 0.05, "sampling_rate": 48e3, "seed": 1, "band": (5e3, 9e3), "fade": 0.01},
+        along((1, 1, 1), (1, 2, 1), 1.0),
+        directivity={"kind": "piston", "radius": 0.02},
+        aim="forward",
+    ),
+    receiver_at("ceiling", None, positions={"kind": "grid", "x": (1.0, 3.0, 2.0), "y": 2.0, "z": 2.4}),
+    receiver_at("ear", (3.0, 1.0, 2.0), directivity={"kind": "first-order"}, aim_at=(3.0, 1.0, 1.0)),
+    max_order=0,
+    rate=48e3,
+)
 
 
 def test_check_lists_where_everybody_faces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -113,29 +113,12 @@ def test_a_path_along_the_wall_of_both_its_ends_has_corners() -> None:
     np.testing.assert_allclose(ceiling[1], (4, 3, 3))
 
 
-FLUSH_SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [8.0, 6.0, 3.0]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "s"
-signal = { kind = "tone", frequency = 40e3, duration = 0.01, sampling_rate = 192e3 }
-trajectory = { kind = "fixed", position = [2.0, 2.0, 1.0] }
-[[receivers]]
-name = "ceiling"
-positions = { kind = "grid", x = [1.0, 7.0, 3], y = 2.0, z = 3.0 }
-flush = true
-[[receivers]]
-name = "side"
-trajectory = { kind = "fixed", position = [0.0, 3.0, 1.0] }
-flush = [1.0, 0.0, 0.0]
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-"""
+FLUSH_SCENE = scene_text(
+    source_at("s", tone_of(40e3, 0.01), (2.0, 2.0, 1.0)),
+    receiver_at("ceiling", None, positions={"kind": "grid", "x": (1.0, 7.0, 3), "y": 2.0, "z": 3.0}, flush=True),
+    receiver_at("side", (0.0, 3.0, 1.0), flush=(1.0, 0.0, 0.0)),
+    room=shoebox_of(8.0, 6.0, 3.0),
+)
 
 
 def test_scene_files_say_flush(tmp_path: Path) -> None:
