@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import InputError, not_one_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

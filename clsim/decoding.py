@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.recording import Recording, as_recording
-from clsim.scene.directivity.ambisonic import HIGHEST, NORMALIZATIONS, Ambisonic
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.head_related import EARS, HeadRelated, SphericalHead
-
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
+from clsim.scene.directivity.patterns import HIGHEST, NORMALIZATIONS, Ambisonic
 
 _STEPS = 512  # between frequencies: ears' filters have twice as many taps
 _SPREAD = 4  # directions to a component
@@ -40,11 +38,6 @@ def decode_binaural(
         Name of the ambisonic receiver; the first when left out.
     normalization : {"SN3D", "N3D"}, optional
         Normalization of the components: that of the receiver, or SN3D where the recording has no paths.
-
-    Returns
-    -------
-    Recording
-        Recording with the channels ``"left"`` and ``"right"``, in Pa.
 
     Raises
     ------

@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 import traceback
 import warnings
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 _FEW = 8  # names that are listed though one of them is close to what was given
@@ -54,11 +52,6 @@ class InputError(ClsimError, ValueError):
         ----------
         parent : str
             Path of that value, for example ``"sources[1]"``.
-
-        Returns
-        -------
-        InputError
-            To be raised by the caller; its field is ``parent.field``.
 
         Examples
         --------

@@ -5,10 +5,13 @@ from __future__ import annotations
 import heapq
 import io
 import math
+from collections.abc import Iterator, Sequence
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import LOUDEST, Floats, as_count, as_number, texts
 from clsim.errors import InputError
@@ -17,22 +20,14 @@ from clsim.files.names import file_names
 from clsim.files.sound import as_frames
 from clsim.packages import check_packages
 from clsim.paths.ground_truth import direct_path
-from clsim.recording import as_recording
+from clsim.paths.path_set import PathSet
+from clsim.recording import Recording, as_recording
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import array_elements, row_receivers
+from clsim.scene.scene import Scene
 from clsim.version import __version__
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
-    from clsim.paths.path_set import PathSet
-    from clsim.recording import Recording
-    from clsim.scene.ends import Receiver, Source
-    from clsim.scene.scene import Scene
-
-    Message = tuple[int, str, str, Any]  # nanoseconds, topic, kind, content
+Message = tuple[int, str, str, Any]  # nanoseconds, topic, kind, content
 
 _STEPS = 2**23  # of 24 bits, on either side of 0
 _FINEST = 65_535  # Hz up to which the format's frames hold any whole rate; beyond, tens
@@ -87,11 +82,6 @@ def write_flac(recording: Recording, folder: str | PathLike[str], *, full_scale:
     full_scale : float, optional
         Value of 1 in a file, Pa or V; by default, for each unit, the least power of two above all its samples, so
         that receivers compare.
-
-    Returns
-    -------
-    list of Path
-        One per receiver.
 
     Raises
     ------

@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, row_name, short_repr
 from clsim.errors import InputError, warn
 from clsim.numerics.convolution import band_taper
 from clsim.paths.arrivals import QUASI_STATIC
+from clsim.paths.family import PairPaths
 from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_responses, summed
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import check_band_coverage
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.design import SCATTERINGS, ULTRASOUND, NoTailError, TailOptions, find_tail, searched_order
-from clsim.tail.noise import at_one_place, combined, gains_of, plane_waves, static_gains
+from clsim.scene.scene import Scene
+from clsim.tail.design import SCATTERINGS, ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order
+from clsim.tail.noise import Responses, at_one_place, combined, gains_of, plane_waves, static_gains
 from clsim.tail.zones import DiffuseField, Zones
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.paths.family import PairPaths
-    from clsim.scene.scene import Scene
-    from clsim.tail.design import SourceTail
-    from clsim.tail.noise import Responses
 
 LEADS = ("cut", "keep")
 TAILS = ("off", "auto")

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import functools
 import inspect
-from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
+from collections.abc import Callable
+from typing import Any, ParamSpec, Protocol, TypeVar
 
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 O = TypeVar("O")  # noqa: E741 - options
 P = ParamSpec("P")
@@ -24,7 +22,6 @@ class OfOptions(Protocol[V_contra, P, T_co]):
 
     def __call__(self, value: V_contra, /, *args: P.args, **kwargs: P.kwargs) -> T_co:
         """Call the function with each option as a keyword."""
-        ...
 
 
 def keywords_of(make: Callable[P, O], kind: type[V]) -> Callable[[Callable[[V, O], T]], OfOptions[V, P, T]]:

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_floats, as_index, as_number, short_repr, texts
+from clsim.arrays import Floats, as_floats, as_index, as_number, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
+from clsim.paths.path_set import PathSet
 from clsim.pictures.view_page import html_table, inline_sound
+from clsim.scene.ends import Receiver
+from clsim.scene.signal.signal import Signal
 from clsim.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from os import PathLike
-
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.path_set import PathSet
-    from clsim.scene.ends import Receiver
-    from clsim.scene.signal.signal import Signal
 
 _MOST_DRAWN = 8  # receivers in one picture
 _MOST_LISTED = 64  # in a table
@@ -80,17 +77,7 @@ class Recording:
         object.__setattr__(self, "channels", tuple(self.channels) or tuple((n, "") for n in self.receiver_names))
 
     def rows_of(self, receiver: str) -> list[int]:
-        """Return the rows of a receiver's channels.
-
-        Parameters
-        ----------
-        receiver : str
-            Name of the receiver, without a channel.
-
-        Returns
-        -------
-        list of int
-            In the order of its channels.
+        """Return the rows of the channels of a `receiver` by its name, in their order.
 
         Raises
         ------
@@ -129,18 +116,7 @@ class Recording:
         return np.arange(self.samples.shape[1]) / self.sampling_rate
 
     def reception_times(self, receiver: int) -> NDArray[np.float64]:
-        """Return the true times at which a receiver took its samples; see `Electronics`.
-
-        Parameters
-        ----------
-        receiver : int
-            Index of the row.
-
-        Returns
-        -------
-        ndarray (samples,)
-            Times, s.
-        """
+        """Return the true times (samples,) at which row `receiver` was sampled, s; see `Electronics`."""
         times = self.times
         return times if self.paths is None else times + self._ends[receiver].clock_error(times)
 
@@ -186,11 +162,6 @@ class Recording:
             (receiver) where there are any, ``time``, s, by the receivers' clocks, and, where the scene is known,
             ``position`` (receiver, axis) at 0 s, m; attributes
             ``sampling_rate`` and, in baseband, ``carrier``, Hz.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
         """
         check_packages("to_xarray", "a Dataset", "tables", "xarray")
         positions = None
@@ -204,17 +175,7 @@ class Recording:
         return with_times(found, self.sampling_rate)
 
     def plot(self, receivers: int | str | Sequence[int | str] | None = None) -> Figure:
-        """Draw the samples of receivers over time, one below the other; in baseband their magnitude.
-
-        Parameters
-        ----------
-        receivers : int, str or sequence of them, optional
-            Indices or names; the first eight when left out.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot, with one of its `axes` for each receiver.
+        """Draw samples of `receivers` (indices or names; by default eight) over time; in baseband their magnitude.
 
         Raises
         ------
@@ -249,11 +210,6 @@ class Recording:
         band : (low, high), optional
             Frequencies shown, Hz; all when left out, and always in baseband.
 
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot.
-
         Raises
         ------
         InputError
@@ -279,7 +235,7 @@ class Recording:
         return figure
 
     def play(self, receiver: int | str = 0, slower: float = 10.0) -> Any:
-        """Return a notebook player of a receiver's sound, slowed down so that ultrasound becomes audible.
+        """Return a notebook player of a receiver's sound, normalised, and slowed down to make ultrasound audible.
 
         Parameters
         ----------
@@ -287,11 +243,6 @@ class Recording:
             Index or name.
         slower : float
             Ratio by which time is stretched and frequencies fall, from 1 to 1000.
-
-        Returns
-        -------
-        IPython.display.Audio
-            Normalised to full scale.
 
         Raises
         ------

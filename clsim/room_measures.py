@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.room_acoustics import (
     SPEECH_BANDS,
@@ -34,14 +35,10 @@ from clsim.files.sound import read_sound_file
 from clsim.impulse_responses import ImpulseResponses, as_response_band
 from clsim.numerics.convolution import band_taper
 from clsim.paths.path_table import labelled_dataset
-from clsim.scene.directivity.ambisonic import Ambisonic
 from clsim.scene.directivity.head_related import EARS
+from clsim.scene.directivity.patterns import Ambisonic
+from clsim.scene.scene import Scene
 from clsim.tail.zones import DiffuseField
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.scene.scene import Scene
 
 BANDS = {"octave": 1, "third-octave": 3}
 _DIRECT = 2.5e-3  # s, after the first arrival, that count as direct sound
@@ -102,18 +99,7 @@ class RoomMeasures:
     __repr__ = short_repr
 
     def to_xarray(self) -> Any:
-        """Return it with dimensions ``source``, ``receiver`` and ``frequency``, coordinates and units.
-
-        Returns
-        -------
-        xarray.Dataset
-            A variable for each measure.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
-        """
+        """Return it with dimensions ``source``, ``receiver`` and ``frequency``, coordinates and units."""
         over = ("source", "receiver", "frequency")
         variables: dict[str, Any] = {name: (over, getattr(self, name)) for name in _OF_PAIRS}
         variables |= {name: (("frequency",), getattr(self, name)) for name in ("sabine", "eyring")}
@@ -204,11 +190,6 @@ def room_measures(
         For the strength of a measured response: a sound file with the same source, microphone and gain in the free
         field, and their distance, m.
 
-    Returns
-    -------
-    RoomMeasures
-        By source, receiver and band.
-
     Raises
     ------
     InputError
@@ -267,7 +248,7 @@ def speech_transmission(
     *,
     channel: int = 0,
 ) -> Floats:
-    """Compute the speech transmission index (STI) of every source and receiver.
+    """Compute the speech transmission index (sources, receivers), 0 to 1; NaN where nothing is heard.
 
     Parameters
     ----------
@@ -280,11 +261,6 @@ def speech_transmission(
         Levels of noise by octave, dB SPL.
     channel : int
         Index of the sound file's channel, from 0.
-
-    Returns
-    -------
-    ndarray (sources, receivers)
-        The index, 0 to 1; NaN where nothing is heard.
 
     Raises
     ------
@@ -447,11 +423,6 @@ def lateral_measures(
         Names of the receivers of the left and the right ear, or of a head with two channels.
     bands : {"octave", "third-octave"}
         Into which responses are cut.
-
-    Returns
-    -------
-    LateralMeasures
-        By source and band.
 
     Raises
     ------

@@ -94,13 +94,7 @@ class Members(_Base):
         return sum(map(member_count, self._tables))
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the order of members.
-
-        Parameters
-        ----------
-        epoch : int
-            Number of the epoch, from 0; to be set before a loader's workers start.
-        """
+        """Choose the order of members by the number of the `epoch`, from 0, before a loader's workers start."""
         self._epoch = as_count("epoch", epoch)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:

@@ -14,14 +14,11 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Floats
+from clsim.arrays import Floats
 
 KELVIN = 273.15  # K at 0 degrees Celsius
 REFERENCE_PRESSURE = 101_325.0  # Pa
@@ -64,10 +61,7 @@ def vapour_fraction_giacomo(temperature_celsius: float, relative_humidity: float
 
 @lru_cache(maxsize=64)
 def speed_of_sound_cramer(
-    temperature_celsius: float,
-    relative_humidity: float,
-    pressure: float,
-    co2_fraction: float = CO2_FRACTION,
+    temperature_celsius: float, relative_humidity: float, pressure: float, co2_fraction: float = CO2_FRACTION
 ) -> float:
     """Return the speed of sound at zero frequency in moist air, m/s.
 

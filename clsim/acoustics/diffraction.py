@@ -14,18 +14,15 @@ is minus a half of its partner where this is seen, and a half where it is not, s
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats
 
 TERMS = 4  # past the edge above -π and below π, by the 0-face, by the n-face
 ON_LINE = 1e-6  # m; an end that is nearer to the line of an edge has no angle there, see `off_line`

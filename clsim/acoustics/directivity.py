@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Floats
+from clsim.arrays import Floats
 
 # Which neighbours a round compares, in frequency (f) or direction (d): either may be too far apart at first, or always.
 _ROUNDS = (("f", "fd", "fd"), ("d", "fd", "fd"), ("d", "d"))

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clsim.acoustics.diffraction import ON_LINE, off_line, path_over_edge
+from clsim.arrays import Floats
 
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
-
-    End = tuple[Floats, Floats]
+End = tuple[Floats, Floats]
 
 STEPS = 80  # of the search for places on both edges
 FOUND = 1e-11  # of the least leg: the last step along the edges

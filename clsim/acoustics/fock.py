@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats
 
 FIRST, LAST, COUNT = -6.0, 14.0, 2001  # arguments of the table; between two of them it is linear, to 1e-5
 # Pieces of the path of integration, from infinity: begin and end. On the ray the integrand falls for all arguments,

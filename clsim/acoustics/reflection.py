@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Floats
+from clsim.arrays import Floats
 
 AIR_DENSITY = 1.204  # kg/m³, of dry air at 20 °C and 1 atm
 _VISCOSITY = 1.51e-5  # m²/s, kinematic, of air at 20 °C and 1 atm

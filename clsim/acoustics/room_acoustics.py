@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
+from clsim.arrays import Floats
 
 _HEADROOM_DB = 10.0  # by which noise is to lie below a part of a decay (ISO 3382-1:2009, section 5.3.3)
 _LEAST_DB = 15.0  # by which a response falls to its end

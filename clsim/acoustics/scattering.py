@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
+from clsim.arrays import Floats
 
 FAR = 0.1  # rad; where the first of Newton's steps is longer, they are watched
 _STEPS = 40  # of these, at most

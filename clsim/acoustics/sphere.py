@@ -8,13 +8,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from clsim.acoustics.scattering import SpecularPoint
-    from clsim.arrays import Complexes, Floats
+from clsim.acoustics.scattering import SpecularPoint
+from clsim.arrays import Complexes, Floats
 
 LEFT_OUT = 1e-7  # of the largest mode: where one is smaller, behind mode number ka, the series ends
 ASPECTS = 4  # numbers that a field takes

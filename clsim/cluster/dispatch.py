@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
 
 from clsim.errors import ClsimError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 Row = dict[str, Any]  # result of a task: "status" ("finished", "failed"), "error", "seconds", and its own keys
 Call = tuple["Callable[..., Any]", tuple[Any, ...]]  # a function and its arguments, for a worker

@@ -10,18 +10,14 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection as pipes
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from clsim.cluster.dispatch import WorkersLostError
+from clsim.cluster.dispatch import Row, Tasks, WorkersLostError
 from clsim.errors import DeviceError, InputError, in_one_line
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from clsim.cluster.dispatch import Row, Tasks
 
 _STARTS = 3  # starts of a process in a row that fail before it is ready
 _LONGEST = 60.0  # s that a task is waited for which is writing: a chunk takes less

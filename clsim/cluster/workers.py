@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import queue
 import uuid
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlsplit
 
-from clsim.cluster.dispatch import WorkersLostError
+from clsim.cluster.dispatch import Call, Dispatch, Row, Tasks, WorkersLostError
 from clsim.errors import ClsimError, DeviceError, InputError, in_one_line, warn
 from clsim.packages import check_packages
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
-
-    from clsim.cluster.dispatch import Call, Dispatch, Row, Tasks
 
 _STORES = ("xarray", "zarr")  # packages by which workers write together
 _SCHEDULERS = ("dask", "distributed")  # packages by which a scheduler is reached

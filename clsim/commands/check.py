@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
+import argparse
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.commands.arguments import add_scene
 from clsim.numerics.quaternions import rotate
+from clsim.paths.path_set import PathSet
 from clsim.paths.without_edges import largest_jump_db
 from clsim.render.diffuse_tail import left_by_images
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.scene import Scene
 from clsim.scene.shaded import shaded_pairs
 from clsim.scene_file import load_scene
+from clsim.scene_file.scene import SceneFile
 from clsim.workflow.console import progress
-from clsim.workflow.pipeline import plan_scene
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.paths.path_set import PathSet
-    from clsim.scene.motion.trajectory import Trajectory
-    from clsim.scene.scene import Scene
-    from clsim.scene_file.scene import SceneFile
-    from clsim.workflow.pipeline import PlannedScene
+from clsim.workflow.pipeline import PlannedScene, plan_scene
 
 _INSTANTS = 10_001  # of a motion at which its speed is looked at
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
 
 

@@ -2,38 +2,28 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.acoustics.room_acoustics import before_noise, decay_curve, is_clipped
-from clsim.arrays import as_index
+from clsim.arrays import Floats, as_index
 from clsim.commands.arguments import add_force, as_path, as_whole
 from clsim.errors import InputError, warn
-from clsim.files.atomic import atomic_path
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile, atomic_path
 from clsim.files.sound import read_sound_file
-from clsim.impulse_responses import impulse_responses
-from clsim.measured.comparison import align, checked, reflections
-from clsim.measured.simulated import noticeable
+from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.measured.simulated import Aligned, Reflection, align, checked, noticeable, reflections
 from clsim.packages import check_pictures
 from clsim.pictures.measured import comparison_picture
-from clsim.room_measures import BANDS, band_centres, cut_to_band, room_measures
+from clsim.room_measures import BANDS, RoomMeasures, band_centres, cut_to_band, room_measures
 from clsim.scene_file import load_scene
+from clsim.scene_file.scene import SceneFile
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import find_scene_paths, input_files, shares
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.arrays import Floats
-    from clsim.impulse_responses import ImpulseResponses
-    from clsim.measured.comparison import Aligned, Reflection
-    from clsim.room_measures import RoomMeasures
-    from clsim.scene_file.scene import SceneFile
 
 _PARAMETERS = {"edt": (1.0, "s"), "t20": (1.0, "s"), "t30": (1.0, "s"), "c50": (1.0, "dB"), "c80": (1.0, "dB"),
                "d50": (100.0, "%"), "ts": (1e3, "ms")}  # fmt: skip
@@ -46,7 +36,6 @@ _SMOOTH = 0.25e-3  # s, over which early levels are averaged
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("measured", type=Path, help="sound file of a measured impulse response")
     parser.add_argument("scene", type=Path, help="scene file (TOML)")
     parser.add_argument(

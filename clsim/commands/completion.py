@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 from clsim.packages import check_packages
 
-if TYPE_CHECKING:
-    import argparse
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "shell", choices=("bash", "zsh", "fish"), help='for bash: eval "$(clsim completion bash)" in ~/.bashrc'
     )

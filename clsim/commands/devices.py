@@ -2,17 +2,175 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from clsim.errors import DeviceError
-from clsim.opencl.device import list_devices, no_device
+from clsim.opencl.device import DeviceInfo, find_device, list_devices, no_device
+from clsim.paths.find_paths import find_paths
+from clsim.render.methods.per_sample import ReferenceEngine
+from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.engine import OpenclEngine
+from clsim.render.opencl.nodes import Nodes
+from clsim.render.plan import Plan
+from clsim.render.planning import plan_render
+from clsim.scene.air import Air
+from clsim.scene.directivity.patterns import FirstOrder, Piston
+from clsim.scene.ends import Receiver, Source
+from clsim.scene.material.material import Material
+from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.shoebox import Shoebox
+from clsim.scene.scene import Scene
+from clsim.scene.signal.signal import Signal
+from clsim.version import __version__
 
-if TYPE_CHECKING:
-    import argparse
+RATE = 192e3
+PROMISED_DB = -85.0  # relative to the received signal, at default settings
+_DURATION = 0.03  # s, of the scenes that are compared
+_ORDER, _LONG = 8, 1.0  # of the one whose rates are measured, and s
+_SIZE = np.array([6.0, 5.0, 3.0])
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceReport:
+    """Result of a device's test."""
+
+    info: DeviceInfo  # the device
+    apart_db: dict[str, float]  # difference from the reference engine by scene, dB relative to the received signal
+    render_rate: float  # path-samples a second, of the sum over paths and of the tracks by themselves
+    tracks_rate: float  # likewise
+    first_seconds: float  # that the first call took, building kernels included
+
+    @property
+    def passed(self) -> bool:
+        """Test if every scene is within the promised error at default settings."""
+        return max(self.apart_db.values()) < PROMISED_DB
+
+    def line(self) -> str:
+        """Return the report in one line."""
+        info = self.info
+        worst = max(self.apart_db, key=self.apart_db.__getitem__)
+        parts = [
+            f"clsim {__version__}", info.name, f"{info.kind}, {info.platform}", info.version, f"driver {info.driver}",
+            f"{info.compute_units} units at {info.clock_hz / 1e6:.0f} MHz", f"{info.memory_bytes / 2**30:.1f} GiB",
+            f"groups of {info.largest_group}", "float64" if info.fp64 else "no float64",
+            f"{'passed' if self.passed else 'FAILED'}: {self.apart_db[worst]:.0f} dB ({worst})",
+            f"render {self.render_rate:.2g}/s, tracks {self.tracks_rate:.2g}/s",
+            f"first call {self.first_seconds:.1f} s", f"{platform.system()} {platform.machine()}",
+        ]  # fmt: skip
+        return " | ".join(parts)
+
+
+def put_to_test(wanted: str | None = None, notify: Callable[[str], None] = lambda text: None) -> DeviceReport:
+    """Test a device."""
+    info, _ = find_device(wanted)
+    apart, begun, first = {}, time.perf_counter(), 0.0
+    for name, plan in _plans(info.id).items():
+        engine = OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
+        got = engine.render(0, plan.samples)
+        first = first or time.perf_counter() - begun
+        apart[name] = _apart_db(got, ReferenceEngine(plan).render(0, plan.samples))
+        notify(f"{name}: {apart[name]:.0f} dB from the reference engine")
+    return DeviceReport(info, apart, *_rates(info.id), first)
+
+
+class _TimedEngine(OpenclEngine):
+    """Engine that measures the time spent on making nodes."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan)
+        self.seconds = 0.0
+        self._timed: dict[int, _TimedMaker] = {}
+
+    def maker(self, pair: int) -> Any:
+        """Return the node maker of a pair, timed."""
+        found = super().maker(pair)
+        return self._timed.setdefault(id(found), _TimedMaker(self, found))
+
+    def finish(self) -> None:
+        """Wait for the device's queue."""
+        self._queue.finish()
+
+
+class _TimedMaker:
+    def __init__(self, engine: _TimedEngine, maker: Any) -> None:
+        self._engine, self._maker = engine, maker
+        self.prepare = maker.prepare
+
+    def nodes(self, *arguments: Any) -> Nodes:
+        """Make nodes, and add the time taken (s) to the engine's."""
+        self._engine.finish()
+        begun = time.perf_counter()
+        made: Nodes = self._maker.nodes(*arguments)
+        self._engine.seconds += time.perf_counter() - begun
+        return made
+
+
+def _rates(device: str) -> tuple[float, float]:
+    """Return path-samples a second of the render stage and of the tracks, kernels being built."""
+    walk = Trajectory.circle((3.0, 2.5, 1.5), 1.0, 1.047, _LONG)
+    source = Source("s", Signal.tone(40e3, _LONG, RATE, fade=0.01), walk)
+    scene = Scene(Shoebox(_SIZE, _wall(0.9)), Air(), [source], [Receiver("r", Trajectory.fixed((1.0, 1.0, 2.0)))])
+    plan = plan_render(find_paths(scene, _ORDER), RATE, device=device, duration=_LONG, responses="centre")
+    OpenclEngine(plan).render(0, plan.samples)
+    engine = _TimedEngine(plan)
+    begun = time.perf_counter()
+    engine.render(0, plan.samples)
+    spent = time.perf_counter() - begun
+    work = plan.path_count * plan.samples
+    return work / (spent - engine.seconds), work / engine.seconds
+
+
+def _wall(factor: float) -> Material:
+    return Material.from_reflection(factor)
+
+
+def _plans(device: str) -> dict[str, Plan]:
+    """Return the compared plans, by subject."""
+    tone = Signal.tone(40e3, _DURATION, RATE, fade=0.005)
+    sweep = Signal.chirp(36e3, 44e3, _DURATION, RATE, window="tukey")
+    pulses = Signal.pulses(Signal.chirp(38e3, 42e3, 1e-3, RATE, window="hann"), 0.012, 2)
+    narrow = Signal.chirp(39.5e3, 40.5e3, _DURATION, RATE, window="tukey")
+    curtain = Material.from_absorption([20e3, 40e3, 60e3], [0.1, 0.4, 0.5])
+    box = Shoebox(_SIZE, [curtain, *map(_wall, (-0.8, 0.7, 0.6, -0.5, 0.8))])
+    hard = Shoebox(_SIZE, Material.from_impedance([20e3, 40e3, 60e3], [3.0 - 1.0j, 2.0 - 0.4j, 1.5 + 0.3j]))
+    corners = np.array([(2.5, 1.5, 0.0), (2.5, 2.275, 0.0), (2.5, 2.275, 3.0), (2.5, 1.5, 3.0)])
+    screen = MeshRoom(corners, np.array([(0, 1, 2), (0, 2, 3)]), _wall(0.9))
+    beams = (Piston(0.004), FirstOrder(0.4))
+    return {
+        "functions of frequency": _plan(device, box, sweep, beams),
+        "walls by angle": _plan(device, hard, tone, beams),
+        "pulses": _plan(device, box, pulses),
+        "paths that come and go": _plan(device, screen, tone),
+        "envelopes": _plan(device, box, narrow, baseband=(40e3, 4e3)),
+    }
+
+
+def _plan(device: str, room: Shoebox | MeshRoom, signal: Signal, beams: tuple[Any, ...] = (), **options: Any) -> Plan:
+    walk = Trajectory.line((2.0, 2.0, 1.0), (2.0, 2.3, 1.1), 0.1)
+    ear = Trajectory.line((3.0, 2.5, 1.2), (2.9, 2.6, 1.2), 0.1)
+    directed: list[dict[str, Any]] = [
+        {"directivity": beam, "aim": aim} for beam, aim in zip(beams, [(1.0, 0.3, 0.0), (-1.0, 0.0, 0.2)], strict=False)
+    ]
+    source, receiver = directed or ({}, {})
+    scene = Scene(room, Air(), [Source("s", signal, walk, **source)], [Receiver("r", ear, **receiver)])
+    return plan_render(find_paths(scene, 1), RATE, device=device, duration=_DURATION, **options)
+
+
+def _apart_db(got: Any, wanted: Any) -> float:
+    if not (np.all(np.isfinite(got)) and np.any(wanted)):
+        return float("inf")
+    return float(20.0 * np.log10(np.linalg.norm(got - wanted) / np.linalg.norm(wanted) + 1e-15))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "--test", nargs="?", const="", metavar="DEVICE",
         help="compare a device, by id or part of its name, with the reference engine, and measure its rates; the "
@@ -37,7 +195,6 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _test(wanted: str | None) -> int:
-    from clsim.workflow.device_test import PROMISED_DB, put_to_test
 
     report = put_to_test(wanted, lambda text: print(text, flush=True))
     print(report.line())

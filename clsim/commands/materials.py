@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 import numpy as np
 
 from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError, meant
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile
 from clsim.output.plots import reflection_loss, reflection_losses
 from clsim.packages import check_pictures
 from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
 
-if TYPE_CHECKING:
-    import argparse
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.description = "List the built-in materials, with sources and uncertainty, or draw what they send back."
     parser.add_argument("names", nargs="*", metavar="NAME", help="material (default: all)")
     parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="draw them to this PNG instead")

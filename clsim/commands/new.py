@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import as_number
+from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force
 from clsim.errors import InputError
-from clsim.files.atomic import atomic_path
+from clsim.files.atomic import NewFile, atomic_path
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.files.names import shown
-from clsim.files.ownership import NewFile
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene_file.scene import build_scene
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.arrays import Floats
 
 _SIZE = (8.0, 6.0, 3.0)  # m, of a room of which nothing is known
 _MARGIN = 1.0  # m, about a trajectory
@@ -65,7 +59,6 @@ sampling_rate = 192e3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("scene", type=Path, help="scene file (TOML) that is written")
     add_force(parser)
     parser.add_argument("--mesh", type=Path, metavar="FILE", help="the room: OBJ, STL, PLY, GLB or OFF")

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 import numpy as np
 
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile
 from clsim.output.result_files import check_table, write_table
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import input_files, plan_scene
 
-if TYPE_CHECKING:
-    import argparse
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
     parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
     parser.add_argument("--limit", type=as_whole, default=40, metavar="ROWS", help="paths listed at most (default: 40)")

@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError, not_one_of
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile
 from clsim.output.plots import DirectivityDiagram, air_picture, directivity_picture
 from clsim.packages import check_pictures
 from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
+from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
 from clsim.scene_file.ends import DirectivityTableModel, SofaModel
 from clsim.workflow.pipeline import input_files
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.scene.scene import Scene
 
 _MOST_CURVES = 5
 _USUAL = (20e3, 40e3, 60e3)  # Hz, of a directivity that is known everywhere
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     pictures = parser.add_subparsers(required=True, metavar="PICTURE")
     directivity = pictures.add_parser(
         "directivity", help="of a scene's sources and receivers, of a transducer or of a table"

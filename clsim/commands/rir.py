@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
+from pathlib import Path
 
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile
 from clsim.impulse_responses import TAILS, as_response_band, impulse_responses
 from clsim.output.result_files import response_names, write_response_sounds, write_responses
+from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
 from clsim.tail.design import SCATTERINGS
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import find_scene_paths, input_files, shares
-
-if TYPE_CHECKING:
-    import argparse
-    from pathlib import Path
-
-    from clsim.scene.scene import Scene
 
 _FIELDS = {
     "at": "--at",
@@ -34,7 +30,6 @@ _ENDINGS_OF_FILES = ("npz", "sofa", "wav", "mat", "h5", "hdf5", "csv", "txt", "f
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
     parser.add_argument(
         "-o", "--output", type=as_path, required=True, metavar="PATH",

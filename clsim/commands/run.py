@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from clsim.cluster.workers import Workers
 from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
@@ -13,17 +14,11 @@ from clsim.output.result_files import check_table, write_ground_truth, write_tab
 from clsim.output.stores import check_store, store_kinds
 from clsim.packages import check_packages
 from clsim.scene_file import load_scene
+from clsim.scene_file.scene import SceneFile
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
-from clsim.workflow.outputs import COMPLETED, GROUND_TRUTH, RunOutputs
 from clsim.workflow.pipeline import check_table_size, input_files, plan_scene, table_times
-from clsim.workflow.result_folder import ResultFolder
-
-if TYPE_CHECKING:
-    import argparse
-    from pathlib import Path
-
-    from clsim.scene_file.scene import SceneFile
+from clsim.workflow.result_folder import COMPLETED, GROUND_TRUTH, ResultFolder, RunOutputs
 
 _OVERRIDES = {  # of the scene file's [render]
     "device": "OpenCL device, by id or part of its name (see `clsim devices`)",
@@ -33,7 +28,6 @@ _OVERRIDES = {  # of the scene file's [render]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
     parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="folder of the results")
     parser.add_argument("--force", action="store_true", help="overwrite results that clsim wrote there")
@@ -95,11 +89,7 @@ def _workers(options: argparse.Namespace) -> Workers | None:
 
 
 def _fill(
-    results: ResultFolder,
-    outputs: RunOutputs,
-    file: SceneFile,
-    options: argparse.Namespace,
-    workers: Workers | None,
+    results: ResultFolder, outputs: RunOutputs, file: SceneFile, options: argparse.Namespace, workers: Workers | None
 ) -> list[Path]:
     """Create missing results in a folder; return their paths. Sound comes first: a later failure does not lose it."""
     planned = plan_scene(file, progress)

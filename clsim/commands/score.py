@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.commands.arguments import add_force, as_path
 from clsim.errors import InputError
-from clsim.files.atomic import atomic_path
-from clsim.files.ownership import NewFile
+from clsim.files.atomic import NewFile, atomic_path
 from clsim.scene_file import load_scene
-from clsim.score.ranging import METHODS, ranging, source_index
+from clsim.score.ranging import METHODS, RangingScore, ranging, source_index
 from clsim.workflow.load_recording import load_recording
-from clsim.workflow.outputs import COMPLETED
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.score.ranging import RangingScore
+from clsim.workflow.result_folder import COMPLETED
 
 _COLUMNS = ("delay", "exact", "error", "crlb", "line_of_sight")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("folder", type=as_path, help="results of clsim run")
     parser.add_argument("--source", metavar="NAME", help="source of the pulses (default: the first)")
     parser.add_argument("--method", choices=METHODS, default="matched-filter", help="default: matched-filter")

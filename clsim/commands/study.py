@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from clsim.commands.arguments import as_path, as_whole
 from clsim.study.run import run_study
 from clsim.workflow.console import progress
 
-if TYPE_CHECKING:
-    import argparse
-
 _SHOWN = 10  # failed members that are printed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("study", type=Path, help="study file (TOML)")
     parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="folder of the results")
     parser.add_argument("--resume", action="store_true", help="continue a study that was stopped or killed")

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from clsim.commands.arguments import add_force, as_path, as_whole
 from clsim.errors import InputError, not_one_of
-from clsim.files.atomic import atomic_path
-from clsim.files.ownership import NewFile
-from clsim.measured.bras import NAME, bras_room
+from clsim.files.atomic import NewFile, atomic_path
 from clsim.measured.page import Validated, draw, page_text, picture_names, summary
-from clsim.measured.rooms import BUILT_IN, measured_room
+from clsim.measured.rooms import BUILT_IN, NAME, MeasuredRoom, bras_room, measured_room
 from clsim.measured.simulated import simulate
 from clsim.packages import check_pictures
 from clsim.workflow.console import progress
-
-if TYPE_CHECKING:
-    import argparse
-
-    from clsim.measured.rooms import MeasuredRoom
 
 _PAGE = "measured_rooms.md"
 _MOST_SEEDS = 100
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument(
         "rooms", nargs="+", metavar="ROOM", help=f"{', '.join(BUILT_IN)}, {NAME}, or a TOML file of a measured room"
     )

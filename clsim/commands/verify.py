@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
 
 from clsim.commands.arguments import as_path
 from clsim.errors import InputError
@@ -10,12 +10,8 @@ from clsim.output import record as runs
 from clsim.study import member as studies
 from clsim.study import shards
 
-if TYPE_CHECKING:
-    import argparse
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     parser.add_argument("folder", type=as_path, help="results of clsim run or clsim study")
 
 

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
+import argparse
 import webbrowser
-from typing import TYPE_CHECKING
 
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
+from clsim.files.atomic import NewFile
 from clsim.files.names import shown
-from clsim.files.ownership import NewFile
 from clsim.paths.view import view_scene
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import input_files, plan_scene
-
-if TYPE_CHECKING:
-    import argparse
 
 _MOST_FRAMES = 10_000
 _MOST_PATHS = 100_000  # drawn at a time
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_scene(parser)
     parser.add_argument(
         "-o", "--output", type=as_path, metavar="FILE", help="the page (default: beside the scene file)"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
@@ -16,23 +17,17 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.protocol import Room
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.workflow.console import built_programs, progress
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable
-
-    from clsim.scene.room.protocol import Room
 
 _RATE = 192e3
 _DURATION = 0.05  # s of each scene: long enough for all kernels, which do not know how long a run is
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add_render_option(parser, "device", 'an OpenCL device, such as "0:0" or part of its name (default: the best)')
 
 

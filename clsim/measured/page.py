@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.measured.simulated import mean_difference, noticeable
+from clsim.arrays import Floats
+from clsim.measured.rooms import Aim, MeasuredRoom, MeasuredState
+from clsim.measured.simulated import Simulated, mean_difference, noticeable
 from clsim.pictures.measured import ParameterPanel, parameters_picture, ranks_picture
 from clsim.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from clsim.arrays import Floats
-    from clsim.measured.rooms import Aim, MeasuredRoom, MeasuredState
-    from clsim.measured.simulated import Simulated
 
 UNITS = {  # of pages: factor and unit
     "t30": (1.0, "s"), "t20": (1.0, "s"), "edt": (1.0, "s"), "d50": (100.0, "%"), "c80": (1.0, "dB"),

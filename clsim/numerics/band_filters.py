@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike, NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.convolution import band_taper, ringing
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Complexes, Floats
 
 
 def chebyshev_points(low: float, high: float, count: int) -> Floats:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats
 
 
 def convolved(signal: NDArray[Any], filters: NDArray[Any]) -> NDArray[Any]:

@@ -7,15 +7,12 @@ A bank holds the taps ``c[q, k]`` of its branches: the delayed signal is
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Floats = NDArray[np.float64]
 Design = tuple[Floats, float]  # taps (branches, length) and the error that they reach, dB

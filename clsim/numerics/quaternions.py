@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import ArrayLike
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Floats
 
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:

@@ -6,17 +6,14 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
 
 
 def length_of(width: float, ripple_db: float) -> int:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
     from scipy.interpolate import NdBSpline, RBFInterpolator
-
-    from clsim.arrays import Floats
 
 _SAME = 1e-5  # rad, between directions that count as one
 _SAME_CIRCLE = 1e-4  # rad, between circles of a grid that count as one

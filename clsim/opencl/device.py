@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 import os
 import sys
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from io import RawIOBase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from clsim.errors import DeviceError
 from clsim.opencl.kernel_cache import prepare
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-    from io import RawIOBase
 
 INSTALL = (
     "install a driver: `pip install pocl-binary-distribution` (Linux x86-64), "

@@ -12,16 +12,14 @@ import struct
 import sys
 import tempfile
 import uuid
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from clsim.errors import warn
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _TOO_LARGE = "this process may not write files as large as kernels are"
 _SHARED = Path("/tmp/pocl/kcache")  # PoCL's choice where no variable names a folder

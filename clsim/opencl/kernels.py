@@ -5,10 +5,10 @@ A test holds every entry against the sources. ``kernels/README.md`` says what ea
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from clsim.errors import ClsimError
 from clsim.opencl.arguments import (
@@ -42,9 +42,6 @@ from clsim.opencl.arguments import (
     structure,
     taken,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,27 +8,21 @@ import threading
 import time
 import uuid
 import warnings
+from collections.abc import Callable, Collection, Mapping
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import ClsimError, DeviceError
+from clsim.opencl.arguments import Argument
 from clsim.opencl.device import refuse_after_fork
 from clsim.opencl.kernel_cache import Trial, TriedKernel
 from clsim.opencl.kernels import PROGRAMS, declarations, kernel_source
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.typing import NDArray
-
-    from clsim.opencl.arguments import Argument
-
-    WorkItems = tuple[tuple[int, ...], tuple[int, ...]]  # in all, and in a group
-    from collections.abc import Collection
-
-    Constant = int | float | str | np.float32
+WorkItems = tuple[tuple[int, ...], tuple[int, ...]]  # in all, and in a group
+Constant = int | float | str | np.float32
 
 HEADER_READ = "-D_OPENCL_H_"  # by which the header of OpenCL C, 980 KiB of Clang's, knows that it was read
 

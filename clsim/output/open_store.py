@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from clsim.errors import InputError
 from clsim.output.raw_files import check_attributes, missing_chunks
@@ -12,9 +13,6 @@ from clsim.output.stores import STORE_FORMAT, STORES
 from clsim.output.zarr_files import arrays_with_missing_chunks
 from clsim.packages import check_packages
 from clsim.recording import with_times
-
-if TYPE_CHECKING:
-    import os
 
 
 def open_store(path: str | os.PathLike[str]) -> Any:

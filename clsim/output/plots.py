@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clsim.acoustics.air import absorption_iso9613
+from clsim.arrays import Floats
 from clsim.errors import ClsimWarning, InputError
-from clsim.scene.directivity.directivity import AxisymmetricDirectivity
+from clsim.scene.air import Air
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
+from clsim.scene.material.material import Material
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
-
-    from clsim.arrays import Floats
-    from clsim.scene.air import Air
-    from clsim.scene.directivity.directivity import Directivity
-    from clsim.scene.material.material import Material
 
 _FLOOR_DB = -40.0
 _COLUMNS = 3

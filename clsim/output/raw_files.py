@@ -6,15 +6,12 @@ import errno
 import io
 import os
 import struct
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 _UNKNOWN_TO_SYSTEM = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS)
 CHECKSUM_BYTES = 4

@@ -6,15 +6,13 @@ import hashlib
 import json
 import os
 import stat
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from clsim.errors import InputError
 from clsim.files.atomic import safe_path
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
 RECORD = "clsim.json"
 _FORMAT = 1

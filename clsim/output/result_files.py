@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import zipfile
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.files.atomic import atomic_path, not_written
 from clsim.files.names import file_names
 from clsim.files.sound import WavWriter
+from clsim.impulse_responses import ImpulseResponses
 from clsim.numerics.quaternions import rotate
 from clsim.packages import check_packages
+from clsim.paths.ground_truth import DirectPath, EchoTruth
 from clsim.paths.path_table import PathTable, long_columns
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import row_receivers
+from clsim.scene.room.protocol import Room
+from clsim.scene.scene import Scene
 from clsim.version import __version__
-
-if TYPE_CHECKING:
-    import os
-    from collections.abc import Sequence
-
-    from clsim.arrays import Floats
-    from clsim.impulse_responses import ImpulseResponses
-    from clsim.paths.ground_truth import DirectPath, EchoTruth
-    from clsim.scene.ends import Receiver, Source
-    from clsim.scene.room.protocol import Room
-    from clsim.scene.scene import Scene
 
 _NAMES = ("source_names", "receiver_names", "object_names")
 _ROW_GROUP = 100_000  # rows of a Parquet file written at a time, or those of one path where it has more

@@ -9,12 +9,15 @@ from __future__ import annotations
 import shutil
 import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import row_name
+from clsim.arrays import Floats, row_name
 from clsim.errors import InputError
 from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
@@ -26,12 +29,6 @@ from clsim.plugins import with_plugins
 from clsim.recording import sound_attributes, sound_coordinates
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
     from clsim.pictures.plots import Readable
 
 STORE_FORMAT = 1

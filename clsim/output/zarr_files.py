@@ -6,10 +6,8 @@ import hashlib
 import json
 import math
 import os
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
+from typing import Any
 
 ALL_CHUNKS = {"clsim_chunks": "all"}  # attribute of groups whose chunks of zeros are files, too
 SEAL = "clsim_metadata_sha256"  # attribute of a group

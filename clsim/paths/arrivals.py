@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Literal, Self, get_args
+from typing import Any, Literal, Self, get_args
 
-from clsim.arrays import as_choice
+import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
+from clsim.arrays import Floats, as_choice
 
 Motion = Literal["retarded", "quasi-static"]
 Amplitude = Literal["wave-equation", "static", "convective"]

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import Floats, as_number, short_repr, texts
+from clsim.arrays import Complexes, Floats, as_number, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import BandKernels
-from clsim.paths.arrivals import slices_of
+from clsim.paths.arrivals import Arrivals, Kinematics, slices_of
+from clsim.paths.family import PairPaths
 from clsim.paths.path_table import labelled_dataset
 from clsim.paths.response import SceneResponse, check_band_coverage
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import PairPaths
-    from clsim.scene.scene import Scene
-
-    Pairs = Iterable[tuple[NDArray[np.int64], PairPaths]]
+Pairs = Iterable[tuple[NDArray[np.int64], PairPaths]]
 
 _LEAST_RATE = 1.25  # of the bandwidth
 _FEWEST, _MOST = 8, 128  # frequencies at which responses are taken

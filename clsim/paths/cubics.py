@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.quaternions import cross_product, rotate
-from clsim.paths.legs.mirrors import ROOM, dot
+from clsim.paths.legs.mirrors import ROOM, Mirrors, dot
+from clsim.scene.body import Body
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.ends import Source
 from clsim.scene.motion.curves import CONTINUATION
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.mirrors import Mirrors
-    from clsim.scene.body import Body
-    from clsim.scene.ends import Source
-    from clsim.scene.motion.motion import Motion
+from clsim.scene.motion.motion import Motion
 
 KNOT_RATES = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)  # knots per second, tried in this order
 CUBIC_COLUMNS = 12  # coefficients of a position or an axis between two knots, [power][xyz]

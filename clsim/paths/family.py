@@ -4,29 +4,23 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError
-from clsim.paths.arrivals import RETARDED
-from clsim.paths.propagation import SpeedRange, medium_of
+from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
+from clsim.paths.propagation import Medium, SpeedRange, medium_of
 from clsim.paths.response import SceneResponse, is_complex, to_transducer_frame
 from clsim.scene.directivity.directivity import ChannelDirectivity
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.propagation import Medium
-    from clsim.scene.ends import Receiver, Source
-    from clsim.scene.scatterer import Scatterer
-    from clsim.scene.scene import Scene
-
+from clsim.scene.ends import Receiver, Source
+from clsim.scene.scatterer import Scatterer
+from clsim.scene.scene import Scene
 
 Rows = slice | NDArray[np.int64]  # of a kind of paths
 NONE, SPECULAR, DIFFRACTION, SCATTERING, BODY, TRANSMISSION = -1, 0, 1, 2, 3, 4  # kinds of interaction

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.scattering import SpecularPoint
-from clsim.arrays import as_choice, as_floats, read_only, short_repr, texts
+from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr, texts
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.packages import check_packages
 from clsim.paths.arrivals import Kinematics, slices_of
+from clsim.paths.family import PairPaths
+from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.static import direct_paths
 from clsim.paths.path_set import PathSet
@@ -23,16 +26,7 @@ from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.paths.visibility.obstacles import Legs, Obstacles
 from clsim.scene.scatterer import PointShape, Scatterer
-
-if TYPE_CHECKING:
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import PairPaths
-    from clsim.paths.legs.events import Events
-    from clsim.scene.scene import Scene
+from clsim.scene.scene import Scene
 
 SCALARS = ("delay", "doppler_factor", "line_of_sight", "radial_speed", "reception_time")
 VECTORS = ("arrival", "local_arrival", "source_position", "receiver_position")
@@ -139,11 +133,6 @@ def direct_path(
         As in `render`.
     emitted : array_like (T,), optional
         Times of emission, s, in place of times of reception: the same sound at all receivers, as for TDOA.
-
-    Returns
-    -------
-    DirectPath
-        Ground truth of every source and receiver.
 
     Raises
     ------
@@ -340,11 +329,6 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     motion : {"retarded", "quasi-static"}
         As in `render`.
 
-    Returns
-    -------
-    ScattererTruth
-        Ground truth of every scatterer, source and receiver.
-
     Raises
     ------
     InputError
@@ -412,11 +396,6 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
         Times of reception, s, by the scene's clock.
     motion : {"retarded", "quasi-static"}
         As in `render`.
-
-    Returns
-    -------
-    BodyTruth
-        Ground truth of every body, source and receiver.
 
     Raises
     ------

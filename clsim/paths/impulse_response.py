@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.convolution import band_taper, delayed_sums, ringing
 from clsim.paths.arrivals import QUASI_STATIC
+from clsim.paths.family import PairPaths
 from clsim.paths.response import SceneResponse
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.family import PairPaths
 
 _SKELETON = 3e-9  # relative to the strongest response, to which all are made of a few
 _ALLOWED = 1e-7  # the same, found between the frequencies at which they were chosen

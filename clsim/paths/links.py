@@ -18,29 +18,23 @@ sides cancel there.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.paths.arrivals import Arrivals
-from clsim.paths.family import BODY, NONE, SPECULAR
+from clsim.arrays import Floats
+from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.paths.family import BODY, NONE, SPECULAR, Instant, Rows
+from clsim.paths.propagation import Medium, UniformAir
+from clsim.paths.response import SceneResponse
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.propagation import Medium, UniformAir
-    from clsim.paths.response import SceneResponse
-    from clsim.scene.scene import Scene
-
-    Integers = NDArray[np.signedinteger[Any]]
-    Columns = dict[str, Floats]
-    Pair = tuple[Floats, Floats]  # of source and receiver
+Integers = NDArray[np.signedinteger[Any]]
+Columns = dict[str, Floats]
+Pair = tuple[Floats, Floats]  # of source and receiver
 
 
 class Leg(Protocol):
@@ -52,15 +46,12 @@ class Leg(Protocol):
 
     def part(self, rows: Rows) -> Self:
         """Take some of the legs."""
-        ...
 
     def in_scene(self, scene: Scene, surfaces: Integers) -> Self:
         """Make the same legs, by surfaces (P, N) as in `Links.surfaces`, in a scene that differs a little."""
-        ...
 
     def named(self, name: str) -> Iterator[tuple[str, Any]]:
         """Yield the columns of legs of a name, "image", "before" or "after" the vertex, as they are hashed."""
-        ...
 
     def __len__(self) -> int: ...
 
@@ -93,60 +84,46 @@ class Vertex(Protocol):
 
     def part(self, rows: Rows) -> Self:
         """Take some of the vertices."""
-        ...
 
     def in_scene(self, scene: Scene) -> Self:
         """Make the same vertices in a scene that differs a little."""
-        ...
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns on moving or static legs, as they are hashed."""
-        ...
 
     def groups(self) -> list[NDArray[np.int64]]:
         """List vertices that can be solved together."""
-        ...
 
     @property
     def on_device(self) -> bool:
         """Whether a program of nodes knows these vertices, if it knows their kind in the medium."""
-        ...
 
     def speeds(self, moving: bool) -> Floats:
         """Bound the speeds of the vertices on moving or static legs, (P,) m/s."""
-        ...
 
     def on_static_legs(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
         """Solve paths between static legs at times of reception (T,), s."""
-        ...
 
     def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> Any:
         """Solve paths between moving legs; the result has the `Events` of both legs as `first` and `last`."""
-        ...
 
     def passed(self, events: Any, kinematics: Kinematics) -> Columns:
         """Compute ``length``, ``mach_factor`` and what else `respond` needs from what `on_moving_legs` found."""
-        ...
 
     def places(self, links: Links, ends: Pair, times: Floats, kinematics: Kinematics) -> tuple[Floats, ...]:
         """Locate the first to last points (P, 3) of vertices between static legs, m; one point counts as both."""
-        ...
 
     def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
         """Compute responses (P, T, F) with the vertex's field, spreading, and what air and legs let pass (P, T, F)."""
-        ...
 
     def largest(self, links: Links, at: SceneResponse) -> Floats | float:
         """Bound responses over those of the legs in free air of the same length, (P, F)."""
-        ...
 
     def lengths(self, links: Links, ends: Pair, images: Pair, times: Instant) -> Floats:
         """Compute lengths (P,) between endpoints (P, 3), and their images, on static legs, m."""
-        ...
 
     def moving_lengths(self, links: Links, ends: Pair, times: Instant) -> Floats:
         """Compute lengths (P,) between endpoints (P, 3) on moving legs, m."""
-        ...
 
     def __len__(self) -> int: ...
 

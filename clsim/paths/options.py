@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from clsim.arrays import as_choice, as_count, as_flag, as_number
-
-if TYPE_CHECKING:
-    from clsim.paths.family import PathFamily
-    from clsim.scene.scene import Scene
+from clsim.paths.family import PathFamily
+from clsim.scene.scene import Scene
 
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 DIFFRACTION_MODELS = ("utd", "btm")
@@ -75,11 +73,6 @@ class PathOptions:
         As in `render`.
     progress : callable, optional
         Called now and then with the share of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If an option breaks a rule.
     """
 
     max_order: int

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import Floats, as_count, as_floats, as_number, read_only
+from clsim.arrays import Complexes, Floats, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError, counted, old_names
 from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.channel import (
@@ -20,22 +22,13 @@ from clsim.paths.channel import (
     channel_paths,
     channel_taps,
 )
-from clsim.paths.family import SPECULAR, TRANSMISSION, PathFamily
+from clsim.paths.family import SPECULAR, TRANSMISSION, PairPaths, PathFamily
 from clsim.paths.path_table import PathTable
 from clsim.paths.view import paths_page
 from clsim.pictures.view_page import html_table, inline_page
-from clsim.scene.scene import known_until
+from clsim.scene.scene import Scene, known_until
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes
-    from clsim.paths.family import PairPaths
-    from clsim.scene.scene import Scene
-
-    Integers = NDArray[np.signedinteger[Any]]
+Integers = NDArray[np.signedinteger[Any]]
 
 _Number = TypeVar("_Number", bound=np.number[Any])
 
@@ -160,18 +153,7 @@ class PathSet:
             first += len(family)
 
     def at_receiver(self, receiver: int) -> PathSet:
-        """Return the paths to one receiver.
-
-        Parameters
-        ----------
-        receiver : int
-            Index in the scene.
-
-        Returns
-        -------
-        PathSet
-            Families of the same kinds, each with as many rows as it has paths to this receiver.
-        """
+        """Return the paths to `receiver`, an index in the scene."""
         return PathSet(self.scene, tuple(f.part(np.flatnonzero(f.receiver == receiver)) for f in self.families))
 
     def digest(self) -> str:
@@ -189,16 +171,6 @@ class PathSet:
             As in `render`.
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
-
-        Returns
-        -------
-        PathTable
-            A row per path.
-
-        Raises
-        ------
-        InputError
-            If a time is not finite, or motion or amplitude are no known words.
         """
         times = as_floats("times", times, (None,))
         kinematics = Kinematics(motion, amplitude)
@@ -229,39 +201,17 @@ class PathSet:
         )  # fmt: skip
 
     def to_dataframe(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
-        """Table of every path at the given times as a pandas DataFrame, a row per path and time.
-
-        Parameters
-        ----------
-        times, motion, amplitude
-            As for `table`.
-
-        Returns
-        -------
-        pandas.DataFrame
-            See `PathTable.to_dataframe`.
-        """
+        """Table of paths as a pandas DataFrame, by `times` (T,), s, `motion` and `amplitude` as for `table`."""
         return self.table(times, motion, amplitude).to_dataframe()
 
     def to_xarray(self, times: Floats, motion: str = "retarded", amplitude: str = "wave-equation") -> Any:
-        """Table of every path at the given times as an xarray Dataset.
-
-        Parameters
-        ----------
-        times, motion, amplitude
-            As for `table`.
-
-        Returns
-        -------
-        xarray.Dataset
-            See `PathTable.to_xarray`.
-        """
+        """Table of paths as an xarray Dataset, by `times` (T,), s, `motion` and `amplitude` as for `table`."""
         return self.table(times, motion, amplitude).to_xarray()
 
     def cir(
         self, times: Floats, *, carrier: float, motion: str = "retarded", amplitude: str = "wave-equation"
     ) -> ChannelPaths:
-        """Return the complex gain about a carrier, and the delay, of every path.
+        """Return the complex gain about a carrier, and the absolute delay, of every path.
 
         Parameters
         ----------
@@ -273,11 +223,6 @@ class PathSet:
             As in `render`.
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
-
-        Returns
-        -------
-        ChannelPaths
-            Delays are absolute.
 
         Raises
         ------
@@ -316,11 +261,6 @@ class PathSet:
             As in `render`.
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
-
-        Returns
-        -------
-        ChannelTaps
-            Tap l is that of the delay ``l / sampling_rate``, absolute.
 
         Raises
         ------
@@ -365,11 +305,6 @@ class PathSet:
         amplitude : {"wave-equation", "static", "convective"}
             As in `render`.
 
-        Returns
-        -------
-        DelayDoppler
-            Points, and how far they move.
-
         Raises
         ------
         InputError
@@ -405,16 +340,6 @@ class PathSet:
             Strongest paths that are drawn, 1 to 100 000.
         height : int
             Pixels, 100 to 10 000.
-
-        Returns
-        -------
-        IPython.display.HTML
-            The page, as ``clsim view`` writes it.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds, or IPython is missing.
         """
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         limit = as_count("limit", limit, at_least=1, at_most=100_000)

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import short_repr, texts
+from clsim.arrays import Complexes, Floats, short_repr, texts
 from clsim.errors import old_names
 from clsim.packages import check_packages
 from clsim.paths.family import SPECULAR
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
 
 _OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain")
 _DIRECTIONS = ("departure", "arrival")
@@ -83,18 +78,7 @@ class PathTable:
         return np.where(self.interactions == SPECULAR, self.objects, -1)
 
     def name_objects(self, path: int | np.integer[Any]) -> str:
-        """Return the names of the walls and other objects that a path meets.
-
-        Parameters
-        ----------
-        path : int
-            Row of the table.
-
-        Returns
-        -------
-        str
-            Names from the source's side, joined by commas; "direct" if it meets nothing.
-        """
+        """Return names of what the `path` of a row meets, from the source's side; "direct" if it meets nothing."""
         return ", ".join(self.object_names[i] for i in self.objects[path] if i >= 0) or "direct"
 
     def to_dataframe(self) -> Any:
@@ -105,11 +89,6 @@ class PathTable:
         pandas.DataFrame
             Columns as in a Parquet file of it, texts as categories, a complex gain as it is; ``attrs["units"]`` tells
             the units.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
         """
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         return labelled_frame(long_columns(self, range(len(self.source)), categories))
@@ -121,11 +100,6 @@ class PathTable:
         -------
         xarray.Dataset
             Variables over paths and times, NaN while a path is not active; properties of paths are coordinates.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
         """
         said = {
             "source": [self.source_names[i] for i in self.source],

@@ -96,19 +96,15 @@ class LegTable(Protocol):
 
         Paths `p` and times `t` are indices (n,), or slices; `start` are the places of the source for these.
         """
-        ...
 
     def arrive(self, start: Floats) -> Floats:
         """Return unit vectors (P, T, 3) along the ways at the receiver, in the room, from places (P, T, 3)."""
-        ...
 
     def seen(self) -> Floats:
         """Return the receiver (P, T, 3) as the source sees it, m."""
-        ...
 
     def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
         """Bends of paths, arguments as for `leave`: shares (..., K) from 0 to 1, and heights (..., K), m."""
-        ...
 
 
 class Medium(Protocol):
@@ -117,26 +113,21 @@ class Medium(Protocol):
     @property
     def slowest(self) -> float:
         """Bound on the speed of sound from below, in any direction, m/s."""
-        ...
 
     @property
     def fastest(self) -> float:
         """Bound on the speed of sound from above, in any direction, m/s."""
-        ...
 
     @property
     def fluctuation(self) -> Fluctuation | None:
         """Noise of delays."""
-        ...
 
     @property
     def wind(self) -> tuple[float, float, float] | None:
         """Velocity of the air, m/s; None where it rests."""
-        ...
 
     def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> Floats | None:
         """Return means (..., terms) of what it depends on along ways, arguments as for `Ways.leave`; or None."""
-        ...
 
     def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
         """Propagation of sound along paths.
@@ -150,7 +141,6 @@ class Medium(Protocol):
         means : ndarray (..., terms), optional
             Result of `means`.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)

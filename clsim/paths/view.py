@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.files.atomic import atomic_path
 from clsim.paths.family import DIFFRACTION
+from clsim.paths.path_table import PathTable
 from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedFlaws, ViewedPaths, ViewedWall, page_text
 from clsim.scene.room.edges import Edges
-from clsim.scene.scene import frame_times, viewed_bodies, viewed_ends, viewed_flaws, viewed_walls
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.path_table import PathTable
-    from clsim.scene.scene import Scene
+from clsim.scene.scene import Scene, frame_times, viewed_bodies, viewed_ends, viewed_flaws, viewed_walls
 
 _SEEN = 1e-4  # m, to which the page rounds
 
@@ -49,20 +44,16 @@ class Viewable(Protocol):
     @property
     def scene(self) -> Scene:
         """Where the paths are."""
-        ...
 
     @property
     def interactions(self) -> NDArray[np.signedinteger[Any]]:
         """What happens on each path's way (paths, N)."""
-        ...
 
     def table(self, times: Floats, motion: str, amplitude: str) -> PathTable:
         """Table of every path."""
-        ...
 
     def vertices(self, time: float, motion: str) -> Floats:
         """Return the vertices of every path (paths, N + 2, 3), m."""
-        ...
 
 
 def view_scene(paths: Viewable, page: Path, *, title: str = "scene", **options: Any) -> None:

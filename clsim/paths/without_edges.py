@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import ClsimWarning, InputError, warn
-from clsim.paths.family import BODY, DIFFRACTION, SPECULAR
+from clsim.paths.family import BODY, DIFFRACTION, SPECULAR, PairPaths
+from clsim.paths.path_set import PathSet
+from clsim.scene.body import Body
 from clsim.scene.motion.trajectory import Trajectory
-from clsim.scene.scene import known_until
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import PairPaths
-    from clsim.paths.path_set import PathSet
-    from clsim.scene.body import Body
-    from clsim.scene.room.walls import Walls
-    from clsim.scene.scene import Scene
+from clsim.scene.room.walls import Walls
+from clsim.scene.scene import Scene, known_until
 
 _MOST_EVENTS = 64  # beginnings and ends of paths of a pair that are looked at
 _LEAST_JUMP_DB, _LOUD_JUMP_DB = -60.0, -40.0  # re the strongest path: of what is reported, and warned of

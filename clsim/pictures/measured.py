@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from clsim.arrays import Floats
+from clsim.arrays import Floats
 
 _COLUMNS = 3
 _CLSIM, _MEASURED, _OTHERS = "#c1272d", "#111111", "#9bb7cc"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
@@ -11,16 +12,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.files.atomic import atomic_path
 
 if TYPE_CHECKING:
-    import os
-
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
 
 _RASTER_COLUMNS = 1200
 _RASTER_ROWS = 600

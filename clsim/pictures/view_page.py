@@ -5,21 +5,17 @@ from __future__ import annotations
 import html
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.packages import check_packages
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
 
 # Okabe and Ito's colours, then darker ones: told apart by colour-blind people too.
 _MATERIALS = (

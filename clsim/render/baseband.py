@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from clsim.arrays import as_number
+from clsim.arrays import Floats, as_number
 from clsim.errors import InputError, warn
+from clsim.scene.scene import Scene
+from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
-
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
-    from clsim.scene.scene import Scene
-    from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import Tracks
+from clsim.tracks.tracks import Tracks
 
 _BLOCKS_IN_SEGMENT = 12  # of the longest; all others go into it a whole number of times, too
 SUBBLOCK = 8  # samples, the unit of blocks and of what is silent

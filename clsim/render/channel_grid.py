@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Complexes, Floats, read_only
 from clsim.numerics.resampling import low_pass_between, shape_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.render.plan import ChannelPart
-    from clsim.render.source_filters import SourceFilters
+from clsim.render.plan import ChannelPart
+from clsim.render.source_filters import SourceFilters
 
 TAPS = 8  # points over which a path is spread
 PHASES = 2048  # of its place between two points for which the window is kept; between them it is linear

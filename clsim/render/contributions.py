@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 State = dict[str, "NDArray[Any]"]
 
@@ -24,19 +22,15 @@ class Contribution(Protocol):
     @property
     def name(self) -> str:
         """Name of its kind, as in messages and in what is kept of a run."""
-        ...
 
     def describe(self) -> list[str]:
         """Describe the planned computation, one line for each part."""
-        ...
 
     def digest(self) -> str:
         """Return a text that changes with all that its samples depend on beside paths and options."""
-        ...
 
     def begin(self) -> Adding:
         """Return an object that adds it from the first sample on, or from a restored state on."""
-        ...
 
 
 class Adding(Protocol):
@@ -44,35 +38,27 @@ class Adding(Protocol):
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add samples from `start` on to the pressure (receivers, n), Pa; in baseband to its complex envelope."""
-        ...
 
     def until(self, last: int) -> None:
         """Hint: samples from `last` on will not be requested yet; do not prefetch them."""
-        ...
 
     def shared(self, first: int, last: int) -> list[str]:
         """Return the names of arrays that samples `first` to `last` share with others; one process computes each."""
-        ...
 
     def made(self, name: str) -> NDArray[Any]:
         """Compute the shared array of a name, of any shape; it does not depend on the process or the time."""
-        ...
 
     def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
         """Use `find` to get shared arrays by name instead of computing them."""
-        ...
 
     def state(self) -> State:
         """Return the state after the chunks so far, from which rendering continues bit for bit."""
-        ...
 
     def restore(self, state: State) -> None:
         """Continue from the `state` of another object of the same plan."""
-        ...
 
     def warn(self) -> None:
         """Warn after the last chunk of results that miss the requested accuracy."""
-        ...
 
 
 class WithoutTables:

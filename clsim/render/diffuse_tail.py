@@ -6,18 +6,23 @@ import hashlib
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.paths.arrivals import MACH_EXPONENT
+from clsim.paths.path_set import PathSet
 from clsim.render.contributions import Stateless
 from clsim.render.opencl.device_waves import DeviceWaves
+from clsim.render.plan import Plan
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.tail.design import NoTailError, TailOptions, find_tail, searched_order
-from clsim.tail.ears import ears_among
+from clsim.scene.scene import Scene
+from clsim.tail.design import NoTailError, SourceTail, TailOptions, find_tail, searched_order
 from clsim.tail.noise import (
+    Responses,
     at_one_place,
     combined,
     gains_of,
@@ -26,20 +31,8 @@ from clsim.tail.noise import (
     row_gains,
     static_gains,
 )
-from clsim.tail.streams import NODE, Between, HostWaves, Motion, Streams
+from clsim.tail.streams import NODE, Between, Blocks, HostWaves, Motion, Streams, Waves, ears_among
 from clsim.tail.zones import Crossings, Zones, fastest, is_static
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.path_set import PathSet
-    from clsim.render.plan import Plan
-    from clsim.scene.scene import Scene
-    from clsim.tail.design import SourceTail
-    from clsim.tail.ears import Blocks
-    from clsim.tail.noise import Responses
-    from clsim.tail.streams import Waves
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
 _RECEIVERS = 16  # of them at a time

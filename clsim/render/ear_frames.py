@@ -6,22 +6,19 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
+from clsim.paths.family import PairPaths
 from clsim.paths.response import to_transducer_frame
 from clsim.render.opencl.host_nodes import side_by_side
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.family import PairPaths
-    from clsim.render.plan import Plan
-    from clsim.scene.directivity.directivity import ChannelDirectivity
-    from clsim.scene.scene import Scene
+from clsim.render.plan import Plan
+from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.scene import Scene
 
 _NODES, _BEFORE = 6, 2  # from which responses between two of them are made, and how many lie before both
 _SPACINGS = (4608, 3072, 2304, 1536, 1024, 768, 512, 384, 256, 192, 128, 96, 64)  # samples, divisors of a segment

@@ -61,29 +61,11 @@ class Interpolator(ABC):
             Weights of errors in equal bands from 0 to the edge: errors may be larger where the weight is less.
         oversampling : int
             Samples of the signal in one of the recording.
-
-        Returns
-        -------
-        Bank
-            Branch filters.
         """
         return self._bank(edge, oversampling * max_rate, importance)
 
     def taps(self, bank: Bank, mu: Floats) -> Floats:
-        """Return the filter's own taps, as the reference engine uses them.
-
-        Parameters
-        ----------
-        bank : Bank
-            Made by `bank`.
-        mu : ndarray (n,)
-            Delays beyond the bank's shift, samples.
-
-        Returns
-        -------
-        ndarray (n, length)
-            Taps for each delay.
-        """
+        """Return the taps (n, length) of a `bank` for delays `mu` (n,) beyond its shift, samples: the reference's."""
         return self._taps(bank, mu)
 
     @abstractmethod
@@ -103,11 +85,6 @@ class Lagrange(Interpolator):
     ----------
     order : int
         From 1 to 40; it has one tap more.
-
-    Raises
-    ------
-    InputError
-        If the order is out of bounds.
 
     Notes
     -----
@@ -138,11 +115,6 @@ class TruncatedLagrange(Interpolator):
         Order of the prototype, up to 40.
     length : int
         Taps that are kept; ``order + 1 - length`` must be even.
-
-    Raises
-    ------
-    InputError
-        If order or length are out of bounds, or do not fit each other.
     """
 
     order: int
@@ -180,11 +152,6 @@ class Bandlimited(Interpolator):
     ----------
     error_db : float
         Bound on the deviation from a pure delay, from -120 to -40 dB, relative to what sounds within some 40 ms.
-
-    Raises
-    ------
-    InputError
-        If the error is out of bounds.
     """
 
     error_db: float = -90.0
@@ -203,18 +170,7 @@ class Bandlimited(Interpolator):
         return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, subblock, reached)
 
     def rounded(self, importance: tuple[float, ...]) -> tuple[float, ...]:
-        """Return importances rounded up, so that designs are found again, and that no error is above -12 dB.
-
-        Parameters
-        ----------
-        importance : tuple of float
-            By which errors count, as factors.
-
-        Returns
-        -------
-        tuple of float
-            As many, in steps of 6 dB.
-        """
+        """Return each `importance`, a factor, rounded up, so that designs are found again; no error is above -12 dB."""
         least = 10.0 ** ((self.error_db + 12.0) / 20.0)
         steps = np.ceil(20.0 * np.log10(np.maximum(importance, least)) / 6.0)
         return tuple((10.0 ** (0.3 * steps)).tolist())

@@ -183,11 +183,6 @@ class RenderOptions:
         **options
             See the class.
 
-        Returns
-        -------
-        RenderOptions
-            With these.
-
         Raises
         ------
         InputError

@@ -120,35 +120,11 @@ class Plan:
         return max(self.blocks[-1], FINE) if self.baseband is None else self.blocks[-1]
 
     def is_fine(self, block: int) -> bool:
-        """Test whether blocks of a length are rendered in small subblocks with all terms of their cubics.
-
-        Parameters
-        ----------
-        block : int
-            Samples in a block.
-
-        Returns
-        -------
-        bool
-            Whether they are that short.
-        """
+        """Test whether blocks of `block` samples are rendered in small subblocks with all terms of their cubics."""
         return self.baseband is None and block < FINE
 
     def subblock(self, source: int, block: int) -> int:
-        """Return the number of neighbouring samples of a block that share the whole part of a delay.
-
-        Parameters
-        ----------
-        source : int
-            Index of the source.
-        block : int
-            Samples in a block.
-
-        Returns
-        -------
-        int
-            Samples in a subblock.
-        """
+        """Return the number of samples of a `block` of a `source` that share the whole part of a delay."""
         subblock = self.source_filters[source].bank.subblock
         return min(subblock, SMALL_SUBBLOCK) if self.is_fine(block) else subblock
 
@@ -173,50 +149,15 @@ class Plan:
         return 0.0 if self.is_fine(block) else self.subblock(source, block) / block
 
     def where_claimed(self, claim: str, build: Callable[[Plan], Contribution]) -> Contribution | None:
-        """Build a contribution if its method claims something.
-
-        Parameters
-        ----------
-        claim : str
-            Field of the allocation.
-        build : callable
-            Makes the contribution from the plan.
-
-        Returns
-        -------
-        Contribution, optional
-            None where nothing is claimed.
-        """
+        """Build a contribution by `build` of the plan if the allocation's `claim` holds something, else None."""
         return build(self) if any(part is not None for part in getattr(self.allocation, claim)) else None
 
     def where_left(self, build: Callable[[Plan], Contribution]) -> Contribution | None:
-        """Build a contribution if other methods leave a pair of source and receiver.
-
-        Parameters
-        ----------
-        build : callable
-            Makes the contribution from the plan.
-
-        Returns
-        -------
-        Contribution, optional
-            None where all pairs are claimed.
-        """
+        """Build a contribution by `build` of the plan if other methods leave a pair, else None."""
         return None if len(self.allocation.claimed) == len(self.tracks.pairs) else build(self)
 
     def is_claimed(self, source: int) -> bool:
-        """Test whether a source has paths and none of them is rendered path by path.
-
-        Parameters
-        ----------
-        source : int
-            Index of the source.
-
-        Returns
-        -------
-        bool
-            Whether other methods claim all of them.
-        """
+        """Test whether a `source`, by index, has paths and none of them is rendered path by path."""
         mine = {i for i, pair in enumerate(self.tracks.pairs) if pair.source == source}
         return bool(mine) and mine <= self.allocation.claimed
 
@@ -276,20 +217,7 @@ class Plan:
         }
 
     def bytes_per_node(self, source: int, channels: int = 1) -> int:
-        """Return the size of a block of a path: whole delay, and polynomials of its rest and of every gain.
-
-        Parameters
-        ----------
-        source : int
-            Index of the source.
-        channels : int
-            Channels of the receiver.
-
-        Returns
-        -------
-        int
-            Bytes.
-        """
+        """Return the bytes of a block of a path, by its `source` and the number of `channels` of the receiver."""
         return 4 + 4 * self.delay_terms + 16 * len(self.source_filters[source].basis) * channels
 
     def _node_bytes(self, segments: int) -> float:
@@ -325,35 +253,13 @@ class Plan:
         return len(self.tracks.receiver_names)
 
     def rows_of_pair(self, pair: int) -> slice:
-        """Return the rows of the pressure that have a pair's paths.
-
-        Parameters
-        ----------
-        pair : int
-            Index of the pair, in `Tracks.pairs`.
-
-        Returns
-        -------
-        slice
-            Of as many rows as channels of the receiver share the pair's delays.
-        """
+        """Return the rows of the pressure that have the paths of a `pair`, an index of `Tracks.pairs`."""
         member = self.tracks.pairs[pair]
         first = int(self.first_rows[member.receiver])
         return slice(first + member.channels.start, first + member.channels.stop)
 
     def rows_of(self, receiver: int) -> slice:
-        """Return the rows of the pressure that are channels of a receiver.
-
-        Parameters
-        ----------
-        receiver : int
-            Index of the receiver.
-
-        Returns
-        -------
-        slice
-            Of as many rows as it has channels.
-        """
+        """Return the rows of the pressure that are channels of a `receiver`, an index."""
         first, last = self.first_rows[receiver : receiver + 2].tolist()
         return slice(first, last)
 
@@ -384,13 +290,7 @@ class Plan:
         return tuple(r.unit for r in self.receivers for _ in r.directivity.channels) or ("Pa",) * self.row_count
 
     def describe(self) -> list[str]:
-        """Describe the plan, one line for each fact: the whole, each contribution, the receivers.
-
-        Returns
-        -------
-        list of str
-            As in the notes of the recording.
-        """
+        """Describe the plan, one line for each fact: the whole, each contribution, the receivers."""
         lines = [
             f"{counted(self.path_count, 'path')} from {counted(len(self.source_filters), 'source')} to "
             f"{counted(self.receiver_count, 'receiver')}"

@@ -85,11 +85,6 @@ def plan_render(paths: PathSet, options: RenderOptions) -> Plan:
     Plan
         For `render_chunks`, or to be looked at: samples, filters, errors, memory.
 
-    Raises
-    ------
-    InputError
-        If an argument breaks a rule.
-
     Warns
     -----
     ClsimWarning

@@ -3,37 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_count, as_number
+from clsim.arrays import Floats, as_count, as_number
 from clsim.errors import InputError, warn
 from clsim.keywords import keywords_of
 from clsim.opencl.device import find_device
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
+from clsim.render.contributions import State
 from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
 from clsim.render.plan import SEGMENT, Plan
 from clsim.render.planning import plan_paths, plan_tracks
+from clsim.scene.ends import Receiver
 from clsim.scene.signal.signal import Signal
 from clsim.scene.signal.waveforms import white_noise
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import StreamFilter
-from clsim.tracks.tracks import as_tracks
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.render.contributions import State
-    from clsim.scene.ends import Receiver
-    from clsim.tracks.tracks import Tracks
-
+from clsim.tracks.tracks import Tracks, as_tracks
 
 _Kind = Literal["highpass", "lowpass"]
 
@@ -127,11 +120,6 @@ def render_tracks(
         Time at which each signal begins, s; 0 when left out.
     **options
         As of `RenderOptions`, but for those by which tracks are made.
-
-    Returns
-    -------
-    Recording
-        As of `render`.
 
     Raises
     ------
@@ -249,13 +237,7 @@ class Rendering:
         return self._pressure.state() | self._receivers.state()
 
     def restore(self, state: State) -> None:
-        """Go on where another one of the same plan was.
-
-        Parameters
-        ----------
-        state : dict of ndarray, of any shape
-            What that one's `state` returned.
-        """
+        """Go on where another one of the same plan was, by its `state`: arrays of any shape."""
         self._pressure.restore(state)
         self._receivers.restore(state)
 

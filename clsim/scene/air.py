@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clsim.acoustics.air import (
     absorption_iso9613,
@@ -18,15 +19,10 @@ from clsim.acoustics.air import (
     vapour_fraction_giacomo,
     vapour_percent_iso9613,
 )
-from clsim.arrays import Floats, as_choice, as_flag, as_floats, as_number
+from clsim.arrays import Complexes, Floats, as_choice, as_flag, as_floats, as_number
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.scene.fluctuation import Fluctuation
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Complexes
 
 ByHeight = float | tuple[float, float] | Callable[["Floats"], Any]  # a number, (lower, upper), or a function of heights
 UNPLACED = (0.0, 1.0)  # m, heights of air that is in no room yet
@@ -55,8 +51,7 @@ def at_heights(field: str, given: ByHeight, where: tuple[float, float], heights:
     found = np.asarray(given(heights), dtype=np.float64)
     if found.shape not in ((), heights.shape) or not np.all(np.isfinite(found)):
         raise InputError(
-            field,
-            f"must return a finite number for each of {len(heights)} heights, but returns {found!r:.80}",
+            field, f"must return a finite number for each of {len(heights)} heights, but returns {found!r:.80}"
         )
     return np.broadcast_to(found, heights.shape)
 
@@ -211,34 +206,13 @@ class Air:
                 warn(message)
 
     def at_height(self, height: Floats) -> Floats:
-        """Return temperature and relative humidity at some heights.
-
-        Parameters
-        ----------
-        height : ndarray (n,)
-            m.
-
-        Returns
-        -------
-        ndarray (2, n)
-            °C, and from 0 to 1.
-        """
+        """Return temperature, °C, and relative humidity, 0 to 1, (2, n) at each `height` (n,), m."""
         where = self.heights or self.extent or UNPLACED
         given = {"temperature_celsius": self.temperature_celsius, "relative_humidity": self.relative_humidity}
         return np.stack([at_heights(name, value, where, height) for name, value in given.items()])
 
     def between(self, lowest: float, highest: float) -> Air:
-        """Return the same air in a room between two heights, m: with layers if it depends on the height.
-
-        Parameters
-        ----------
-        lowest, highest : float
-            Lowest and highest point of the room, m.
-
-        Returns
-        -------
-        Air
-            This one, if it is the same everywhere.
+        """Return the air from `lowest` to `highest`, m: with layers if it depends on the height, else itself.
 
         Raises
         ------
@@ -250,18 +224,7 @@ class Air:
         return replace(self, extent=(lowest, highest))
 
     def by_height(self, quantity: Callable[[Air], ArrayLike]) -> Floats:
-        """Return something of the air over the height.
-
-        Parameters
-        ----------
-        quantity : callable
-            Takes the air of a layer; returns numbers (...).
-
-        Returns
-        -------
-        ndarray (terms, ...)
-            Coefficients of Chebyshev polynomials over `extent`; one term for air that is the same everywhere.
-        """
+        """Return Chebyshev coefficients (terms, ...) over `extent` of a `quantity` of layers, in its unit, m or s."""
         if not self.layers:
             return np.asarray(quantity(self), dtype=np.float64)[None]
         return coefficients(np.array([quantity(layer) for layer in self.layers]))
@@ -273,13 +236,7 @@ class Air:
         return slowest - (0.0 if self.wind is None else math.hypot(*self.wind))
 
     def describe(self) -> list[str]:
-        """Return a description of the air, a line per fact.
-
-        Returns
-        -------
-        list of str
-            Temperature, humidity and speed of sound; then what differs from air that rests and is the same everywhere.
-        """
+        """Return a description of the air, a line per fact."""
         celsius, humidity, _ = self.state
         lines = [
             f"air: {celsius:g} °C, {100.0 * humidity:g} % relative humidity, sound at {self.speed_of_sound:.2f} m/s"
@@ -306,22 +263,12 @@ class Air:
         return lines
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
-        """Return the absorption of pure tones by ISO 9613-1, dB/m, at half the room's height; zero in air without.
+        """Return the absorption (...) of pure tones by ISO 9613-1, dB/m, at half the room's height; 0 without.
 
         Parameters
         ----------
         frequency : array_like
             Frequencies of any shape, at least 0, Hz.
-
-        Returns
-        -------
-        ndarray
-            Absorption of the shape of `frequency`, dB/m.
-
-        Raises
-        ------
-        InputError
-            If a frequency is negative or not finite.
 
         Warns
         -----
@@ -358,36 +305,14 @@ class Air:
         return np.asarray(k - lead_iso9613(f, *self.state) if self.dispersion else k)
 
     def speed_at(self, frequency: float) -> float:
-        """Return the speed of sound of a pure tone, that of its phase, m/s.
-
-        Parameters
-        ----------
-        frequency : float
-            Above 0, Hz.
-
-        Returns
-        -------
-        float
-            Speed, m/s.
-        """
+        """Return the speed of sound of a pure tone at a `frequency` above 0 Hz, that of its phase, m/s."""
         c = self.speed_of_sound
         if not self.dispersion:
             return c
         return c / (1.0 - c * float(lead_iso9613(frequency, *self.state)) / (2.0 * np.pi * frequency))
 
     def group_speed_at(self, frequency: float) -> float:
-        """Return the group speed at a frequency, at which envelopes travel, m/s.
-
-        Parameters
-        ----------
-        frequency : float
-            At least 0, Hz.
-
-        Returns
-        -------
-        float
-            Speed, m/s.
-        """
+        """Return the group speed at a `frequency` of at least 0 Hz, at which envelopes travel, m/s."""
         c = self.speed_of_sound
         if not self.dispersion:
             return c

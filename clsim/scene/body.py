@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from clsim.arrays import LARGEST_ROOM, as_floats
+from clsim.arrays import LARGEST_ROOM, Floats, as_floats
 from clsim.errors import InputError, counted
 from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import in_face
-from clsim.scene.motion.checks import as_places
+from clsim.scene.material.material import Material
 from clsim.scene.motion.motion import Instants, even_lengths, seen_by
+from clsim.scene.motion.orientation import as_places
 from clsim.scene.motion.trajectory import Trajectory
-from clsim.scene.placement import first_refused
+from clsim.scene.placement import Placed, first_refused
 from clsim.scene.room.mesh import MeshRoom
-from clsim.scene.room.protocol import is_room
+from clsim.scene.room.protocol import Room, is_room
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Floats
-    from clsim.scene.material.material import Material
-    from clsim.scene.placement import Placed
-    from clsim.scene.room.protocol import Room
-
-    T = TypeVar("T")
-    Named = Sequence[tuple[str, T]]
+T = TypeVar("T")
+Named = Sequence[tuple[str, T]]
 
 End = TypeVar("End", Source, Receiver)
 _SHEET = (0, 1, 3, 2)  # corners of the face of a box on one side of an axis, around it
@@ -63,11 +56,6 @@ class Body:
         Radius of the bounding sphere about the origin of its coordinates, m.
     lever : float
         Bound of the distance of its points from the axes about which it turns, m.
-
-    Raises
-    ------
-    InputError
-        If the name is empty, the mesh is none, or the trajectory is none or begins after 0 s.
     """
 
     name: str
@@ -94,11 +82,7 @@ class Body:
 
     @staticmethod
     def box(
-        name: str,
-        size: ArrayLike,
-        material: Material,
-        trajectory: Trajectory,
-        centre: ArrayLike = (0.0, 0.0, 0.0),
+        name: str, size: ArrayLike, material: Material, trajectory: Trajectory, centre: ArrayLike = (0.0, 0.0, 0.0)
     ) -> Body:
         """Return a box, or a sheet.
 
@@ -110,16 +94,6 @@ class Body:
             Material of all faces.
         centre : array_like (3,)
             Centre of the box in its own coordinates, m.
-
-        Returns
-        -------
-        Body
-            A box, whose faces are called after their sides, ``x_min`` to ``z_max``.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
 
         Examples
         --------
@@ -169,18 +143,7 @@ class Body:
         return moved + motion.peak_turn * self.lever
 
     def speed(self, times: Floats) -> Floats:
-        """Return bounds of the speed of any point of it at times (n,), m/s.
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            s.
-
-        Returns
-        -------
-        ndarray (n,)
-            m/s.
-        """
+        """Return bounds of the speed of any point of it at `times` (n,) s, m/s."""
         turning = np.linalg.norm(self.trajectory.angular_velocity(times), axis=-1)
         return np.asarray(np.linalg.norm(self.trajectory.velocity(times), axis=-1) + self.lever * turning)
 
@@ -192,37 +155,11 @@ class Body:
         return [f"body {self.name!r}: {counted(len(self.mesh.walls), 'face')}, {size} m, {moves}"]
 
     def placed(self, points: Floats, time: Floats) -> Floats:
-        """Return room positions at times (...) of points (..., 3) in the body's own coordinates, m.
-
-        Parameters
-        ----------
-        points : ndarray (..., 3)
-            m.
-        time : ndarray (...)
-            s.
-
-        Returns
-        -------
-        ndarray (..., 3)
-            m.
-        """
+        """Return room positions at `time` (...) s of `points` (..., 3) in the body's own coordinates, m."""
         return self.trajectory.position(time) + rotate(self.trajectory.orientation(time), points)
 
     def seen(self, places: Floats, time: Floats) -> Floats:
-        """Return places (..., 3) of the room in its own coordinates at times (...), m.
-
-        Parameters
-        ----------
-        places : ndarray (..., 3)
-            m.
-        time : ndarray (...)
-            s.
-
-        Returns
-        -------
-        ndarray (..., 3)
-            m.
-        """
+        """Return `places` (..., 3) of the room in its own coordinates at `time` (...) s, m."""
         back = self.trajectory.orientation(time) * np.array([-1.0, -1.0, -1.0, 1.0])
         return rotate(back, places - self.trajectory.position(time))
 

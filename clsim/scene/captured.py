@@ -5,30 +5,24 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from os import PathLike
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from clsim.arrays import FARTHEST, as_choice, as_number, read_only
+from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.numerics.quaternions import rotate as turned
-from clsim.scene.motion.checks import LONGEST, as_increasing, as_path, as_places
 from clsim.scene.motion.curves import spline_through
-from clsim.scene.motion.orientation import as_quaternions
+from clsim.scene.motion.orientation import LONGEST, as_increasing, as_path, as_places, as_quaternions
+from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.people import PARTS, SHANK, THIGH, pose_times, quaternions_along, through_poses
 from clsim.scene.scatterer import Scatterer
 
-if TYPE_CHECKING:
-    from os import PathLike
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Floats
-    from clsim.scene.motion.trajectory import Trajectory
-
-    Segments = Sequence[tuple[str, str, float]]
+Segments = Sequence[tuple[str, str, float]]
 
 _FEWEST_FRAMES = 4  # of a spline
 _AXES = {"X": 0, "Y": 1, "Z": 2}
@@ -285,11 +279,6 @@ def captured_person(
         Then turned by a unit quaternion x y z w, and moved, m.
     time_offset : float
         Time of the file's first row, 0 or before, s.
-
-    Returns
-    -------
-    list of Scatterer
-        For the `scatterers` of a `Scene`, from the first row to the last.
 
     Raises
     ------

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_choice, as_count, as_flag, as_floats, as_number, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import normalised, quaternion_from_direction, rotate
-from clsim.scene.directivity.ambisonic import HIGHEST, Ambisonic
 from clsim.scene.directivity.directivity import ChannelDirectivity, Directivity
 from clsim.scene.directivity.head_related import EARS, HeadRelated, SphericalHead
-from clsim.scene.directivity.patterns import Omni
-from clsim.scene.motion.checks import LONGEST, as_direction, as_places
+from clsim.scene.directivity.patterns import HIGHEST, Ambisonic, Omni
 from clsim.scene.motion.curves import CONTINUATION
-from clsim.scene.motion.orientation import quaternion_product, turning_between
+from clsim.scene.motion.orientation import LONGEST, as_direction, as_places, quaternion_product, turning_between
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Directions = Callable[[Floats], tuple[Floats, NDArray[np.bool_]]]
+Directions = Callable[[Floats], tuple[Floats, NDArray[np.bool_]]]
 
 _STEP = 1.0 / 32.0  # s, between the orientations that are tried first
 _TOLERANCE = 1e-4  # rad, of the axis between two orientations
@@ -213,18 +208,7 @@ class Source:
         return 0.0, self.end if math.isinf(self.trajectory.end) else self.trajectory.end
 
     def orientation(self, times: Floats) -> Floats:
-        """Return unit quaternions x y z w at `times` (n,), shape (n, 4).
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            s.
-
-        Returns
-        -------
-        ndarray (n, 4)
-            1.
-        """
+        """Return unit quaternions x y z w (n, 4) at `times` (n,), s."""
         return _orientation(self, times)
 
 
@@ -272,11 +256,6 @@ class Receiver:
         Name of the body that carries it; as of a `Source`.
     element : Element, optional
         Place in an array; `receiver_array` sets it.
-
-    Raises
-    ------
-    InputError
-        If a value is of another kind or out of bounds.
     """
 
     name: str
@@ -327,16 +306,6 @@ class Receiver:
             Whether the components keep the room's axes although the microphone turns.
         **options : Any
             Others of `Receiver`, without `directivity`.
-
-        Returns
-        -------
-        Receiver
-            With an `Ambisonic` directivity.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
         """
         as_count("order", order, at_least=1, at_most=HIGHEST)
         if as_flag("fixed", fixed):
@@ -352,7 +321,7 @@ class Receiver:
     def binaural(
         name: str, trajectory: Trajectory, hrtf: str | PathLike[str] | ChannelDirectivity | None = None, **options: Any
     ) -> Receiver:
-        """Return a head with two ears, which turns as its trajectory says: front +x, left +y, up +z.
+        """Return a head with the channels "left" and "right", turned by its trajectory: front +x, left +y, up +z.
 
         Parameters
         ----------
@@ -365,11 +334,6 @@ class Receiver:
             rigid sphere when left out.
         **options : Any
             Others of `Receiver`, without `directivity`.
-
-        Returns
-        -------
-        Receiver
-            A receiver with the channels ``"left"`` and ``"right"``.
 
         Raises
         ------
@@ -404,18 +368,7 @@ class Receiver:
         return 1.0 if self.electronics is None else 1.0 + 1e-6 * self.electronics.clock_ppm
 
     def clock_error(self, times: Floats) -> Floats:
-        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken.
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            By the receiver's clock, s.
-
-        Returns
-        -------
-        ndarray (n,)
-            s.
-        """
+        """Return the error (n,) of the receiver's clock at its own `times` (n,), s: the lateness of samples."""
         return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
     @property
@@ -424,18 +377,7 @@ class Receiver:
         return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
 
     def orientation(self, times: Floats) -> Floats:
-        """Return unit quaternions x y z w at `times` (n,), shape (n, 4).
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            s.
-
-        Returns
-        -------
-        ndarray (n, 4)
-            1.
-        """
+        """Return unit quaternions x y z w (n, 4) at `times` (n,), s."""
         return _orientation(self, times)
 
 

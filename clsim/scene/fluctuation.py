@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.arrays import as_count, as_number, read_only
-
-if TYPE_CHECKING:
-    from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats, as_count, as_number, read_only
 
 _WAVES = 64
 _AT_A_TIME = 16384  # instants
@@ -31,11 +27,6 @@ class Fluctuation:
         Distance between two positions of the source or receiver at which the correlation is 1/e, m.
     seed : int
         Seed of the noise.
-
-    Raises
-    ------
-    InputError
-        If a value is out of bounds.
 
     Notes
     -----
@@ -81,7 +72,7 @@ class Fluctuation:
     def at(
         self, times: Floats, receiver: Floats, source: Floats, velocities: tuple[Floats, Floats] | None = None
     ) -> tuple[Floats, Floats]:
-        """Return the noise, and how fast it changes.
+        """Return the noise (...), s, and its rate of change (...), s/s.
 
         Parameters
         ----------
@@ -91,11 +82,6 @@ class Fluctuation:
             The receiver as the source sees it, and the source, m.
         velocities : tuple of ndarray (..., 3), optional
             Velocities of both, m/s; zero when left out.
-
-        Returns
-        -------
-        late, rate : ndarray (...)
-            s, and s/s.
         """
         waves, size = self._waves, self.rms * math.sqrt(2.0 / _WAVES)
         angle = times[..., None] * waves[0] + receiver @ waves[1:4] + source @ waves[4:7] + waves[7]
@@ -108,18 +94,7 @@ class Fluctuation:
         return self.rms * math.sqrt(2.0 * _WAVES)
 
     def most_rate(self, source_speed: float, receiver_speed: float) -> float:
-        """Return a bound on how fast the noise changes.
-
-        Parameters
-        ----------
-        source_speed, receiver_speed : float
-            Largest speeds of the ends, m/s.
-
-        Returns
-        -------
-        float
-            s/s.
-        """
+        """Return a bound on the rate of change of the noise, s/s, by `source_speed` and `receiver_speed`, m/s."""
         by_place = [np.linalg.norm(self._waves[rows], axis=0) for rows in (slice(1, 4), slice(4, 7))]
         turns = np.abs(self._waves[0]) + receiver_speed * by_place[0] + source_speed * by_place[1]
         return self.rms * math.sqrt(2.0 / _WAVES) * float(turns.sum())
@@ -138,11 +113,6 @@ class TargetFluctuation:
         Swerling's cases 1 and 2. At 0.71 it varies as much as in his cases 3 and 4.
     seed : int
         Seed of the noise: the same seed gives the same noise, in any chunks.
-
-    Raises
-    ------
-    InputError
-        If a value is out of bounds.
 
     Notes
     -----
@@ -180,18 +150,7 @@ class TargetFluctuation:
         return math.sqrt(self.steady) + math.sqrt((1.0 - self.steady) * _WAVES)
 
     def at(self, times: Floats) -> Complexes:
-        """Return the factor of the pressure.
-
-        Parameters
-        ----------
-        times : ndarray (...)
-            Times of scattering, s.
-
-        Returns
-        -------
-        ndarray (...)
-            Complex; its mean square over time is 1.
-        """
+        """Return the complex factor (...) of the pressure at `times` (...) of scattering, s; its mean square is 1."""
         flat, found = times.ravel(), np.empty(times.size, dtype=np.complex128)
         for first in range(0, len(flat), _AT_A_TIME):
             some = slice(first, first + _AT_A_TIME)

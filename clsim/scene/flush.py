@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
+from clsim.scene.ends import End
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.faces import NEAREST, Mount
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from clsim.arrays import Floats
-    from clsim.scene.ends import End
-    from clsim.scene.room.mesh import MeshRoom
-    from clsim.scene.room.protocol import Room
-    from clsim.scene.scatterer import Scatterer
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.protocol import Room
+from clsim.scene.scatterer import Scatterer
 
 _ALONG = 1e-6  # cosine below which a direction runs along a wall
 

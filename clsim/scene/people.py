@@ -10,22 +10,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clsim.arrays import Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
-from clsim.scene.motion.checks import as_increasing
 from clsim.scene.motion.curves import spline_through
-from clsim.scene.motion.orientation import quaternion_product, turning_between
+from clsim.scene.motion.orientation import as_increasing, quaternion_product, turning_between
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scatterer import Scatterer
 
-if TYPE_CHECKING:
-    Pose = dict[str, tuple[Floats, tuple[Floats, Floats, Floats]]]
-    from numpy.typing import ArrayLike
+Pose = dict[str, tuple[Floats, tuple[Floats, Floats, Floats]]]
 
 
 _TURNS, _EVERY = 1000.0, 4  # Hz of orientations; positions are splines through every fourth
@@ -210,11 +207,6 @@ def walking_person(name: str, height: float, trajectory: Trajectory, shadow: boo
         Whether every part casts a shadow, see `Scatterer.ellipsoid`. Shadows of walls' echoes need as high a
         `scattering_order` as their number of reflections.
 
-    Returns
-    -------
-    list of Scatterer
-        For the `scatterers` of a `Scene`, from the trajectory's start to its end.
-
     Raises
     ------
     InputError
@@ -359,17 +351,6 @@ def hand(
         and rests there for a moment.
     shadow : bool
         Whether every part casts a shadow, see `Scatterer.ellipsoid` and `Scatterer.capsule`.
-
-    Returns
-    -------
-    list of Scatterer
-        For the `scatterers` of a `Scene`; where the trajectory rests and the opening changes, from 0 s or before to the
-        last of its times.
-
-    Raises
-    ------
-    InputError
-        If a value is of another kind or out of bounds, or times do not increase.
 
     Examples
     --------

@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import InputError, warn
 from clsim.numerics.quaternions import rotate
 from clsim.scene.directivity.patterns import Omni
-from clsim.scene.ends import Source
+from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.flush import find_mount
-from clsim.scene.motion.motion import Instants, Motion
+from clsim.scene.motion.motion import Indices, Instants, Motion
 from clsim.scene.room.enclosed import held_by_rooms
+from clsim.scene.room.faces import Mount
+from clsim.scene.room.protocol import Room
+from clsim.scene.scatterer import Scatterer
 from clsim.scene.transducer.transducer import TRANSDUCER_NAMES, Transducer
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.ends import End, Receiver
-    from clsim.scene.motion.motion import Indices
-    from clsim.scene.room.faces import Mount
-    from clsim.scene.room.protocol import Room
-    from clsim.scene.scatterer import Scatterer
-
-    Placed = End | Scatterer
+Placed = End | Scatterer
 
 _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
 _SCAN_BLOCK = 65536  # instants among which the nearest approach is sought

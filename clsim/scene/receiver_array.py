@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import FARTHEST, Floats, as_count, as_number
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
+from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Element, Receiver
-from clsim.scene.motion.checks import as_direction, as_places
+from clsim.scene.motion.orientation import as_direction, as_places
 from clsim.scene.motion.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.scene.directivity.directivity import Directivity
 
 _MOST = 100_000  # receivers of an array
 
@@ -51,11 +47,6 @@ def receiver_array(
         Unit vectors or longer ones along the elements' axes, in the same frame; in place of `aim`.
     **arguments : Any
         Arguments of `Receiver`, the same for all: directivity, aim, transducer, electronics.
-
-    Returns
-    -------
-    list of Receiver
-        In the order of the positions.
 
     Raises
     ------
@@ -136,16 +127,6 @@ def grid_positions(x: Any, y: Any, z: Any) -> Floats:
     x, y, z : float or (first, last, count)
         One coordinate, m, or evenly spaced ones from the first to the last.
 
-    Returns
-    -------
-    ndarray (n, 3)
-        m.
-
-    Raises
-    ------
-    InputError
-        If a value is no number, a count is below 1, or one of 1 has two ends.
-
     Examples
     --------
     >>> grid_positions((1.0, 2.0, 2), 3.0, 2.5).tolist()
@@ -166,11 +147,6 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
     path : path-like
         Three numbers a line, parted by commas, semicolons or spaces; lines that begin with ``#`` and a first line of
         words are passed over. Or a microphone geometry of Acoular (XML): a ``<pos x="" y="" z=""/>`` for each.
-
-    Returns
-    -------
-    ndarray (n, 3)
-        m.
 
     Raises
     ------

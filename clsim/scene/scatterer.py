@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics import silhouette, sphere
 from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_specular_point
-from clsim.acoustics.scattering import ellipsoid_mirror, ellipsoid_specular_point, ellipsoid_strength
-from clsim.arrays import FARTHEST, as_choice, as_flag, as_floats, as_number, read_only, short_repr
+from clsim.acoustics.scattering import SpecularPoint, ellipsoid_mirror, ellipsoid_specular_point, ellipsoid_strength
+from clsim.arrays import FARTHEST, Complexes, Floats, as_choice, as_flag, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.scene.fluctuation import TargetFluctuation
 from clsim.scene.motion.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.acoustics.scattering import SpecularPoint
-    from clsim.arrays import Complexes, Floats
 
 MODELS = ("series", "geometrical", "outline")
 _STRONGEST = 60.0  # dB re 1 m, a target strength that no thing in a room exceeds
@@ -34,62 +29,50 @@ class Shape(Protocol):
     @property
     def kind(self) -> str:
         """The word for it."""
-        ...
 
     @property
     def semi_axes(self) -> Floats:
         """Half of its extent along its own axes (3,), m."""
-        ...
 
     @property
     def radius(self) -> float:
         """Radius of the bounding sphere about the centre, m."""
-        ...
 
     @property
     def is_complex(self) -> bool:
         """Whether its field has a phase of its own."""
-        ...
 
     @property
     def shadows(self) -> bool:
         """Whether the scattered field includes the shadow behind it."""
-        ...
 
     @property
     def outlined(self) -> bool:
         """Whether that is the field about its outline."""
-        ...
 
     @property
     def aspects(self) -> int:
         """Number of arguments of `field` per path."""
-        ...
 
     def specular(
         self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
     ) -> SpecularPoint | None:
         """Return specular point for endpoints (3, n), see `ellipsoid_specular_point`; None for its centre."""
-        ...
 
     def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
         """Return scattering strength (n,) between endpoints (3, n), m, and arguments (n, aspects) of `field`."""
-        ...
 
     def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return factor (..., F) of the strength at wave numbers (F,), 1/m; None for 1."""
-        ...
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
         """Return bounds (n, F) of the scattered pressure times the path length at wave numbers (F,), 1/m.
 
         The distances of both ends from it have at least these harmonic means, over 2, (n,) m.
         """
-        ...
 
     def holds(self, places: Floats, margin: float) -> NDArray[np.bool_]:
         """Return mask of positions (n, 3) inside it, or nearer to it than a margin, m."""
-        ...
 
 
 def _over(nearest: Floats, strength: Floats) -> Floats:
@@ -305,11 +288,6 @@ class Scatterer:
         Position of its centre, and its orientation.
     fluctuation : TargetFluctuation, optional
         Change of its strength with time.
-
-    Raises
-    ------
-    InputError
-        If the name is empty, the trajectory is none or begins after 0 s, or the fluctuation is none.
     """
 
     name: str
@@ -343,11 +321,6 @@ class Scatterer:
         trajectory : Trajectory
             Position over time.
 
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
-
         Examples
         --------
         >>> Scatterer.point("bat", -40.0, Trajectory.fixed((2.0, 1.0, 1.0))).shape.strongest
@@ -375,11 +348,6 @@ class Scatterer:
         model : {"series", "geometrical", "outline"}
             "series" sums its modes, exact at every frequency, distance and angle, shadow included. "geometrical" is
             geometrical optics, without a shadow. "outline" adds to this the shadow of its outline, as ellipsoids have.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
 
         Examples
         --------
@@ -411,11 +379,6 @@ class Scatterer:
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
 
         Examples
         --------
@@ -456,11 +419,6 @@ class Scatterer:
         shadow : bool
             Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
             much. It takes away the direct sound behind it.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind or out of bounds.
 
         Examples
         --------

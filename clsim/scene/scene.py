@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from clsim.arrays import FARTHEST, as_count, as_number, row_name, short_repr
+from clsim.arrays import FARTHEST, Floats, as_count, as_number, row_name, short_repr
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
 from clsim.pictures.view_page import (
@@ -25,6 +25,7 @@ from clsim.pictures.view_page import (
 from clsim.scene.air import Air
 from clsim.scene.body import Body, check_bodies, with_carriers
 from clsim.scene.ends import End, Receiver, Source
+from clsim.scene.material.material import Material
 from clsim.scene.placement import (
     check_distances,
     check_motions,
@@ -38,12 +39,8 @@ from clsim.scene.placement import (
 from clsim.scene.room.protocol import Room, checked_room
 from clsim.scene.scatterer import Scatterer
 
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
-
-    Ends = Sequence[tuple[str, End | Scatterer]]  # as `Scene.named_ends` and `named_scatterers` give them
-    Bodies = Sequence[tuple[str, Body]]
-    from clsim.scene.material.material import Material
+Ends = Sequence[tuple[str, End | Scatterer]]  # as `Scene.named_ends` and `named_scatterers` give them
+Bodies = Sequence[tuple[str, Body]]
 
 _TRAIL = 400  # points of a drawn trajectory
 
@@ -205,35 +202,17 @@ class Scene:
         _check_bands(self)
 
     def named_ends(self) -> list[tuple[str, End]]:
-        """Return every source and receiver with the name of its field, e.g. ``"sources[0]"``.
-
-        Returns
-        -------
-        list of (str, Source or Receiver)
-            Sources first.
-        """
+        """Return every source and receiver with the name of its field, e.g. ``"sources[0]"``."""
         sources = [(f"sources[{i}]", s) for i, s in enumerate(self.sources)]
         receivers = [(f"receivers[{i}]", r) for i, r in enumerate(self.receivers)]
         return [*sources, *receivers]
 
     def named_scatterers(self) -> list[tuple[str, Scatterer]]:
-        """Return every scatterer with the name of its field, e.g. ``"scatterers[0]"``.
-
-        Returns
-        -------
-        list of (str, Scatterer)
-            In their order.
-        """
+        """Return every scatterer with the name of its field, e.g. ``"scatterers[0]"``."""
         return [(f"scatterers[{i}]", s) for i, s in enumerate(self.scatterers)]
 
     def named_bodies(self) -> list[tuple[str, Body]]:
-        """Return every body with the name of its field, e.g. ``"bodies[0]"``.
-
-        Returns
-        -------
-        list of (str, Body)
-            In their order.
-        """
+        """Return every body with the name of its field, e.g. ``"bodies[0]"``."""
         return [(f"bodies[{i}]", body) for i, body in enumerate(self.bodies)]
 
     @property
@@ -263,16 +242,6 @@ class Scene:
             Instants to choose from, until the first trajectory ends, 1 to 10 000.
         height : int
             Pixels, 100 to 10 000.
-
-        Returns
-        -------
-        IPython.display.HTML
-            The page; `PathSet.show` has the paths in it, too.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds, or IPython is missing.
         """
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         height = as_count("height", height, at_least=100, at_most=10_000)

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.motion import seen_by
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.ends import Receiver, Source
-    from clsim.scene.scatterer import Scatterer
-    from clsim.scene.scene import Scene
+from clsim.scene.scatterer import Scatterer
+from clsim.scene.scene import Scene
 
 _INSTANTS = 1001  # of a run at which lines of sight are looked at
 _PLACES = np.linspace(-1.0, 1.0, 33)[:, None]  # about the place nearest to a centre, in largest radii

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,8 +10,6 @@ from typing import TYPE_CHECKING
 from clsim.errors import InputError
 
 if TYPE_CHECKING:
-    import os
-
     from clsim.scene_file.scene import SceneFile
 
 

@@ -19,11 +19,12 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Scene
-from clsim.scene_file.bodies import BodyModel, ScattererModel
 from clsim.scene_file.ends import (
+    BodyModel,
     DirectivityModel,
     ElectronicsModel,
     OmniModel,
+    ScattererModel,
     SignalModel,
     TrajectoryModel,
     TransducerModel,

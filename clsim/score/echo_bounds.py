@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +12,6 @@ from clsim.arrays import Floats, as_number, short_repr
 from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
 from clsim.sensitivity.sensitivities import crb, sensitivities
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,11 +51,6 @@ def echo_bounds(paths: PathSet, wrt: Sequence[str], noise: float, sampling_rate:
         Sampling rate of the recording, Hz.
     **options
         As of `clsim.sensitivities`.
-
-    Returns
-    -------
-    EchoBounds
-        In the units of the parameters.
 
     Raises
     ------

@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import short_repr
+from clsim.arrays import Complexes, Floats, short_repr
 from clsim.errors import InputError
 from clsim.scene.signal.signal import Signal
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
 
 _REACH = 16  # samples to either side from which a value between samples is made
 _STEPS = 64  # per sample, between which a parabola is laid

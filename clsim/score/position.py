@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -12,14 +13,11 @@ from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, sho
 from clsim.errors import InputError
 from clsim.packages import check_packages, check_pictures
 from clsim.pictures.view_page import html_table
+from clsim.scene.room.protocol import Room
 from clsim.score.ranging import RangingScore
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.figure import Figure
-
-    from clsim.scene.room.protocol import Room
 
 Multilateration = Literal["toa", "tdoa"]
 METHODS: tuple[str, ...] = get_args(Multilateration)
@@ -52,18 +50,7 @@ class GdopMap:
     __repr__ = short_repr
 
     def to_dataframe(self) -> Any:
-        """Return a row for each place as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns ``x``, ``y``, ``z``, in m, and ``gdop``.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
-        """
+        """Return a pandas DataFrame with a row for each place: ``x``, ``y``, ``z``, in m, and ``gdop``."""
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas
 
@@ -71,13 +58,7 @@ class GdopMap:
         return pandas.DataFrame({"x": x.ravel(), "y": y.ravel(), "z": self.z, "gdop": self.gdop.ravel()})
 
     def plot(self) -> Figure:
-        """Draw the map, and where the anchors are.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot.
-        """
+        """Draw the map, and where the anchors are."""
         check_pictures("plot")
         from matplotlib import pyplot
 
@@ -148,11 +129,6 @@ def gdop_map(anchors: Floats, x: Floats, y: Floats, z: float, method: str = "toa
     method : {"toa", "tdoa"}
         As in `position`.
 
-    Returns
-    -------
-    GdopMap
-        Over all places (x, y, z).
-
     Raises
     ------
     InputError
@@ -217,23 +193,7 @@ class PositionScore:
         return float(np.mean(np.isfinite(self.error)))
 
     def percentile(self, percent: float) -> float:
-        """Return the error that so many per cent of the positions found do not exceed.
-
-        Parameters
-        ----------
-        percent : float
-            From 0 to 100, %.
-
-        Returns
-        -------
-        float
-            m; NaN if none was found.
-
-        Raises
-        ------
-        InputError
-            If the share is out of bounds.
-        """
+        """Return the error that `percent` of the positions found do not exceed, 0 to 100 %, m; NaN without any."""
         percent = as_number("percent", percent, at_least=0.0, at_most=100.0, unit="%")
         found = self.error[np.isfinite(self.error)]
         return float(np.percentile(found, percent)) if len(found) else math.nan
@@ -246,11 +206,6 @@ class PositionScore:
         pandas.DataFrame
             Columns ``name``, ``time``, ``x``, ``y``, ``z``, ``x_exact``, ``y_exact``, ``z_exact``, ``error`` and
             ``gdop``, in s and m.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
         """
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas
@@ -265,13 +220,7 @@ class PositionScore:
         return pandas.DataFrame(columns | {"error": self.error.ravel(), "gdop": self.gdop.ravel()})
 
     def plot(self) -> Figure:
-        """Draw estimated and true positions seen from above, and how errors are distributed.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot with two axes.
-        """
+        """Draw estimated and true positions seen from above, and how errors are distributed."""
         check_pictures("plot")
         from matplotlib import pyplot
 

@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_count, as_flag, as_index, as_number, read_only, short_repr
+from clsim.arrays import Complexes, Floats, as_count, as_flag, as_index, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.packages import check_packages, check_pictures
+from clsim.recording import Recording
+from clsim.scene.signal.signal import Signal
 from clsim.score.matched_filter import MatchedFilter
 from clsim.score.ranging import emissions_of, outputs_of, scored_paths, source_index, span_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from clsim.arrays import Complexes
-    from clsim.recording import Recording
-    from clsim.scene.signal.signal import Signal
 
 _RANGE_DB = 60.0  # shown below the loudest
 _COLUMNS = 1600  # of a picture
@@ -48,18 +46,7 @@ class RangeDopplerMap:
     __repr__ = short_repr
 
     def to_xarray(self) -> Any:
-        """Return it with named dimensions ``speed`` and ``range``.
-
-        Returns
-        -------
-        xarray.DataArray
-            The complex amplitude.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
-        """
+        """Return it with named dimensions ``speed`` and ``range``."""
         check_packages("to_xarray", "a DataArray", "tables", "xarray")
         import xarray
 
@@ -70,18 +57,7 @@ class RangeDopplerMap:
         return xarray.DataArray(self.amplitude, coordinates, ("speed", "range"), name="amplitude")
 
     def to_dataframe(self) -> Any:
-        """Return a row for each speed and range as a pandas DataFrame.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns ``speed`` in m/s, ``range`` in m, and the complex ``amplitude``.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
-        """
+        """Return a pandas DataFrame with a row for each ``speed``, m/s, and ``range``, m: complex ``amplitude``."""
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas
 
@@ -89,13 +65,7 @@ class RangeDopplerMap:
         return pandas.DataFrame({"speed": speeds.ravel(), "range": ranges.ravel(), "amplitude": self.amplitude.ravel()})
 
     def plot(self) -> Figure:
-        """Draw the level over range and speed.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot.
-        """
+        """Draw the level over range and speed."""
         title = f"unambiguous up to ±{self.unambiguous_speed:.3g} m/s"
         return _drawn(self.ranges, self.speeds, self.amplitude, ylabel="speed at which it grows (m/s)", title=title)
 
@@ -121,13 +91,7 @@ class EchoMap:
     __repr__ = short_repr
 
     def plot(self) -> Figure:
-        """Draw the level over range and number of the pulse.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot.
-        """
+        """Draw the level over range and number of the pulse."""
         return _drawn(self.ranges, np.arange(float(len(self.amplitude))), self.amplitude, ylabel="pulse")
 
 
@@ -271,11 +235,6 @@ def echoes(
         Whether sound travels the range forth and back, as a sonar's does, or one way.
     max_range : float, optional
         m; what fits between two emissions when left out.
-
-    Returns
-    -------
-    EchoMap
-        A row for each pulse that ends within the recording.
 
     Raises
     ------

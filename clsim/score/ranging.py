@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import Floats, as_choice, as_index, as_number, read_only, short_repr, texts
+from clsim.arrays import Complexes, Floats, as_choice, as_index, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, counted
 from clsim.packages import check_packages, check_pictures
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.ground_truth import in_sight, reception_times
 from clsim.paths.legs.static import direct_paths
+from clsim.paths.path_set import PathSet
 from clsim.pictures.view_page import html_table
-from clsim.recording import as_recording
+from clsim.recording import Recording, as_recording
+from clsim.scene.ends import Receiver
+from clsim.scene.scene import Scene
+from clsim.scene.signal.signal import Signal
 from clsim.score.matched_filter import MatchedFilter, envelope_peak, phase_peak
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.path_set import PathSet
-    from clsim.recording import Recording
-    from clsim.scene.ends import Receiver
-    from clsim.scene.scene import Scene
-    from clsim.scene.signal.signal import Signal
 
 Method = Literal["matched-filter", "first-peak", "phase"]
 METHODS: tuple[str, ...] = get_args(Method)
@@ -107,23 +103,7 @@ class RangingScore:
         return float(np.std(self._inliers())) if len(self._inliers()) else math.nan
 
     def percentile(self, percent: float) -> float:
-        """Return the magnitude of the error that so many per cent of the ranges found do not exceed, outliers too.
-
-        Parameters
-        ----------
-        percent : float
-            From 0 to 100, %.
-
-        Returns
-        -------
-        float
-            m; NaN if none was found.
-
-        Raises
-        ------
-        InputError
-            If the share is out of bounds.
-        """
+        """Return the magnitude of error that `percent` of all ranges do not exceed, 0 to 100 %, m; NaN without any."""
         percent = as_number("percent", percent, at_least=0.0, at_most=100.0, unit="%")
         found = np.abs(self.error[self.detected])
         return float(np.percentile(found, percent)) if len(found) else math.nan
@@ -136,11 +116,6 @@ class RangingScore:
         pandas.DataFrame
             Columns ``receiver``, ``emission``, ``emission_time``, ``delay``, ``exact``, ``error``, ``crlb`` and
             ``line_of_sight``, in s and m.
-
-        Raises
-        ------
-        InputError
-            If pandas is missing.
         """
         check_packages("to_dataframe", "a DataFrame", "tables", "pandas")
         import pandas
@@ -155,13 +130,7 @@ class RangingScore:
         return pandas.DataFrame(columns | {name: getattr(self, name).ravel() for name in over})
 
     def plot(self) -> Figure:
-        """Draw errors over time, by line of sight, and the distribution of their magnitudes.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A new figure of pyplot with two axes.
-        """
+        """Draw errors over time, by line of sight, and the distribution of their magnitudes."""
         check_pictures("plot")
         from matplotlib import pyplot
 
@@ -232,11 +201,6 @@ def ranging(
         Error from which on a range counts as an outlier, m.
     motion : {"retarded", "quasi-static"}
         As the recording was rendered.
-
-    Returns
-    -------
-    RangingScore
-        For all receivers.
 
     Raises
     ------

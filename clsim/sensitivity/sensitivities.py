@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_floats, read_only, short_repr
+from clsim.arrays import Complexes, Floats, as_floats, read_only, short_repr
 from clsim.errors import InputError
 from clsim.packages import check_packages
 from clsim.paths.path_set import PathSet
@@ -16,11 +17,6 @@ from clsim.render.options import RenderOptions
 from clsim.sensitivity.adjoint import adjoint, adjoint_signal
 from clsim.sensitivity.linear_map import LinearMap, plan_of
 from clsim.sensitivity.parameters import parameters_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from clsim.arrays import Complexes
 
 _WITHOUT_TAIL = "the diffuse tail is left out: derivatives are those of the sound over paths"
 _SINGULAR = 1e-12  # least eigenvalue of normalised information that says something
@@ -55,18 +51,13 @@ class Sensitivities:
     __repr__ = short_repr
 
     def fisher(self, noise: Any) -> Floats:
-        """Fisher information of the parameters in a recording with white Gaussian noise.
+        """Fisher information (parameters, parameters) for white Gaussian noise, per product of units of the parameters.
 
         Parameters
         ----------
         noise : float or array_like (receivers,)
             Standard deviation of a sample, in the unit of the signals, Pa or V, above 0; in baseband of its real and
             of its imaginary part.
-
-        Returns
-        -------
-        ndarray (parameters, parameters)
-            Per product of the units of both parameters.
 
         Raises
         ------
@@ -85,17 +76,12 @@ class Sensitivities:
         return np.asarray((rows @ rows.conj().T).real)
 
     def bounds(self, noise: Any) -> Floats:
-        """Cramér-Rao bounds: the least standard deviations of unbiased estimates of all parameters together.
+        """Cramér-Rao bounds (parameters,): least standard deviations of unbiased estimates, in units of the parameters.
 
         Parameters
         ----------
         noise : float or array_like (receivers,)
             As of `fisher`, Pa or V.
-
-        Returns
-        -------
-        ndarray (parameters,)
-            In the units of the parameters.
 
         Raises
         ------
@@ -105,18 +91,7 @@ class Sensitivities:
         return crb(self.fisher(noise), self.parameters)
 
     def to_xarray(self) -> Any:
-        """Return the Jacobian as an xarray DataArray.
-
-        Returns
-        -------
-        xarray.DataArray
-            Dimensions ``parameter``, ``receiver`` and ``time``, s; the units as a coordinate ``unit``.
-
-        Raises
-        ------
-        InputError
-            If xarray is missing.
-        """
+        """Return the Jacobian as an xarray DataArray (parameter, receiver, time), with units as a coordinate."""
         check_packages("to_xarray", "a DataArray", "tables", "xarray")
         import xarray
 

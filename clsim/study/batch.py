@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import pickle
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clsim.arrays import as_count, as_number
-from clsim.cluster.dispatch import Dispatch
+from clsim.cluster.dispatch import Call, Dispatch, Row
 from clsim.cluster.workers import Workers
 from clsim.errors import ClsimError, ClsimWarning, InputError, in_one_line, warn
 from clsim.paths.find_paths import find_paths
-from clsim.paths.ground_truth import direct_path
+from clsim.paths.ground_truth import DirectPath, direct_path
 from clsim.paths.options import PathOptions
+from clsim.recording import Recording
 from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths
 from clsim.render.render import record
 from clsim.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from clsim.cluster.dispatch import Call, Row
-    from clsim.paths.ground_truth import DirectPath
-    from clsim.recording import Recording
 
 _AHEAD = 2  # scenes that are taken for each worker: one that it renders, and the next
 

@@ -7,38 +7,29 @@ import importlib.util
 import json
 import sys
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import texts
 from clsim.errors import InputError
 from clsim.opencl.device import find_device
 from clsim.output.raw_files import SampleFile
-from clsim.output.stores import member_store
-from clsim.paths.ground_truth import SCALARS, VECTORS
-from clsim.paths.path_table import ATTRIBUTES
+from clsim.output.stores import SoundStore, member_store
+from clsim.paths.ground_truth import SCALARS, VECTORS, DirectPath, EchoTruth
+from clsim.paths.path_table import ATTRIBUTES, PathTable
 from clsim.recording import Recording
 from clsim.render.render import Rendering
-from clsim.study.file import SOUNDS, TAKEN
+from clsim.scene.scene import Scene
+from clsim.study.file import SOUNDS, TAKEN, Member, Study
 from clsim.study.parts import add_direct_labels, add_room_measures, with_parts
 from clsim.workflow.checkpoint import run_identity
-from clsim.workflow.pipeline import check_table_size, plan_scene, render_into, table_times
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from clsim.output.stores import SoundStore
-    from clsim.paths.ground_truth import DirectPath, EchoTruth
-    from clsim.paths.path_table import PathTable
-    from clsim.scene.scene import Scene
-    from clsim.study.file import Member, Study
-    from clsim.workflow.pipeline import PlannedScene, Sink
+from clsim.workflow.pipeline import PlannedScene, Sink, check_table_size, plan_scene, render_into, table_times
 
 _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 

@@ -6,10 +6,12 @@ import copy
 import itertools
 import json
 import math
+import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -19,15 +21,9 @@ from clsim.errors import InputError
 from clsim.files.input_files import read_toml
 from clsim.packages import check_packages
 from clsim.scene_file.model import UNKNOWN, Model, explain, within
-from clsim.scene_file.scene import build_scene, referenced_files
+from clsim.scene_file.scene import SceneFile, build_scene, referenced_files
 from clsim.study.draws import Place, RandomModel, draws
 from clsim.study.noise import NoiseModel
-
-if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable
-
-    from clsim.scene_file.scene import SceneFile
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)|\[(\d+|\*)\]")
 Keep = Literal["recording", "direct", "reverberant", "noise", "ground_truth", "paths", "room_measures", "metrics"]

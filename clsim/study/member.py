@@ -9,26 +9,22 @@ import shutil
 import time
 import uuid
 import warnings
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from clsim.cluster.dispatch import Call, Row
 from clsim.errors import ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.numerics.blas import with_blas_threads
 from clsim.output.stores import STORE_FORMAT, write_zarr
 from clsim.output.zarr_files import arrays_with_missing_chunks, is_sealed, seal
 from clsim.packages import check_packages
-from clsim.study.content import computed, metrics_function
+from clsim.study.content import Computed, computed, metrics_function
 from clsim.study.file import Member, ShardsModel, Study
 from clsim.study.shards import Shards
 from clsim.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from clsim.cluster.dispatch import Call, Row
-    from clsim.study.content import Computed
 
 STORE = "study.zarr"
 INDEX = "index.jsonl"

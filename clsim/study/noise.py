@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_number
+from clsim.arrays import Floats, as_number
 from clsim.errors import InputError
 from clsim.scene_file.model import Model
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
 
 _BAND = 2048  # frequencies mixed at a time
 _LOADING = 1e-6  # of the coherence matrix, which is singular at 0 Hz

@@ -5,27 +5,23 @@ from __future__ import annotations
 import warnings
 import zlib
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import ClsimWarning, InputError
 from clsim.impulse_responses import impulse_responses
+from clsim.paths.ground_truth import DirectPath
 from clsim.paths.path_set import PathSet
+from clsim.recording import Recording
 from clsim.render.planning import plan_paths
 from clsim.render.render import record
 from clsim.room_measures import room_measures
-from clsim.study.file import PARTS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.ground_truth import DirectPath
-    from clsim.recording import Recording
-    from clsim.study.file import Member, Study
-    from clsim.study.noise import NoiseModel
-    from clsim.workflow.pipeline import PlannedScene
+from clsim.study.file import PARTS, Member, Study
+from clsim.study.noise import NoiseModel
+from clsim.workflow.pipeline import PlannedScene
 
 _OVER = ("source", "receiver", "times")
 

@@ -9,7 +9,7 @@ import shutil
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from clsim.files.atomic import locked, remove_leftovers, safe_path, uninterrupte
 from clsim.output.stores import write_zarr
 from clsim.output.zarr_files import is_sealed, seal
 from clsim.study.content import metrics_function
-from clsim.study.file import DEFAULT_LIMIT, Study, checked, load_study
+from clsim.study.file import DEFAULT_LIMIT, Member, Study, checked, load_study
 from clsim.study.member import (
     INDEX,
     PARTIAL,
@@ -37,11 +37,7 @@ from clsim.study.member import (
 from clsim.study.shards import FOLDER as SHARDS
 from clsim.study.shards import WAITING, Shards
 from clsim.version import __version__
-from clsim.workflow.console import no_progress
-
-if TYPE_CHECKING:
-    from clsim.study.file import Member
-    from clsim.workflow.console import Progress
+from clsim.workflow.console import Progress, no_progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,11 +254,6 @@ def run_study(
     progress : callable, optional
         Called with a text and a total for each stage of the work; returns a context manager that yields a function
         to be called with every amount of work that is done.
-
-    Returns
-    -------
-    tuple of MemberRow
-        Outcome of every member.
 
     Raises
     ------

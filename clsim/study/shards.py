@@ -5,28 +5,24 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import tarfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import InputError, warn
 from clsim.exchange import decoded_frames, flac_bytes
 from clsim.files.atomic import safe_path
 from clsim.files.sound import as_frames, wav_header
 from clsim.packages import check_packages
+from clsim.study.content import Computed
+from clsim.study.file import Study
 
-if TYPE_CHECKING:
-    import os
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.study.content import Computed
-    from clsim.study.file import Study
-
-    Row = dict[str, Any]
+Row = dict[str, Any]
 
 FOLDER, WAITING = "shards", "members"  # of whole archives, and of members that are in none yet
 _FORMAT, _DIGEST = b"clsim_shard_format", b"clsim_tar_sha256"  # metadata of a table

@@ -4,36 +4,30 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.family import SPECULAR
+from clsim.paths.path_set import PathSet
 from clsim.paths.response import covered
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.room.protocol import Room
+from clsim.scene.scene import Scene
 from clsim.tail.device_rays import ray_engine
 from clsim.tail.host_rays import FLOOR
 from clsim.tail.ray_room import ANGLES, WallEnergies, has_free_edges, ray_room
-from clsim.tail.rays import OF_TIME, STEP, Spheres, Tracer, volume_within
-from clsim.tail.zones import traced_bands
+from clsim.tail.rays import OF_TIME, STEP, Emitted, Received, Spheres, Tracer, volume_within
+from clsim.tail.zones import Zones, traced_bands
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.path_set import PathSet
-    from clsim.scene.room.protocol import Room
-    from clsim.scene.scene import Scene
-    from clsim.tail.rays import Emitted, Received
-    from clsim.tail.zones import Zones
-
-    Damping = Callable[[Floats, int], Floats]
+Damping = Callable[[Floats, int], Floats]
 
 SCATTERINGS = ("size", "material")
 MOST_ESCAPED = 0.5  # share of energy that may leave a room with a tail

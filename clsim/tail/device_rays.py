@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import DeviceError
-from clsim.opencl.device import check_buffers, find_device, operations_in_launch
+from clsim.opencl.device import DeviceInfo, check_buffers, find_device, operations_in_launch
 from clsim.opencl.launch import compiler_of, upload, work
 from clsim.tail.host_rays import FLOOR, PI, HostRays
-from clsim.tail.ray_room import ANGLES, ESCAPE_SCALE, FAINT, FARTHEST, MOST_REFLECTIONS, NOT_ESCAPED, SLOTS, Energies
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.opencl.device import DeviceInfo
-    from clsim.tail.ray_room import Layout, RayEngine, RayRun
+from clsim.tail.ray_room import (
+    ANGLES,
+    ESCAPE_SCALE,
+    FAINT,
+    FARTHEST,
+    MOST_REFLECTIONS,
+    NOT_ESCAPED,
+    SLOTS,
+    Energies,
+    Layout,
+    RayEngine,
+    RayRun,
+)
 
 _OPERATIONS = 3000.0  # of a reflection
 _OPERATIONS_OF_ZONE = 30.0

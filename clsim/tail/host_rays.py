@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.tail.ray_room import ANGLES, ESCAPE_SCALE, FAINT, FARTHEST, MOST_REFLECTIONS, SLOTS
+from clsim.tail.ray_room import (
+    ANGLES,
+    ESCAPE_SCALE,
+    FAINT,
+    FARTHEST,
+    MOST_REFLECTIONS,
+    SLOTS,
+    Energies,
+    Float32s,
+    Layout,
+    RayRoom,
+    RayRun,
+)
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.tail.ray_room import Energies, Float32s, Layout, RayRoom, RayRun
-
-    Ints = NDArray[Any]
-    Met = tuple[Float32s, Ints]
+Ints = NDArray[Any]
+Met = tuple[Float32s, Ints]
 
 NOWHERE = np.float32(3.0e38)
 FLOOR = 10.0**-6.5  # of the energy, below which nothing is heard

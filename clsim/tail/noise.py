@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.quaternions import rotate
 from clsim.paths.response import covered
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.ends import Receiver
+from clsim.scene.scene import Scene
+from clsim.tail.design import SourceTail
 from clsim.tail.zones import TOGETHER, band_shares, joined_bands
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.ends import Receiver
-    from clsim.scene.scene import Scene
-    from clsim.tail.design import SourceTail
 
 _SHAPED = 7  # of seeds: what the numbers are for
 _SLOWNESSES = (1, 2, 4, 8, 16)  # by which sampling rates are divided

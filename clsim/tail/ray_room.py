@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.paths.response import NEPERS, covered
+from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.mesh_cleaning import clusters
+from clsim.scene.room.protocol import Room
+from clsim.scene.room.walls import Walls
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.room.mesh import MeshRoom
-    from clsim.scene.room.protocol import Room
-    from clsim.scene.room.walls import Walls
-
-    Float32s = NDArray[np.float32]
-    Int32s = NDArray[np.int32]
-    from clsim.scene.scene import Scene
+Float32s = NDArray[np.float32]
+Int32s = NDArray[np.int32]
 
 ANGLES = 128  # cells of the root of the cosine of incidence
 
@@ -312,4 +309,3 @@ class RayEngine(Protocol):
 
     def trace(self, run: RayRun, layout: Layout, energies: Energies) -> None:
         """Trace a run's rays and add up their energies."""
-        ...

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.quaternions import normalised, rotate
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.tail.host_rays import FLOOR
-from clsim.tail.ray_room import ESCAPE_SCALE, SLOTS, Layout, RayRun
+from clsim.tail.ray_room import ESCAPE_SCALE, SLOTS, Layout, RayEngine, RayRoom, RayRun, WallEnergies
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.tail.ray_room import RayEngine, RayRoom, WallEnergies
-
-    Emitted = Callable[[Floats], Floats]
-    Ints = NDArray[np.int64]
+Emitted = Callable[[Floats], Floats]
+Ints = NDArray[np.int64]
 
 STEP = 1e-3  # s, bins of time
 WINDOW = 0.02  # s, in which energies are compared between slots

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.quaternions import rotate
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.ends import End, Receiver
+from clsim.scene.motion.motion import Motion
+from clsim.scene.room.protocol import Room
 from clsim.scene.room.shoebox import enclosure_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.ends import End, Receiver
-    from clsim.scene.motion.motion import Motion
-    from clsim.scene.room.protocol import Room
-    from clsim.scene.scene import Scene
+from clsim.scene.scene import Scene
 
 _LOWEST = 31.25  # Hz, of a band's centre
 TOGETHER = 8  # streams that are made at a time: as many as fill vectors of transforms and stay in cache

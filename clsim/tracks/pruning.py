@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.paths.response import SceneResponse, directivity_gain
+from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.signal.occupied_bandwidth import shares
-
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
-    from clsim.scene.directivity.directivity import Directivity
-    from clsim.tracks.tracks import SceneTracks
+from clsim.tracks.tracks import SceneTracks
 
 _STEP = 0.25  # s, over which distances are bounded
 _LEAST_MOVE = 0.05  # m, or for as long as motions take for it

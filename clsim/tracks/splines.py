@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_floats, as_number, read_only
+from clsim.arrays import Floats, as_floats, as_number, read_only
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
 
 
 def checked_samples(times: Any, delays: Any, gains: Any) -> tuple[Floats, Floats, Floats]:

@@ -117,7 +117,7 @@ class Tracks(ABC):
         rows: NDArray[np.int64] | None = None,
         every: int = 1,
     ) -> list[tuple[Floats, Floats, Floats]]:
-        """Tracks as of `evaluate`, of pairs of the same `paths_of`.
+        """Return delays (P, T), s, rates and gains as of `evaluate`, of pairs of the same `paths_of`.
 
         Parameters
         ----------
@@ -125,125 +125,35 @@ class Tracks(ABC):
             Indices of source and receiver, in `pairs`.
         times, basis, rows, every
             As of `evaluate`.
-
-        Returns
-        -------
-        list of (delay, rate, gains)
-            As of `evaluate`, for each pair.
         """
         return [self.evaluate(pair, times, basis, rows, every) for pair in pairs]
 
     def paths_of(self, pair: int) -> Any:
-        """Return a key that pairs have in common whose paths are the same.
-
-        Parameters
-        ----------
-        pair : int
-            Index of the source and receiver, in `pairs`.
-
-        Returns
-        -------
-        hashable
-            Of pairs that differ in their channels only, the same.
-        """
+        """Return a key that pairs have in common whose paths are the same; `pair` is an index of `pairs`."""
         return pair
 
     def costly(self, pair: int) -> bool:
-        """Test if the gains of a pair's paths cost much, see `PathFamily`.
-
-        Parameters
-        ----------
-        pair : int
-            Index of the source and receiver, in `pairs`.
-
-        Returns
-        -------
-        bool
-            Whether they do.
-        """
+        """Test if the gains of the paths of a `pair`, an index of `pairs`, cost much, see `PathFamily`."""
         return False
 
     @abstractmethod
     def max_rate(self, source: int) -> float:
-        """Return a bound on how fast delays change.
-
-        Parameters
-        ----------
-        source : int
-            Whose delays.
-
-        Returns
-        -------
-        float
-            Largest magnitude of a delay's derivative by the time of reception, s/s.
-        """
+        """Return a bound on the magnitude of the rate of change of delays of a `source`, s/s."""
 
     @abstractmethod
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
-        """Return the largest speed of a source or its receivers, and what it would be at another rate of delays.
-
-        Parameters
-        ----------
-        source : int
-            Index of the source.
-        max_rate : float
-            The other bound on how fast its delays change, s/s: without a unit.
-
-        Returns
-        -------
-        speed, speed_at_rate : float
-            Both in m/s.
-        """
+        """Return the largest speed of a `source` or its receivers, m/s, and that by a `max_rate` of delays, s/s."""
 
     @abstractmethod
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
-        """Return bounds on the delays of a pair's paths.
-
-        Parameters
-        ----------
-        pair : int
-            Index of the source and receiver, in `pairs`.
-        start, end : float
-            Between which times of reception, s.
-
-        Returns
-        -------
-        low, high : ndarray (paths,)
-            Bounds of each path's delay, s.
-        """
+        """Return bounds (paths,), (paths,) on the delays of a `pair`'s paths received from `start` to `end`, s."""
 
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
-        """Return bounds on the delays of the paths of some pairs.
-
-        Parameters
-        ----------
-        pairs : sequence of int
-            Indices of source and receiver, in `pairs`.
-        start, end : float
-            Between which times of reception, s.
-
-        Returns
-        -------
-        list of (low, high)
-            As of `delay_range`, s.
-        """
+        """Return bounds (low, high) on the delays of the paths of `pairs`, as of `delay_range`, `start` to `end`, s."""
         return [self.delay_range(pair, start, end) for pair in pairs]
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
-        """Return a bound on the delays of one source or of all.
-
-        Parameters
-        ----------
-        start, end : float
-            Between which times of reception, s.
-        source : int, optional
-            Whose delays; those of all when left out.
-
-        Returns
-        -------
-        float
-            Not below any delay, s; 0 without paths.
-        """
+        """Return a bound on delays from `start` to `end` of reception, s, of one `source` or all; 0 without paths."""
         pairs = [i for i, pair in enumerate(self.pairs) if source in (None, pair.source)]
         return max((float(high.max()) for _, high in self.delay_ranges(pairs, start, end)), default=0.0)
 
@@ -538,11 +448,6 @@ def track(
         Exponent 1, 0 or 2 of ``1 / (1 - M)``.
     transition : float
         Over which paths begin and end, s; 0 for at once.
-
-    Returns
-    -------
-    SceneTracks
-        Computed when asked for.
 
     Raises
     ------

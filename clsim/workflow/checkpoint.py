@@ -7,31 +7,26 @@ import math
 import os
 import re
 import time
+from collections.abc import Callable
 from contextlib import closing
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from clsim.cluster.dispatch import Dispatch
+from clsim.cluster.dispatch import Call, Dispatch, Row
+from clsim.cluster.workers import Workers
 from clsim.errors import ClsimError, InputError, warn
 from clsim.files.atomic import remove_leftovers
+from clsim.output.stores import SoundStore
+from clsim.render.contributions import State
 from clsim.render.memory import within_memory
+from clsim.render.plan import Plan
 from clsim.render.render import PressureSum, ReceiverChain, Rendering
 from clsim.scene_file.scene import referenced_files
 from clsim.workflow.console import progress
 from clsim.workflow.pieces import Handed, Piece, PlanFile, check_worker, device_of, do_piece, idle, versions
-from clsim.workflow.pipeline import render_into
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from clsim.cluster.dispatch import Call, Row
-    from clsim.cluster.workers import Workers
-    from clsim.output.stores import SoundStore
-    from clsim.render.contributions import State
-    from clsim.render.plan import Plan
-    from clsim.workflow.pipeline import PlannedScene
-    from clsim.workflow.result_folder import ResultFolder
+from clsim.workflow.pipeline import PlannedScene, render_into
+from clsim.workflow.result_folder import ResultFolder
 
 _PERIOD = 1.0  # s between checkpoints, at least: the loss of a killed run beside its current chunk
 _PIECE_WORK = 2e9  # path-samples of a piece, about: seconds, so that handing it out costs nothing

@@ -7,18 +7,15 @@ import math
 import sys
 import time
 import warnings
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
 
 from clsim.errors import ClsimWarning
 from clsim.files.names import shown
 from clsim.scene_file import as_toml
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
-
-    Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
+Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
 
 _PREFIXES = ("", "k", "M", "G", "T")
 _PATIENCE = 2.0  # s after which progress is shown

@@ -3,38 +3,29 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import as_flag, row_name
 from clsim.errors import InputError, not_one_of
 from clsim.files.names import file_names
 from clsim.files.sound import EnvelopeFile, SoundFile
 from clsim.output.open_store import open_store
-from clsim.output.record import changed_results, load_record
+from clsim.output.record import Record, changed_results, load_record
 from clsim.output.stores import STORES
 from clsim.recording import Recording
+from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
-from clsim.workflow.outputs import COMPLETED
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.output.record import Record
-    from clsim.scene.scene import Scene
+from clsim.workflow.result_folder import COMPLETED
 
 
 def load_recording(
-    folder: str | os.PathLike[str],
-    receivers: Sequence[str] | None = None,
-    *,
-    paths: bool = False,
-    verify: bool = False,
+    folder: str | os.PathLike[str], receivers: Sequence[str] | None = None, *, paths: bool = False, verify: bool = False
 ) -> Recording:
     """Return the recording in a folder that ``clsim run`` wrote, whatever the store.
 
@@ -49,11 +40,6 @@ def load_recording(
     verify : bool
         Whether the files that are read are compared with the digests in the folder's record. Damaged chunks of a Zarr
         store are refused without it, too.
-
-    Returns
-    -------
-    Recording
-        With samples in memory, and `paths` (of a scene with the receivers that are wanted) or None.
 
     Raises
     ------

@@ -2,41 +2,42 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import counted, warn
-from clsim.pictures.plots import DIRECT, RANGE_DB, envelope_spectrogram, new_figure, save_figure, spectrogram_picture
+from clsim.output.stores import SoundStore
+from clsim.paths.path_table import PathTable
+from clsim.pictures.plots import (
+    DIRECT,
+    RANGE_DB,
+    Readable,
+    envelope_spectrogram,
+    new_figure,
+    save_figure,
+    spectrogram_picture,
+)
 from clsim.recording import sweep_window
+from clsim.render.plan import Plan
 from clsim.workflow.console import progress
-from clsim.workflow.outputs import MOST_DRAWN, PICTURES, picture
+from clsim.workflow.pipeline import PlannedScene
+from clsim.workflow.result_folder import MOST_DRAWN, PICTURES, ResultFolder, RunOutputs, picture
 
 if TYPE_CHECKING:
-    import os
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
-    from clsim.arrays import Floats
-    from clsim.output.stores import SoundStore
-    from clsim.paths.path_table import PathTable
-    from clsim.pictures.plots import Readable
-    from clsim.render.plan import Plan
-    from clsim.workflow.outputs import RunOutputs
-    from clsim.workflow.pipeline import PlannedScene
-    from clsim.workflow.result_folder import ResultFolder
-
-_PURE, _MOST_CURVES = (
-    0.02,
-    6,
-)  # band of a tone as a share of its frequency; curves of theory that remain distinguishable
+_PURE = 0.02  # band of a tone as a share of its frequency
+_MOST_CURVES = 6  # of theory that remain distinguishable
 _MOST_INSTANTS = 3000  # of lines in a picture, more than it has columns
 
 

@@ -16,29 +16,26 @@ import pickle
 import threading
 import time
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from clsim.cluster.dispatch import Row
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import atomic_path, safe_path, temporary_path
 from clsim.numerics.blas import blas_threads, with_blas_threads
 from clsim.opencl.device import find_device
+from clsim.output.stores import SoundStore
+from clsim.render.contributions import State
 from clsim.render.memory import within_memory
+from clsim.render.plan import Plan
 from clsim.render.planning import on_device
 from clsim.render.render import PressureSum, ReceiverChain, receivers_with_ends
 from clsim.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from clsim.cluster.dispatch import Row
-    from clsim.output.stores import SoundStore
-    from clsim.render.contributions import State
-    from clsim.render.plan import Plan
 
 _busy = threading.Lock()  # a process does one piece at a time: engines are not shared
 

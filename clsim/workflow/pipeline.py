@@ -3,39 +3,31 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import InputError, warn
 from clsim.output.stores import StoredSound
 from clsim.paths.find_paths import find_paths
-from clsim.paths.ground_truth import body_truth, direct_path, scatterer_truth
+from clsim.paths.ground_truth import DirectPath, EchoTruth, body_truth, direct_path, scatterer_truth
+from clsim.paths.path_set import PathSet
+from clsim.paths.path_table import PathTable
 from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
+from clsim.render.plan import Plan
 from clsim.render.planning import plan_paths
-from clsim.render.render import render_chunks
+from clsim.render.render import Rendering, render_chunks
 from clsim.scene.scene import Scene
-from clsim.scene_file.scene import completed_scene, referenced_files
+from clsim.scene_file.scene import SceneFile, completed_scene, referenced_files
 from clsim.version import __version__
-from clsim.workflow.console import no_progress
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.ground_truth import DirectPath, EchoTruth
-    from clsim.paths.path_set import PathSet
-    from clsim.paths.path_table import PathTable
-    from clsim.render.plan import Plan
-    from clsim.render.render import Rendering
-    from clsim.scene_file.scene import SceneFile
-    from clsim.workflow.console import Progress
+from clsim.workflow.console import Progress, no_progress
 
 LARGEST_TABLE = 2_000_000  # paths times instants
 _OF_SCENE = {field.name for field in fields(Scene)}  # as the tables of a scene file are called

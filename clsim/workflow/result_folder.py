@@ -13,21 +13,71 @@ import re
 import shutil
 import time
 import zipfile
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import InputError, warn
-from clsim.files.atomic import is_temporary, locked, remove_leftovers, safe_path, temporary_path, to_disk
-from clsim.files.ownership import check_folder, refuse_inputs
+from clsim.files.atomic import (
+    check_folder,
+    is_temporary,
+    locked,
+    refuse_inputs,
+    remove_leftovers,
+    safe_path,
+    temporary_path,
+    to_disk,
+)
+from clsim.files.names import file_names
 from clsim.output.record import RECORD, Fingerprint, Record, fingerprint, load_record, save_record
+from clsim.output.stores import store_kinds
+from clsim.scene_file.scene import SceneFile
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+COMPLETED = "scene.completed.toml"
+GROUND_TRUTH = "ground_truth.npz"
+MOST_DRAWN = 16  # receivers
+PICTURES = ("paths", "spectrogram", "echogram")  # of each, the first only where paths come and go
 
-    from numpy.typing import NDArray
+
+@dataclass(frozen=True, slots=True)
+class RunOutputs:
+    """Files that a run may write into its folder."""
+
+    receivers: list[str]  # names of the receivers, as files are called
+    sounds: list[str]  # names of receivers and arrays, as files of sound are called
+    sound: list[str]  # files or folders of the sound
+    table: str  # the path table; empty if none is wanted
+    drawn: list[str]  # receivers whose pictures are drawn, by their names
+
+    @classmethod
+    def of(cls, file: SceneFile, store: str, table: str, *, pictures: bool) -> RunOutputs:
+        """Return the outputs of a scene file for a kind of store and of table ("none" for no table)."""
+        names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
+        sounds = file_names(tuple(dict.fromkeys(row for end in file.scene.receivers for row, _ in end.rows)))
+        file_of_table = "" if table == "none" else f"paths.{table}"
+        sound, drawn = store_kinds()[store].names(sounds), names[:MOST_DRAWN] if pictures else []
+        return cls(names, sounds, sound, file_of_table, drawn)
+
+    def beside_sound(self, changing: bool = True) -> list[str]:
+        """Return the files made after the sound, the completed scene last; `changing`: paths come and go."""
+        tables = [self.table, GROUND_TRUTH] if self.table else [GROUND_TRUTH]
+        kinds = PICTURES if changing else PICTURES[1:]
+        return [*tables, *(picture(name, kind) for name in self.drawn for kind in kinds), COMPLETED]
+
+    def all(self) -> list[str]:
+        """Return all files that may be written."""
+        return [*self.sound, *self.beside_sound()]
+
+
+def picture(receiver: str, kind: str) -> str:
+    """Return the name of a picture of a receiver."""
+    return f"{receiver}_{kind}.png"
+
 
 State = dict[str, "NDArray[Any]"]
 _LOCK, _JOURNAL, _CONTENTS = "lock", "journal.npz", "contents.json"

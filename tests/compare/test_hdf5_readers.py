@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from late import installed
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -14,28 +15,13 @@ from clsim.scene_file import load_scene
 h5py = installed("h5py", "h5py is not installed, with which clsim writes HDF5")
 installed("h5netcdf", "h5netcdf is not installed, with which clsim writes HDF5")
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 10e3, duration = 0.02, sampling_rate = 48e3, fade = 0.005 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [1.1, 1, 1], duration = 0.05 }
-[[receivers]]
-name = "left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "hinten links"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 48e3
-duration = 0.03
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(10e3, 0.02, 48e3, fade=0.005), along((1, 1, 1), (1.1, 1, 1), 0.05)),
+    receiver_at("left", (3.0, 1.0, 2.0)),
+    receiver_at("hinten links", (3.0, 2.0, 2.0)),
+    rate=48e3,
+    render={"duration": 0.03},
+)
 POSITIONS = [[3.0, 1.0, 2.0], [3.0, 2.0, 2.0]]
 BASEBAND = "baseband = { carrier = 10e3, bandwidth = 4e3 }\n"
 

@@ -420,11 +420,7 @@ def replace_text(program: str, old: str, new: str) -> None:
 MUTANTS = {
     "": None,
     "off_by_one": ("branches", "tap_count - 1 - k]", "tap_count - k]"),
-    "no_barrier": (
-        "render",
-        "                }\n#endif\n                SYNCHRONISE;",
-        "                }\n#endif",
-    ),
+    "no_barrier": ("render", "                }\n#endif\n                SYNCHRONISE;", "                }\n#endif"),
     "not_cleared": (),
 }
 

@@ -5,28 +5,14 @@ import os
 import sys
 from pathlib import Path
 
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
+
 ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 0.02, sampling_rate = 192e3, fade = 0.005 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1.0 }
-[[receivers]]
-name = "left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 0.02, fade=0.005), along((1, 1, 1), (2, 1, 1), 1.0)),
+    receiver_at("left", (3.0, 1.0, 2.0)),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+)
 # What ran is noted beside the study, a file per run and member.
 METRICS = """
 import os

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scene_texts import receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 import clsim
 
@@ -32,21 +33,12 @@ ELSEWHERE = re.compile(
     r"^(make|pip|python -m (pip|pytest)|sudo|apt|dask|tail|ls|clinfo|export|git|cd)\b|--scheduler|docker|ssh"
 )
 
-ROOM = """
-format = 1
-room = { kind = "shoebox", size = [6.0, 4.5, 3.0], walls = { reflection = 0.85 } }
-[[sources]]
-name = "talker"
-signal = { kind = "tone", frequency = 1e3, duration = 0.1, sampling_rate = 16e3, fade = 0.01 }
-trajectory = { kind = "fixed", position = [1, 1, 1.2] }
-[[receivers]]
-name = "seat"
-trajectory = { kind = "fixed", position = [4.4, 3.3, 1.9] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 16e3
-"""
+ROOM = scene_text(
+    source_at("talker", tone_of(1e3, 0.1, 16e3, fade=0.01), (1, 1, 1.2)),
+    receiver_at("seat", (4.4, 3.3, 1.9)),
+    room=shoebox_of(6.0, 4.5, 3.0, reflection=0.85),
+    rate=16e3,
+)
 
 
 def snippets(page: Path) -> list[tuple[str, str]]:

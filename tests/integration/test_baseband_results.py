@@ -8,6 +8,7 @@ import pytest
 import soundfile
 from exhaustive import few
 from killing import Killer
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -15,30 +16,13 @@ from clsim.workflow.result_folder import Journal
 
 pytestmark = pytest.mark.usefixtures("device")
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = %s, sampling_rate = 192e3, fade = 0.05 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1000.0 }
-[[receivers]]
-name = "left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-electronics = { clock_ppm = 50.0 }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = %d
-[render]
-sampling_rate = 192e3
-baseband = { carrier = 40e3, bandwidth = 1e3 }
-chunk = 1
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, "%s", fade=0.05), along((1, 1, 1), (2, 1, 1), 1e3)),
+    receiver_at("left", (3.0, 1.0, 2.0), electronics={"clock_ppm": 50.0}),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+    max_order="%d",
+    render={"baseband": {"carrier": 40e3, "bandwidth": 1e3}, "chunk": 1},
+)
 SHORT, LONG = SCENE % (0.3, 1), SCENE % (4.0, 2)
 KINDS = ("wav", "zarr", "hdf5")
 
@@ -136,7 +120,7 @@ def test_a_study_judges_envelopes(scene: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     xarray = pytest.importorskip("xarray")
     scene.write_text(
-        SHORT.replace("max_order = 1", "max_order = 0").replace("duration = 1000", "duration = 1"), "utf-8"
+        SHORT.replace("max_order = 1", "max_order = 0").replace("duration = 1e3", "duration = 1.0"), "utf-8"
     )
     (tmp_path / "judge.py").write_text(METRICS, "utf-8")
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")

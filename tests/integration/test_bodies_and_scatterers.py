@@ -5,43 +5,27 @@ from typing import Any
 
 import numpy as np
 import pytest
-from failing import Failing
+from scene_texts import chirp_of, receiver_at, scene_text, source_at
 
 import clsim
 from clsim.cli import main
 from clsim.paths.path_set import PathSet
-from clsim.render import planning
-from clsim.study.content import computed
-from clsim.study.file import load_study
-from clsim.workflow import checkpoint
 
 RATE = 96e3
-HEAD = """
-format = 1
-[room]
-kind = "plan"
-outline = [[0, 0], [4, 0], [4, 3], [2, 3], [2, 1.9], [0, 1.9]]
-height = 2.5
-materials = { reflection = 0.8 }
-[air]
-absorption = false
-[[sources]]
-name = "sonar"
-signal = { kind = "chirp", start = 6e3, stop = 9e3, duration = 0.2, sampling_rate = 96e3, window = "hann" }
-trajectory = { kind = "fixed", position = [1.0, 1.0, 1.2] }
-[[receivers]]
-name = "ear"
-trajectory = { kind = "fixed", position = [3.5, 2.6, 1.2] }
-[paths]
-max_order = 1
-diffraction = 1
-scattering_order = 1
-edge_scattering = true
-[render]
-sampling_rate = 96e3
-duration = 0.22
-chunk = 18432
-"""
+HEAD = scene_text(
+    source_at("sonar", chirp_of(6e3, 9e3, 0.2, 96e3, window="hann"), (1.0, 1.0, 1.2)),
+    receiver_at("ear", (3.5, 2.6, 1.2)),
+    room={
+        "kind": "plan",
+        "outline": [(0, 0), (4, 0), (4, 3), (2, 3), (2, 1.9), (0, 1.9)],
+        "height": 2.5,
+        "materials": {"reflection": 0.8},
+    },
+    air={"absorption": False},
+    paths={"diffraction": 1, "scattering_order": 1, "edge_scattering": True},
+    rate=96e3,
+    render={"duration": 0.22, "chunk": 18432},
+)
 THINGS = """
 [[bodies]]
 kind = "box"
@@ -110,36 +94,6 @@ def test_a_tail_is_that_of_the_room_without_bodies(file: Any) -> None:
     np.testing.assert_allclose(tails[0], tails[1], atol=1e-6 * np.abs(tails[0]).max())
     plan = clsim.plan_render(clsim.find_paths(scene, 0), RATE, **options)
     assert any("tails are those of the room without its bodies ('crate')" in line for line in plan.describe())
-
-
-@pytest.mark.exhaustive
-def test_a_run_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None) -> None:
-    """Bit for bit."""
-    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
-    scene, fails = tmp_path / "scene.toml", [-1]
-    scene.write_text(HEAD + THINGS, "utf-8")
-    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
-    run = ["run", str(scene), "--no-plots", "-o"]
-    assert main([*run, str(tmp_path / "a")]) == 0
-    fails[0] = 18432
-    assert main([*run, str(tmp_path / "b")]) == 2
-    fails[0] = -1
-    assert main([*run, str(tmp_path / "b"), "--resume"]) == 0
-    assert (tmp_path / "a" / "ear.wav").read_bytes() == (tmp_path / "b" / "ear.wav").read_bytes()
-
-
-@pytest.mark.exhaustive
-def test_studies_vary_them(tmp_path: Path) -> None:
-    pytest.importorskip("zarr")
-    (tmp_path / "scene.toml").write_text(HEAD + THINGS, "utf-8")
-    vary = '[[vary]]\nfield = "paths.scattering_order"\nvalues = [0, 1]\n'
-    study = 'format = 1\nscene = "scene.toml"\nkeep = ["paths"]\n' + vary
-    (tmp_path / "study.toml").write_text(study, "utf-8")
-    read = load_study(tmp_path / "study.toml")
-    content = [computed(read, member, None, tmp_path / str(i)).content for i, member in enumerate(read.members)]
-    kinds = [np.asarray(each.path_interactions) for each in content]
-    both = [np.sum(np.any(kind == 2, axis=1) & np.any(kind == 3, axis=1)) for kind in kinds]
-    assert both[0] == 0 < both[1]
 
 
 def thing(kind: str, name: str, way: str, more: str = "") -> str:

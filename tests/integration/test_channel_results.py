@@ -5,45 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import soundfile
+from scene_texts import along, receiver_at, scene_text, shoebox_of, source_at, tone_of
 from test_heads import sofa_file
 
 import clsim
 from clsim.cli import main
 
-SCENE = """format = 1
-
-[room]
-kind = "shoebox"
-size = [8.0, 6.0, 3.0]
-walls = { reflection = 0.8 }
-
-[[sources]]
-name = "s"
-trajectory = { kind = "line", start = [2.0, 2.0, 1.5], end = [3.0, 3.0, 1.6], duration = 1.0 }
-signal = { kind = "tone", frequency = 1000.0, duration = 0.2, sampling_rate = 16000.0, fade = 0.02 }
-
-[[receivers]]
-name = "hoa"
-trajectory = { kind = "fixed", position = [5.0, 4.0, 1.2] }
-directivity = { kind = "ambisonic", order = 1 }
-electronics = { self_noise_db = 20.0, low_cut = 20.0 }
-
-[[receivers]]
-name = "omni"
-trajectory = { kind = "fixed", position = [6.0, 4.0, 1.2] }
-
-[[receivers]]
-name = "head"
-trajectory = { kind = "fixed", position = [6.0, 3.0, 1.2] }
-directivity = { kind = "spherical-head" }
-
-[paths]
-max_order = 1
-
-[render]
-sampling_rate = 16000.0
-duration = 0.25
-"""
+SCENE = scene_text(
+    source_at("s", tone_of(1e3, 0.2, 16e3, fade=0.02), along((2.0, 2.0, 1.5), (3.0, 3.0, 1.6), 1.0)),
+    receiver_at(
+        "hoa",
+        (5.0, 4.0, 1.2),
+        directivity={"kind": "ambisonic", "order": 1},
+        electronics={"self_noise_db": 20.0, "low_cut": 20.0},
+    ),
+    receiver_at("omni", (6.0, 4.0, 1.2)),
+    receiver_at("head", (6.0, 3.0, 1.2), directivity={"kind": "spherical-head"}),
+    room=shoebox_of(8.0, 6.0, 3.0, reflection=0.8),
+    rate=16e3,
+    render={"duration": 0.25},
+)
 
 
 @pytest.fixture

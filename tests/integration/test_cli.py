@@ -10,31 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 from clsim.cli import main
 from clsim.output.result_files import read_table
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = %s, sampling_rate = 192e3, fade = 0.005 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 40.0 }
-[[receivers]]
-name = "über/left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 2
-[render]
-sampling_rate = 192e3
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, "%s", fade=0.005), along((1, 1, 1), (2, 1, 1), 40.0)),
+    receiver_at("über/left", (3.0, 1.0, 2.0)),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+    max_order=2,
+)
 
 
 @pytest.fixture

@@ -4,44 +4,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from failing import Failing
+from failing import stopped_and_resumed
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.paths.view import viewed
-from clsim.render import planning
-from clsim.scene_file.scene import build_scene, completed_scene
-from clsim.study.file import load_study
-from clsim.workflow import checkpoint
 
-SCENE = """
-format = 1
-[room]
-kind = "plan"
-outline = [[0, 0], [8, 0], [8, 5], [4, 5], [4, 9], [0, 9]]
-height = 3.0
-materials = { default = { reflection = 0.8 } }
-[air]
-absorption = false
-[[sources]]
-name = "beacon"
-signal = { kind = "tone", frequency = 40e3, duration = 0.06, sampling_rate = 192e3, fade = 0.005 }
-trajectory = { kind = "fixed", position = [6.0, 2.0, 1.2] }
-[[receivers]]
-name = "robot"
-trajectory = { kind = "line", start = [2.95, 6.9, 1.0], end = [3.1, 7.0, 1.0], duration = 0.1 }
-[[receivers]]
-name = "shelf"
-trajectory = { kind = "fixed", position = [3.3, 7.5, 1.5] }
-[paths]
-max_order = 1
-diffraction = 1
-[render]
-sampling_rate = 192e3
-duration = 0.09
-"""
+SCENE = scene_text(
+    source_at("beacon", tone_of(40e3, 0.06, fade=0.005), (6.0, 2.0, 1.2)),
+    receiver_at("robot", along((2.95, 6.9, 1.0), (3.1, 7.0, 1.0), 0.1)),
+    receiver_at("shelf", (3.3, 7.5, 1.5)),
+    room={
+        "kind": "plan",
+        "outline": [(0, 0), (8, 0), (8, 5), (4, 5), (4, 9), (0, 9)],
+        "height": 3.0,
+        "materials": {"default": {"reflection": 0.8}},
+    },
+    air={"absorption": False},
+    paths={"diffraction": 1},
+    render={"duration": 0.09},
+)
 
 
 @pytest.fixture(scope="module")
@@ -126,11 +111,6 @@ def test_bounds_of_gains_hold(paths: PathSet) -> None:
         assert np.all(level <= pair.family.gain_bound(pair.rows, at)[:, None])
 
 
-def test_completed_scenes_tell_it(scene: Path, tmp_path: Path) -> None:
-    text = completed_scene(clsim.load_scene(scene), tmp_path, duration=0.09, chunk=18432)
-    assert "diffraction = 1" in text
-
-
 def test_pruned_baseband_and_impulse_responses_know_them(paths: PathSet, device: None) -> None:
     """The shelf sees nothing of the beacon: each way of rendering hears it round the edge, and all agree."""
     wanted = clsim.render(paths, 192e3, duration=0.08).pressure[1].astype(np.float64)
@@ -154,27 +134,17 @@ def test_runs_that_were_stopped_go_on(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None
 ) -> None:
     """Bit for bit, with the exact field at the edge; not with that of the theory, whose paths are others."""
-    monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
     text, path = (
         scene.read_text("utf-8").replace("duration = 0.09", "duration = 0.12\nchunk = 18432"),
         tmp_path / "scene.toml",
     )
     text = text.replace("duration = 0.1 }", "duration = 0.2 }").replace("duration = 0.06,", "duration = 0.11,")
     path.write_text(text.replace("diffraction = 1", 'diffraction = 1\ndiffraction_model = "btm"'), "utf-8")
-    fails = [-1]
-    monkeypatch.setattr(planning, "BUILDERS", [*planning.BUILDERS, lambda plan: Failing(fails[0])])
-    assert main(["run", str(path), "-o", str(tmp_path / "a"), "--no-plots"]) == 0
-    fails[0] = 18432
-    assert main(["run", str(path), "-o", str(tmp_path / "b"), "--no-plots"]) == 2
-    fails[0] = -1
     other = tmp_path / "other.toml"
     other.write_text(text, "utf-8")
-    assert main(["run", str(other), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 2
-    assert main(["run", str(path), "-o", str(tmp_path / "b"), "--no-plots", "--resume"]) == 0
-    for name in ("robot", "shelf"):
-        assert (tmp_path / "a" / f"{name}.wav").read_bytes() == (tmp_path / "b" / f"{name}.wav").read_bytes()
-    assert 'diffraction_model = "btm"' in (tmp_path / "a" / "scene.completed.toml").read_text("utf-8")
-    with np.load(tmp_path / "a" / "ground_truth.npz") as found:
+    out = stopped_and_resumed(monkeypatch, path, tmp_path, other=other)
+    assert 'diffraction_model = "btm"' in (out / "scene.completed.toml").read_text("utf-8")
+    with np.load(out / "ground_truth.npz") as found:
         assert not found["line_of_sight"].any()
 
 
@@ -183,19 +153,3 @@ def test_responses_are_written_by_the_command(scene: Path, tmp_path: Path) -> No
     assert main(["rir", str(scene), "-o", str(file), "--at", "0.05", "--band", "30000", "50000"]) == 0
     with np.load(file) as found:
         assert np.abs(found["samples"][0, 1]).max() > 1e-4, "all of it is from round the edge"
-
-
-def test_studies_vary_what_goes_round_edges(scene: Path, tmp_path: Path) -> None:
-    study = tmp_path / "study.toml"
-    study.write_text(
-        f'format = 1\nscene = "{scene}"\n'
-        '[[vary]]\nfield = "paths.diffraction"\nname = "edges"\nvalues = [0, 1]\n'
-        '[[vary]]\nfield = "paths.diffraction_model"\nname = "model"\nvalues = ["utd", "btm"]\n', "utf-8"
-    )  # fmt: skip
-    loaded, heard = load_study(study), []
-    for member in loaded.members:
-        file = build_scene(loaded.content_of(member), tmp_path)
-        paths = clsim.find_paths(file.scene, **file.paths)
-        heard.append((member.parameters["edges"], paths.digest(), len(paths.families)))
-    assert len({digest for edges, digest, _ in heard if edges}) == 2
-    assert len({digest for edges, digest, _ in heard if not edges}) == 1

@@ -7,30 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 from clsim.cli import main
 from clsim.errors import InputError
 from clsim.plugins import METHODS, PATH_FAMILIES, STORES, _plugins, with_plugins
 
-SCENE = """
-format = 1
-room = { kind = "shoebox", size = [8.0, 6.0, 3.0], walls = { reflection = 0.8 } }
-[[sources]]
-name = "s"
-signal = { kind = "tone", frequency = 10e3, duration = 0.02, sampling_rate = 48e3, fade = 0.001 }
-trajectory = { kind = "fixed", position = [2.0, 2.0, 1.0] }
-[[receivers]]
-name = "quiet"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "mains 1"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[paths]
-max_order = 0
-[render]
-sampling_rate = 48e3
-engine = "reference"
-"""
+SCENE = scene_text(
+    source_at("s", tone_of(10e3, 0.02, 48e3, fade=0.001), (2.0, 2.0, 1.0)),
+    receiver_at("quiet", (3.0, 1.0, 2.0)),
+    receiver_at("mains 1", (3.0, 1.0, 2.0)),
+    room=shoebox_of(8.0, 6.0, 3.0, reflection=0.8),
+    max_order=0,
+    rate=48e3,
+    render={"engine": "reference"},
+)
 HALF_SPACE = """
 import clsim
 from clsim_barn.half_space import HalfSpace

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import soundfile
 from killing import Killer, content
+from scene_texts import along, chirp_of, receiver_at, scene_text, source_at
 
 import clsim
 from clsim.cli import main
@@ -18,41 +19,30 @@ from clsim.files.atomic import locked
 from clsim.output.stores import STORES, StoredSound
 from clsim.workflow.result_folder import Journal
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "chirp", start = 30e3, stop = 50e3, duration = %s, sampling_rate = 192e3 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 2.0 }
-[[receivers]]
-name = "über/left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-transducer = { kind = "named", name = "MA40S4R" }
-[receivers.electronics]
-ambient_noise_db = 10.0
-self_noise_db = 20.0
-seed = 3
-low_cut = 20e3
-high_cut = 80e3
-order = 4
-gain_db = 40.0
-adc_bits = 12
-adc_full_scale = 0.25
-clock_ppm = 50.0
-clock_offset = 0.001
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = %d
-[render]
-sampling_rate = 192e3
-chunk = 18432
-"""
+SCENE = scene_text(
+    source_at("robot", chirp_of(30e3, 50e3, "%s", 192e3), along((1, 1, 1), (2, 1, 1), 2.0)),
+    receiver_at(
+        "über/left",
+        (3.0, 1.0, 2.0),
+        transducer={"kind": "named", "name": "MA40S4R"},
+        electronics={
+            "ambient_noise_db": 10.0,
+            "self_noise_db": 20.0,
+            "seed": 3,
+            "low_cut": 20e3,
+            "high_cut": 80e3,
+            "order": 4,
+            "gain_db": 40.0,
+            "adc_bits": 12,
+            "adc_full_scale": 0.25,
+            "clock_ppm": 50.0,
+            "clock_offset": 0.001,
+        },
+    ),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+    max_order="%d",
+    render={"chunk": 18432},
+)
 LONG = SCENE % (0.6, 2)  # seven chunks
 SHORT = SCENE % (1.2, 1)
 AIR = """

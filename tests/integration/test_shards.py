@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from late import installed
 from made_studies import ENVIRONMENT, index
+from scene_texts import along, chirp_of, receiver_at, scene_text, source_at
 
 import clsim
 from clsim.cli import main
@@ -27,28 +28,15 @@ installed("zarr")
 installed("xarray")
 soundfile = installed("soundfile")
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [5.0, 4.0, 2.5]
-walls = { reverberation_time = 0.3 }
-[[sources]]
-name = "talker"
-signal = { kind = "chirp", start = 500.0, stop = 5e3, duration = 0.2, sampling_rate = 16e3, window = "hann" }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1.0 }
-[[receivers]]
-name = "left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 1.5] }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 1.2, 1.5] }
-[paths]
-max_order = 2
-[render]
-sampling_rate = 16e3
-duration = 0.25
-"""
+SCENE = scene_text(
+    source_at("talker", chirp_of(500.0, 5e3, 0.2, 16e3, window="hann"), along((1, 1, 1), (2, 1, 1), 1.0)),
+    receiver_at("left", (3.0, 1.0, 1.5)),
+    receiver_at("right", (3.0, 1.2, 1.5)),
+    room={"kind": "shoebox", "size": (5.0, 4.0, 2.5), "walls": {"reverberation_time": 0.3}},
+    max_order=2,
+    rate=16e3,
+    render={"duration": 0.25},
+)
 STUDY = """
 format = 1
 scene = "scene.toml"

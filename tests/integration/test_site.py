@@ -53,13 +53,7 @@ def test_every_key_is_told_and_its_example_is_what_the_key_takes() -> None:
     rows = dict(
         re.findall(r"^\| `(\w+)` \|.*\| ([^|]*) \| [^|]* \| [^|]* \|$", made.PAGE.read_text("utf-8"), re.MULTILINE)
     )
-    wanted = {
-        "sampling_rate": "Hz",
-        "duration": "s",
-        "low_cut": "Hz",
-        "self_noise_db": "dB",
-        "translate": "m",
-    }
+    wanted = {"sampling_rate": "Hz", "duration": "s", "low_cut": "Hz", "self_noise_db": "dB", "translate": "m"}
     assert {name: rows[name] for name in wanted} == wanted
     assert {"tum", "euroc", "csv"} <= set(re.findall(r'"(\w+)"', made.PAGE.read_text("utf-8")))
     assert len({kind for model in made.all_tables() for kind in kinds(model)}) > 20

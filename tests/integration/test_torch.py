@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from late import installed
+from scene_texts import along, receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -22,19 +23,13 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:This DataLoader will create"),
 ]
 
-SCENE = """
-format = 1
-room = { kind = "shoebox", size = [4.0, 3.0, 2.5], walls = { reflection = 0.8 } }
-paths = { max_order = 1 }
-render = { sampling_rate = 16e3, duration = 0.05 }
-[[sources]]
-name = "talker"
-signal = { kind = "tone", frequency = 1e3, duration = 0.04, sampling_rate = 16e3, fade = 0.01 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1.0 }
-[[receivers]]
-name = "ear"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 1.5] }
-"""
+SCENE = scene_text(
+    source_at("talker", tone_of(1e3, 0.04, 16e3, fade=0.01), along((1, 1, 1), (2, 1, 1), 1.0)),
+    receiver_at("ear", (3.0, 2.0, 1.5)),
+    room=shoebox_of(reflection=0.8),
+    rate=16e3,
+    render={"duration": 0.05},
+)
 STUDY = """
 format = 1
 scene = "scene.toml"

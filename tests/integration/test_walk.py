@@ -6,27 +6,17 @@ from itertools import groupby
 from pathlib import Path
 
 import pytest
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
 from clsim.opencl.launch import Launch
 
 PACKAGE = Path(clsim.__file__).parent
-SCENE = """
-format = 1
-room = { kind = "shoebox", size = [4.0, 3.0, 2.5], walls = { reflection = 0.9 } }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 0.01, sampling_rate = 192e3, fade = 1e-3 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [1.1, 1, 1], duration = 0.1 }
-[[receivers]]
-name = "ceiling"
-trajectory = { kind = "fixed", position = [2, 2, 2] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 0.01, fade=0.001), along((1, 1, 1), (1.1, 1, 1), 0.1)),
+    receiver_at("ceiling", (2, 2, 2)),
+)
 
 
 class Launched(BaseException):

@@ -16,6 +16,7 @@ import clsim_barn.ridge
 import numpy as np
 import pytest
 from clsim_barn.ridge import GAIN
+from scene_texts import along, receiver_at, scene_text, shoebox_of, source_at, tone_of
 from scipy.optimize import minimize_scalar
 
 import clsim
@@ -36,31 +37,14 @@ def test_the_file_needs_nothing_but_seams() -> None:
     assert found <= {"clsim.arrays", *(f"clsim.paths.{name}" for name in SEAMS)}
 
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [8.0, 6.0, 3.0]
-walls = { reflection = 0.8 }
-[air]
-absorption = false
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 10e3, duration = 0.5, sampling_rate = 192e3, fade = 0.01 }
-trajectory = { kind = "line", start = [2.0, 2.5, 1.0], end = [3.0, 2.0, 1.2], duration = 0.5 }
-[[receivers]]
-name = "wall"
-trajectory = { kind = "fixed", position = [6.0, 4.0, 1.5] }
-[[receivers]]
-name = "cart"
-trajectory = { kind = "line", start = [6.0, 1.0, 1.0], end = [6.0, 2.5, 1.0], duration = 0.5 }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-duration = 0.45
-chunk = 18432
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(10e3, 0.5, fade=0.01), along((2.0, 2.5, 1.0), (3.0, 2.0, 1.2), 0.5)),
+    receiver_at("wall", (6.0, 4.0, 1.5)),
+    receiver_at("cart", along((6.0, 1.0, 1.0), (6.0, 2.5, 1.0), 0.5)),
+    room=shoebox_of(8.0, 6.0, 3.0, reflection=0.8),
+    air={"absorption": False},
+    render={"duration": 0.45, "chunk": 18432},
+)
 
 
 def scene_of() -> clsim.Scene:

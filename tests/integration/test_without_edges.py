@@ -5,31 +5,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
 
-SCENE = """
-format = 1
-[room]
-kind = "plan"
-outline = [[3, 0], [1.5, 2.6], [-1.5, 2.6], [-3, 0], [-1.5, -2.6], [1.5, -2.6]]
-height = 3.0
-materials = { default = { reflection = 0.9 } }
-[[sources]]
-name = "beacon"
-signal = { kind = "tone", frequency = 40e3, duration = 0.02, sampling_rate = 192e3, fade = 0.005 }
-trajectory = { kind = "fixed", position = [0.4, 1.3, 1.5] }
-[[receivers]]
-name = "robot"
-trajectory = { kind = "line", start = [-1.9, 0.3, 1.2], end = [1.7, -0.8, 1.4], duration = 2.0 }
-[paths]
-max_order = 2
-diffraction = 0
-[render]
-sampling_rate = 192e3
-duration = 0.03
-"""
+SCENE = scene_text(
+    source_at("beacon", tone_of(40e3, 0.02, fade=0.005), (0.4, 1.3, 1.5)),
+    receiver_at("robot", along((-1.9, 0.3, 1.2), (1.7, -0.8, 1.4), 2.0)),
+    room={
+        "kind": "plan",
+        "outline": [(3, 0), (1.5, 2.6), (-1.5, 2.6), (-3, 0), (-1.5, -2.6), (1.5, -2.6)],
+        "height": 3.0,
+        "materials": {"default": {"reflection": 0.9}},
+    },
+    max_order=2,
+    paths={"diffraction": 0},
+    render={"duration": 0.03},
+)
 
 
 HERE, THERE = np.array([4.0, 5.0, 2.0]), np.array([6.0, 5.0, 2.0])

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -144,29 +145,25 @@ def test_converter_counts_what_it_clips(engine: str) -> None:
     assert any("samples clipped" in note for note in recording.notes)
 
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "speaker"
-signal = { kind = "tone", frequency = 40e3, duration = 0.4e-3, sampling_rate = 192e3, amplitude = 14.1 }
-trajectory = { kind = "fixed", position = [1, 1, 1] }
-transducer = { kind = "named", name = "MA40S4S" }
-[[receivers]]
-name = "ear"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 1.5] }
-transducer = { kind = "wav", path = "response.wav", scale = 0.01 }
-electronics = { self_noise_db = 10.0, seed = 1, gain_db = 60.0, adc_bits = 10, adc_full_scale = 0.2, clock_ppm = 30.0 }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-duration = 0.02
-engine = "reference"
-"""
+SCENE = scene_text(
+    source_at(
+        "speaker", tone_of(40e3, 0.0004, amplitude=14.1), (1, 1, 1), transducer={"kind": "named", "name": "MA40S4S"}
+    ),
+    receiver_at(
+        "ear",
+        (3.0, 1.0, 1.5),
+        transducer={"kind": "wav", "path": "response.wav", "scale": 0.01},
+        electronics={
+            "self_noise_db": 10.0,
+            "seed": 1,
+            "gain_db": 60.0,
+            "adc_bits": 10,
+            "adc_full_scale": 0.2,
+            "clock_ppm": 30.0,
+        },
+    ),
+    render={"duration": 0.02, "engine": "reference"},
+)
 
 
 def test_scene_files_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ ROOT = Path(clsim.__file__).parents[1]
 # A unit, or that there is none.
 UNIT = re.compile(
     r"(?<![\w^])(m|mm|s|Hz|kHz|dB|dB/m|Pa|kPa|V|V/Pa|Pa/V|rad|rad/s|m/s|m/s²|m²|m³|°|°C|K|kg|kg/m³|kg/m²|%|ppm|MiB|GiB|bytes|N s/m⁴|Pa s/m²)(?![\w/])"
-    r"|degrees|per cent|samples?\b|frames|octaves?|[Uu]nit vectors?|quaternions?|rows|1\.|[0-9] to [0-9]|[Ff]rom 0|from -1|[Ww]ithout (a )?unit|ratio|share|fraction|factors?|[Gg]ains?|direction"
+    r"|degrees|per cent|samples?\b|frames|octaves?|[Uu]nit vectors?|quaternions?|rows|1\.|[0-9] to [0-9]|[Ff]rom 0|from -1|[Ww]ithout (a )?unit|ratio|share|fraction|factors?|[Gg]ains?|direction|units of"
 )
 SHAPE = re.compile(r"\([^()]*\w*[^()]*,?[^()]*\)|scalar|sequence|one per|as many|broadcast|same shape|any shape")
 NUMBERS = re.compile(r"float|array|complex|Floats")
@@ -135,11 +135,9 @@ def _methods(value: type) -> Iterator[tuple[str, Any]]:
 
 
 def raises(function: Callable[..., Any]) -> bool:
-    """Test that a function's own text raises, or calls a check of its arguments."""
+    """Test that a function's own text raises another error than InputError, of which the page of conventions tells."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
-    checks = {"check", "checked", "as_number", "as_count", "as_floats", "as_flag", "as_choice"}
-    called = {ast.unparse(n.func).split(".")[-1] for n in ast.walk(tree) if isinstance(n, ast.Call)}
-    return any(isinstance(n, ast.Raise) for n in ast.walk(tree)) or bool(called & checks)
+    return any(isinstance(n, ast.Raise) and "InputError" not in ast.unparse(n) for n in ast.walk(tree))
 
 
 def fields_of(value: type, summary: str) -> dict[str, tuple[str, str]]:
@@ -160,7 +158,8 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
     if (seen := OVERRIDDEN.search(told[""])) is not None and list(told) == [""]:
         modules = [module for name, module in sys.modules.items() if name.startswith("clsim.")]
         base = next(vars(module)[seen[1]] for module in modules if seen[1] in vars(module))
-        told = sections(getattr(base, seen[2]).__doc__) | {"": told[""]}
+        told_by_base = sections(getattr(base, seen[2]).__doc__)
+        told = told_by_base | {"": told[""] + told_by_base[""]}
     if is_class and issubclass(value, Exception | Warning):
         return
     signature = inspect.signature(value)
@@ -171,6 +170,8 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         described = parameters(sections(owner.__doc__ or "").get("Parameters", "")) | described
     for argument in arguments:
         kind, text = described.get(argument.name, (None, ""))
+        if kind is None and f"`{argument.name}`" in told[""] and not is_class:  # the first sentence describes it
+            kind, text = re.sub("Floats|ArrayLike|NDArray", "ndarray", str(argument.annotation)), told[""]
         if kind is None:
             yield f"{name}: parameter {argument.name} is not described"
         elif not kind and not text.strip().startswith(("As ", "See ", "Passed ", "Of ")):
@@ -193,10 +194,14 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         ):
             yield f"{name}: no Raises"
         return
-    answer = signature.return_annotation
-    is_property = not arguments and "property" in inspect.getsource(value).split("def ")[0]
-    told_in_full = is_property or not arguments or str(answer) in (name.split(".")[0], "Self")  # by the first sentence
-    if answer not in (None, "None") and not told_in_full and not {"Returns", "Yields"} & set(told):
+    answer = str(signature.return_annotation)
+    needs_shape = "NDArray" in answer or "Floats" in answer or "Complexes" in answer
+    needs_unit = "float" in answer.lower() or "Complexes" in answer
+    told_in_full = not arguments or not (  # by the first sentence
+        (needs_shape and not re.search(rf"{SHAPE.pattern}|shaped as", told[""]))
+        or (needs_unit and not UNIT.search(told[""]))
+    )
+    if not told_in_full and not {"Returns", "Yields"} & set(told):
         yield f"{name}: no Returns"
     if raises(value) and "Raises" not in told:
         yield f"{name}: no Raises"
@@ -309,10 +314,7 @@ def test_figures_of_validation_are_written_by_their_tests() -> None:
 def test_a_figure_typed_by_hand_is_found() -> None:
     figures = loaded("../docs/site/figures")
     rows = {
-        (
-            "unit/test_version.py",
-            "a claim",
-        ): "| `unit/test_version.py` | a claim | an oracle | -85 dB | -101 to -98 dB |"
+        ("unit/test_errors.py", "a claim"): "| `unit/test_errors.py` | a claim | an oracle | -85 dB | -101 to -98 dB |"
     }
     page = figures.update(f"# A page\n\n<!-- written by make measured:  -->\n{figures.END}\n", rows, ROOT / "tests")
     assert figures.written(page)[0] == rows

@@ -1,13 +1,73 @@
-"""Where warnings say that they come from; what is no recording, path set or list of rooms is told so."""
+"""Origin of warnings, former names, kinds that are refused, short reprs, one version."""
 
+import re
+import tomllib
 import warnings
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import clsim
 from clsim.errors import counted
+from clsim.version import __version__
+
+
+def never() -> Any:
+    raise AssertionError("made again")
+
+
+@pytest.mark.parametrize("turn", [0, 1])
+def test_what_was_made_is_not_made_again(turn: int, once) -> None:
+    name = f"a list of {turn}"
+    assert once(name, lambda: [turn]) == once(name, never) == [turn]
+    with pytest.raises(AssertionError, match="made again"):
+        once(f"{name}, not made yet", never)
+
+
+def test_reprs_are_short() -> None:
+    times = np.linspace(0.0, 1.0, 200)
+    way = clsim.Trajectory.waypoints(times, np.column_stack([1.0 + times, 1.0 + 0.0 * times, 1.0 + 0.0 * times]))
+    source = clsim.Source("robot", clsim.Signal.from_array(np.sin(np.arange(9600.0)), 96e3), way)
+    ears = clsim.receiver_array("ceiling", clsim.grid_positions((0.5, 5.5, 20), (0.5, 3.5, 10), 2.3))
+    box = clsim.Shoebox((6.0, 4.0, 2.5), clsim.Material.from_reflection(0.8))
+    scene = clsim.Scene(box, clsim.Air(), [source], ears)
+    paths = clsim.find_paths(scene, 1)
+    values = [
+        scene,
+        box,
+        box.as_mesh(),
+        source,
+        source.signal,
+        ears[0],
+        paths,
+        paths.table([0.0, 0.5]),
+        clsim.track(paths),
+    ]
+    for value in values:
+        shown = repr(value)
+        assert shown.startswith(f"{type(value).__name__}("), shown
+        assert len(shown) < 600, shown
+        assert "\n" not in shown
+    assert repr(scene).startswith("Scene(room=Shoebox(")
+    assert "<200 Receiver>" in repr(scene)
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_version_is_one() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    assert project["project"]["dynamic"] == ["version"]
+    assert "version" not in project["project"]
+    # What hatch reads, by the pattern that it looks for.
+    path = ROOT / project["tool"]["hatch"]["version"]["path"]
+    assert re.findall(r'(?m)^__version__ = "(.*)"$', path.read_text("utf-8")) == [__version__]
+    assert re.findall(r"(?m)^version: (.*)$", (ROOT / "CITATION.cff").read_text("utf-8")) == [__version__]
+    assert clsim.__version__ == __version__
+    assert f"\n## {__version__}" in (ROOT / "CHANGELOG.md").read_text("utf-8")
 
 
 def test_warnings_name_the_line_outside_that_called() -> None:

@@ -211,17 +211,7 @@ def test_a_run_without_pictures_loads_nothing_that_draws(tmp_path: Path) -> None
         "--no-plots",
     ]
     loaded = loaded_by(f"from clsim.cli import main\nassert main({[*arguments, '--engine', 'reference']!r}) == 0")
-    late = {
-        "matplotlib",
-        "trimesh",
-        "xarray",
-        "zarr",
-        "h5py",
-        "dask",
-        "scipy.signal",
-        "scipy.interpolate",
-        "pyopencl",
-    }
+    late = {"matplotlib", "trimesh", "xarray", "zarr", "h5py", "dask", "scipy.signal", "scipy.interpolate", "pyopencl"}
     assert "clsim.render.methods.per_sample" in loaded
     none(f"{name} is loaded" for name in late & loaded)
 

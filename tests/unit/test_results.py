@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -16,29 +17,12 @@ from clsim.output.result_files import write_table
 
 TIMES = np.array([0.0, 0.004, 0.009])
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 0.01, sampling_rate = 192e3, fade = 0.002 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [1.02, 1, 1], duration = 0.02 }
-[[receivers]]
-name = "über links"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-transducer = { kind = "named", name = "MA40S4R" }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-engine = "reference"
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 0.01, fade=0.002), along((1, 1, 1), (1.02, 1, 1), 0.02)),
+    receiver_at("über links", (3.0, 1.0, 2.0)),
+    receiver_at("right", (3.0, 2.0, 2.0), transducer={"kind": "named", "name": "MA40S4R"}),
+    render={"engine": "reference"},
+)
 
 
 @pytest.fixture(scope="module")

@@ -13,19 +13,15 @@ iteration: paths are stationary, so that each round squares what is left but for
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.paths.legs.mirrors import dot
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.mirrors import Mirrors, Planes
-    from clsim.paths.propagation import UniformAir
-    from clsim.scene.motion.motion import Motion
+from clsim.arrays import Floats
+from clsim.paths.legs.mirrors import Mirrors, Planes, dot
+from clsim.paths.propagation import UniformAir
+from clsim.scene.motion.motion import Motion
 
 _ROUNDS = 20
 _CONVERGED = 1e-14  # s

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.numerics.quaternions import cross_product, rotate
-from clsim.scene.room.edges import find_edges
+from clsim.scene.body import Body
+from clsim.scene.room.edges import Edges, find_edges
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.body import Body
-    from clsim.scene.room.edges import Edges
-    from clsim.scene.scene import Scene
-
-    Integers = NDArray[np.signedinteger[Any]]
+Integers = NDArray[np.signedinteger[Any]]
 
 
 ROOM = -1  # owner of the walls of the room

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
+from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.chain import Chain
-from clsim.paths.family import DIFFRACTION
+from clsim.paths.family import DIFFRACTION, Instant, Rows
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.links import Links, in_chunks, met_in_order
+from clsim.paths.links import Columns, Integers, Links, Vertex, in_chunks, met_in_order
 from clsim.paths.propagation import UniformAir
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Columns, Integers, Vertex
-    from clsim.scene.scene import Scene
+from clsim.scene.scene import Scene
 
 _AT_A_TIME = 16384  # nodes that are solved together
 

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
+from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.chain import Chain
-from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
+from clsim.paths.family import NONE, SPECULAR, TRANSMISSION, Instant, Rows
 from clsim.paths.legs.places import path_vertices
-from clsim.paths.links import Links
+from clsim.paths.links import Integers, Links
 from clsim.paths.propagation import Folds, arrivals_by, straight
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Integers
-    from clsim.scene.scene import Scene
+from clsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import firsts
-from clsim.paths.visibility.occlusion import BEHIND, Beams, Ears, Views, WallLookup, beam_planes, clip_rings, open_parts
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.trajectory_tables import BoundingSpheres
-    from clsim.paths.visibility.occlusion import Lookup
-    from clsim.scene.room.walls import Walls
+from clsim.arrays import Floats, firsts
+from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.visibility.occlusion import (
+    BEHIND,
+    Beams,
+    Ears,
+    Lookup,
+    Views,
+    WallLookup,
+    beam_planes,
+    clip_rings,
+    open_parts,
+)
+from clsim.scene.room.walls import Walls
 
 _BEAMS = 2_000  # looked at at a time
 _PAIRS = 20_000  # of beam and next wall clipped at a time

@@ -3,49 +3,41 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
+from clsim.paths.chain import Chain
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
-from clsim.paths.propagation import mean_medium_of
+from clsim.paths.options import PathOptions
+from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
 from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
+from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.paths.visibility.mirrors import MirrorEvaluation
 from clsim.paths.visibility.obstacles import Obstacles
 from clsim.paths.visibility.occlusion import WallLookup, air_sides
 from clsim.paths.visibility.rates import BodyRates, EndRates
 from clsim.paths.visibility.subdivision import certified, evaluations
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import find_mount
-from clsim.scene.motion.motion import even_lengths
-from clsim.scene.room.walls import build_walls
+from clsim.scene.motion.motion import Motion, even_lengths
+from clsim.scene.room.faces import Mount
+from clsim.scene.room.walls import Walls, build_walls
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.chain import Chain
-    from clsim.paths.options import PathOptions
-    from clsim.paths.propagation import UniformAir
-    from clsim.paths.visibility.intervals import VisibilityQuery
-    from clsim.scene.ends import Receiver, Source
-    from clsim.scene.motion.motion import Motion
-    from clsim.scene.room.faces import Mount
-    from clsim.scene.room.walls import Walls
-    from clsim.scene.scene import Scene
-
-    Progress = Callable[[float], None]
-    Span = tuple[float, float]
+Progress = Callable[[float], None]
+Span = tuple[float, float]
 
 Found = TypeVar("Found")
 _POSES = 0.3  # m, which images by bodies go, half way, from one pose in which sequences are looked for to the next

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE
+from clsim.arrays import Floats
+from clsim.paths.chain import Chain
+from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import ROOM, dot
 from clsim.paths.legs.moving import moving_paths
+from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.body_edge_pairs import EdgePairFinder, PairEvaluation, on_edges
 from clsim.paths.search.body_edges import ABSENT, leg_is_free
 from clsim.paths.search.edge_chains import tied
@@ -18,18 +24,8 @@ from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.gap_events import GapPairs, GapPairSolver
 from clsim.paths.vertices.gap_pair import ACROSS_AIR, GapPairVertex
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.chain import Chain
-    from clsim.paths.family import PathFamily
-    from clsim.paths.search.bodies import BodySearch, PairQuery
-
-    Rows = NDArray[np.int64]
-    Span = tuple[float, float]
+Rows = NDArray[np.int64]
+Span = tuple[float, float]
 
 _LONGER = 1.2  # times a path as it is when received, as which it may have been before
 _IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in its air

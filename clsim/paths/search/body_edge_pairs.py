@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import TERMS, adjacent_reflections, lit_angles
+from clsim.arrays import Floats
+from clsim.paths.chain import Chain
+from clsim.paths.family import PathFamily
+from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.legs.moving import moving_paths
+from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.body_edges import ABSENT, EdgeFinder, free_legs, halves
 from clsim.paths.search.edge_chains import tied
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_pair import EdgePairVertex
-from clsim.paths.vertices.edge_pair_events import EdgePairs, EdgePairSolver
+from clsim.paths.vertices.edge_pair_events import EdgePairEvents, EdgePairs, EdgePairSolver
 from clsim.paths.visibility.edges import footprint, in_face, lines_apart
 from clsim.paths.visibility.subdivision import ROUNDS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.chain import Chain
-    from clsim.paths.family import PathFamily
-    from clsim.paths.legs.mirrors import EdgeLines
-    from clsim.paths.search.bodies import BodySearch, PairQuery
-    from clsim.paths.vertices.edge_pair_events import EdgePairEvents
-
-    Rows = NDArray[np.int64]
-    Codes = NDArray[np.int16]
+Rows = NDArray[np.int64]
+Codes = NDArray[np.int16]
 
 _SECOND = 8 << TERMS  # of the codes of `body_edges`: the first bit for the terms of the second edge
 

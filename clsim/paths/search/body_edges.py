@@ -2,40 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections, lit_angles, path_over_edge
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
+from clsim.paths.chain import Chain
+from clsim.paths.family import PathFamily
+from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.beam_tree import BeamTree
-from clsim.paths.search.bodies import UnhiddenLookup
+from clsim.paths.search.bodies import BodySearch, PairQuery, UnhiddenLookup
 from clsim.paths.search.edge_chains import joined_over_ends, tied
 from clsim.paths.search.mesh import BEAM_LIMIT
 from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
-from clsim.paths.vertices.edge_events import Chains, EdgeSolver
+from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
 from clsim.paths.visibility.subdivision import ROUNDS, coded
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.chain import Chain
-    from clsim.paths.family import PathFamily
-    from clsim.paths.legs.events import Events
-    from clsim.paths.search.bodies import BodySearch, PairQuery
-    from clsim.paths.vertices.edge_events import EdgeEvents
-
-    Rows = NDArray[np.int64]
-    Codes = NDArray[np.signedinteger[Any]]
+Rows = NDArray[np.int64]
+Codes = NDArray[np.signedinteger[Any]]
 
 _INNER = 1e-9  # share of a way between two hits, from which on the one is not at the other
 ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
-from clsim.paths.search.scatterers import at_receivers, received_after
+from clsim.paths.legs.static import StaticLeg
+from clsim.paths.search.scatterers import Side, at_receivers, received_after
 from clsim.paths.support import check_support
 from clsim.paths.vertices.edge_scatterer import EdgeBeside, EdgeScattererVertex
 from clsim.scene.scatterer import Scatterer
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.static import StaticLeg
-    from clsim.paths.search.scatterers import Side
-    from clsim.scene.scene import Scene
-
-    Rows = NDArray[np.int64]
+Rows = NDArray[np.int64]
 
 _WIDE = 0.5  # of the least distance from scatterers: half the harmonic mean of two of them
 _STEPS, _FOUND = 100, 1e-13  # of a travel time, and s

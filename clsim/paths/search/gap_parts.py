@@ -13,25 +13,21 @@ All tests are of convex hulls, so that no way is missed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import spread
+from clsim.arrays import Floats, spread
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.edge_gaps import seen_frames
+from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.occlusion import CLEARLY, crossed_pieces
+from clsim.scene.room.edges import Edges
+from clsim.scene.room.walls import Walls
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.visibility.edge_intervals import EdgeSearch
-    from clsim.scene.room.edges import Edges
-    from clsim.scene.room.walls import Walls
-
-    Bools = NDArray[np.bool_]
-    Ints = NDArray[np.integer[Any]]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.integer[Any]]
 
 PARTS = 8  # of an edge
 _TOGETHER = 20_000  # ways looked at at a time

@@ -3,44 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_count, read_only
+from clsim.arrays import Floats, as_count, read_only
 from clsim.errors import DeviceError, InputError, warn
-from clsim.opencl.device import find_device
+from clsim.opencl.device import DeviceInfo, find_device
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
 from clsim.paths.legs.static import image_columns
+from clsim.paths.options import PathOptions
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooManyBeamsError
 from clsim.paths.search.ray_shooting import THROUGH, ShotRays, divided, see_through
-from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, trajectory_tables
+from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, TrajectoryTables, trajectory_tables
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
 from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, find_intervals
 from clsim.paths.visibility.occlusion import WallLookup, air_sides, in_air
+from clsim.scene.ends import Source
 from clsim.scene.flush import find_mount
+from clsim.scene.motion.motion import Motion
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.walls import Walls
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.opencl.device import DeviceInfo
-    from clsim.paths.options import PathOptions
-    from clsim.paths.trajectory_tables import TrajectoryTables
-    from clsim.scene.ends import Source
-    from clsim.scene.motion.motion import Motion
-    from clsim.scene.room.mesh import MeshRoom
-    from clsim.scene.room.walls import Walls
-    from clsim.scene.scene import Scene
-
-    Progress = Callable[[float], None]
-    Search = Callable[[NDArray[np.int32], NDArray[np.int64]], Intervals]
+Progress = Callable[[float], None]
+Search = Callable[[NDArray[np.int32], NDArray[np.int64]], Intervals]
 
 LARGEST_MESH_ORDER = 20
 

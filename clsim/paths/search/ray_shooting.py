@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import unique_rows
+from clsim.arrays import Floats, unique_rows
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.packages import check_packages
-from clsim.paths.search.beam_tree import Candidates
+from clsim.paths.search.beam_tree import Candidates, FoundPaths
+from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.visibility.clearance import blocks, segments_apart, unfold
-from clsim.paths.visibility.intervals import find_intervals
-from clsim.scene.motion.motion import Instants
+from clsim.paths.visibility.intervals import VisibilityQuery, find_intervals
+from clsim.scene.motion.motion import Instants, Motion
+from clsim.scene.room.faces import Mount
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.walls import Walls
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.search.beam_tree import FoundPaths
-    from clsim.paths.trajectory_tables import BoundingSpheres
-    from clsim.paths.visibility.intervals import VisibilityQuery
-    from clsim.scene.motion.motion import Motion
-    from clsim.scene.room.faces import Mount
-    from clsim.scene.room.mesh import MeshRoom
-    from clsim.scene.room.walls import Walls
-
-    Ints = NDArray[np.int64]
+Ints = NDArray[np.int64]
 
 RAYS = 4_000_000  # from all positions of a source together, and at least the next number from each
 _LEAST_RAYS = 20_000

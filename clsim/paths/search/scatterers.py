@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
 from clsim.paths.family import TRANSMISSION, ends_at
@@ -19,25 +21,16 @@ from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.legs.static import StaticLeg, direct_paths
 from clsim.paths.links import met_in_order
-from clsim.paths.propagation import mean_medium_of, medium_of, straight
+from clsim.paths.propagation import Medium, mean_medium_of, medium_of, straight
 from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer import ScattererVertex
-from clsim.scene.ends import Receiver, Source
+from clsim.scene.body import Body
+from clsim.scene.ends import End, Receiver, Source
+from clsim.scene.motion.motion import Motion
+from clsim.scene.scatterer import Scatterer
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.propagation import Medium
-    from clsim.scene.body import Body
-    from clsim.scene.ends import End
-    from clsim.scene.motion.motion import Motion
-    from clsim.scene.scatterer import Scatterer
-    from clsim.scene.scene import Scene
-
-    Ends = tuple[int, int, int]  # source, scatterer, receiver
+Ends = tuple[int, int, int]  # source, scatterer, receiver
 
 
 _PROBES = 10.0  # Hz, at which distances from scatterers are looked at

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_count, read_only
+from clsim.arrays import Floats, as_count, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
 from clsim.paths.legs.static import image_columns
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.options import PathOptions
-    from clsim.scene.room.shoebox import Shoebox
-    from clsim.scene.scene import Scene
+from clsim.paths.options import PathOptions
+from clsim.scene.room.shoebox import Shoebox
+from clsim.scene.scene import Scene
 
 LARGEST_ORDER = 60
 

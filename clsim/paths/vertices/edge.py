@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EVEN, end_detour, lit_angles, path_over_edge, wedge_terms
-from clsim.paths.arrivals import RETARDED, Arrivals
-from clsim.paths.family import DIFFRACTION
+from clsim.arrays import Floats
+from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
+from clsim.paths.family import DIFFRACTION, Instant, Rows
+from clsim.paths.legs.mirrors import EdgeLines
+from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir, arrivals_by
-from clsim.paths.vertices.edge_events import Chains, EdgeSolver
+from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
 from clsim.paths.vertices.edge_field import (
     EndsOfEdges,
     adjacent_factors,
@@ -22,22 +28,9 @@ from clsim.paths.vertices.edge_field import (
     utd_field,
 )
 from clsim.paths.vertices.edge_lengths import EdgeView, LayeredLengths, edge_lengths, polar
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.legs.mirrors import EdgeLines
-    from clsim.paths.links import Columns, Links, Pair
-    from clsim.paths.response import SceneResponse
-    from clsim.paths.vertices.edge_events import EdgeEvents
-    from clsim.scene.scene import Scene
-
-    Triple = tuple[Floats, Floats, Floats]
+Triple = tuple[Floats, Floats, Floats]
 
 COLUMNS = ("edge", "over_end", "lit", "end_side", "beside", "corner")
 LAWS = {"utd": utd_field, "btm": exact_field}

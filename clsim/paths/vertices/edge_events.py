@@ -9,24 +9,20 @@ transformation with the speed of sound leads: there the edge rests, and all is a
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import path_over_edge
+from clsim.arrays import Floats
 from clsim.paths.legs.events import Events, few_of, find_events
-from clsim.paths.legs.mirrors import EdgePoint, dot
+from clsim.paths.legs.mirrors import EdgeLines, EdgePoint, Mirrors, dot
+from clsim.paths.propagation import UniformAir
 from clsim.paths.vertices.edge_field import cylindrical
+from clsim.scene.motion.motion import Motion
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.mirrors import EdgeLines, Mirrors
-    from clsim.paths.propagation import UniformAir
-    from clsim.scene.motion.motion import Motion
-
-    Triple = tuple[Floats, Floats, Floats]
+Triple = tuple[Floats, Floats, Floats]
 
 _ROUNDS = 20  # of `find_events`
 _FOUND = 1e-8  # m along the edge: what that leaves of the way is its square over the distances

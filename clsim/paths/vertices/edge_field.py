@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import (
     AT_CORNER,
@@ -18,13 +19,8 @@ from clsim.acoustics.diffraction import (
     transition,
     wedge_terms,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.response import SceneResponse
-
+from clsim.arrays import Complexes, Floats
+from clsim.paths.response import SceneResponse
 
 BOTH = 2  # times a term's side: both paths round its boundary count as much beyond the end
 

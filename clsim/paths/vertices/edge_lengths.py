@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
-from clsim.paths.propagation import Folds, straight
+from clsim.arrays import Floats
+from clsim.paths.links import Links
+from clsim.paths.propagation import Folds, Medium, Passage, straight
+from clsim.scene.motion.motion import Motion
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from clsim.arrays import Floats
-    from clsim.paths.links import Links
-    from clsim.paths.propagation import Medium, Passage
-    from clsim.scene.motion.motion import Motion
-
-    End = tuple[Floats, Floats]
-    Meeting = Callable[[End, End], tuple[tuple[Floats, Floats], Floats]]
+End = tuple[Floats, Floats]
+Meeting = Callable[[End, End], tuple[tuple[Floats, Floats], Floats]]
 
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s

@@ -8,21 +8,17 @@ on the way. From there Newton's method leads to where the time of the whole way 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
+from clsim.arrays import Floats
+from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import EdgePoint, dot
-from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
+from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver, Triple
 from clsim.paths.vertices.edge_lengths import RolledOut
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.events import Events
-    from clsim.paths.vertices.edge_events import Triple
 
 _NEAR = 0.05  # of an end's distance from an edge: steps that are shorter are left to Newton's method
 

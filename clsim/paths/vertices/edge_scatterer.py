@@ -9,34 +9,29 @@ Images move with the end and with the scatterer, which Mach numbers take into ac
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
+from clsim.arrays import Floats
 from clsim.errors import InputError
-from clsim.paths.family import ends_at
+from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.paths.family import Instant, Rows, ends_at
 from clsim.paths.legs.places import path_vertices
+from clsim.paths.legs.static import StaticLeg
+from clsim.paths.links import Columns, Integers, Links, Pair
 from clsim.paths.propagation import straight
+from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.edge import EdgeVertex
 from clsim.paths.vertices.edge_lengths import EdgeView, towards_edge
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.paths.vertices.scatterer_paths import PATIENCE, Body
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.legs.static import StaticLeg
-    from clsim.paths.links import Columns, Integers, Links, Pair
-    from clsim.paths.response import SceneResponse
-    from clsim.paths.vertices.edge import EdgeVertex
-    from clsim.scene.scatterer import Scatterer
-    from clsim.scene.scene import Scene
+from clsim.scene.scatterer import Scatterer
+from clsim.scene.scene import Scene
 
 _ROUNDS, _CLOSE, _CONVERGED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
 

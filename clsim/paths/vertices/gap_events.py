@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.edge_gap import EdgeGap
+from clsim.arrays import Floats
+from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import dot
 from clsim.paths.vertices.edge_pair_events import EdgePairEvents, EdgePairs, EdgePairSolver
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.events import Events
-
-    Axes = tuple[Floats, Floats, Floats]
+Axes = tuple[Floats, Floats, Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.shade import LOUDEST_SHADE, shade
 from clsim.acoustics.silhouette import ASPECTS
+from clsim.arrays import Floats
 from clsim.numerics.quaternions import inverse, rotate
-from clsim.paths.family import SCATTERING, ends_at
-from clsim.paths.links import in_chunks
-from clsim.paths.vertices.scatterer_paths import find_scattered, scattered_path
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Columns, Links, Pair
-    from clsim.paths.propagation import UniformAir
-    from clsim.paths.response import SceneResponse
-    from clsim.paths.vertices.scatterer_paths import ScatteredEvents, ScatteredPath
-    from clsim.scene.scatterer import Scatterer
-    from clsim.scene.scene import Scene
+from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.paths.family import SCATTERING, Instant, Rows, ends_at
+from clsim.paths.links import Columns, Links, Pair, in_chunks
+from clsim.paths.propagation import UniformAir
+from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.scatterer_paths import ScatteredEvents, ScatteredPath, find_scattered, scattered_path
+from clsim.scene.scatterer import Scatterer
+from clsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)

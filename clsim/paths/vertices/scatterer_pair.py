@@ -7,36 +7,28 @@ Either is far enough from the other for its far field.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import permutations, product
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
+from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.chain import Chain
-from clsim.paths.family import NONE, SCATTERING, SPECULAR, ends_at
-from clsim.paths.search.scatterers import at_receivers, received_after
+from clsim.paths.family import NONE, SCATTERING, SPECULAR, Instant, Rows, ends_at
+from clsim.paths.links import Columns, Links, Pair
+from clsim.paths.response import SceneResponse
+from clsim.paths.search.scatterers import Side, at_receivers, received_after
 from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer import PairEnds, ScattererVertex
-from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, leg_between
+from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, Leg, leg_between
 from clsim.scene.ends import Receiver, Source
+from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Columns, Links, Pair
-    from clsim.paths.response import SceneResponse
-    from clsim.paths.search.scatterers import Side
-    from clsim.paths.vertices.scatterer_paths import Leg
-    from clsim.scene.scatterer import Scatterer
 
 _ROUNDS, _CLOSE, _CONVERGED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
 

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.acoustics.scattering import SpecularPoint
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.numerics.quaternions import cross_product, rotate
-from clsim.paths.legs.events import find_events
-from clsim.paths.legs.mirrors import dot
-from clsim.paths.propagation import straight
+from clsim.paths.legs.events import Events, find_events
+from clsim.paths.legs.mirrors import Mirrors, dot
+from clsim.paths.propagation import Medium, Passage, UniformAir, straight
+from clsim.scene.motion.motion import Motion
+from clsim.scene.scatterer import Scatterer
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.acoustics.scattering import SpecularPoint
-    from clsim.arrays import Floats
-    from clsim.paths.legs.events import Events
-    from clsim.paths.legs.mirrors import Mirrors
-    from clsim.paths.propagation import Medium, Passage, UniformAir
-    from clsim.scene.motion.motion import Motion
-    from clsim.scene.scatterer import Scatterer
-
-    Walls = NDArray[np.signedinteger[Any]]
+Walls = NDArray[np.signedinteger[Any]]
 
 
 _ROUNDS = 60
@@ -47,11 +41,9 @@ class Ends(Protocol):
 
     def emitted(self, times: Floats) -> tuple[Floats, Floats, Floats | None]:
         """Return images of the source, its places, and its velocities, None for rest, (P, T, 3) at times (P, T)."""
-        ...
 
     def leaving(self, direction: Floats) -> Floats:
         """Return in which directions (P, T, 3) ways leave the source that reach the scatterer in given ones."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

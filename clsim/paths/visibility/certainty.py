@@ -28,23 +28,18 @@ stays.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.paths.legs.mirrors import ROOM, dot
-from clsim.paths.visibility.rates import FAR, lasts, middle_of
+from clsim.arrays import Floats
+from clsim.paths.legs.events import Events
+from clsim.paths.legs.mirrors import ROOM, Mirrors, dot
+from clsim.paths.propagation import UniformAir
+from clsim.paths.visibility.rates import FAR, Pace, lasts, middle_of
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.events import Events
-    from clsim.paths.legs.mirrors import Mirrors
-    from clsim.paths.propagation import UniformAir
-    from clsim.paths.visibility.rates import Pace
-
-    Bools = NDArray[np.bool_]
+Bools = NDArray[np.bool_]
 
 EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of time was met before it, and more
 _MOST_DILATION = 2.0  # of a second of emission to one of reception that is taken first, and checked

@@ -24,21 +24,16 @@ it. Hence
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.paths.visibility.occlusion import INNER
-from clsim.scene.room.walls import INSIDE
+from clsim.scene.room.walls import INSIDE, Walls
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.room.walls import Walls
-
-    Bools = NDArray[np.bool_]
-    Ints = NDArray[np.int64] | NDArray[np.int32]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64] | NDArray[np.int32]
 
 
 EVER = 1e300  # m, next to no bound

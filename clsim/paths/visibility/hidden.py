@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
+from clsim.paths.family import PairPaths, PathFamily
 from clsim.paths.legs.events import find_events
+from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.places import path_vertices
 from clsim.paths.propagation import mean_medium_of
+from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.mesh import report
-from clsim.paths.visibility.obstacles import LegDrift, Legs, hidden_by
+from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_by
 from clsim.paths.visibility.rates import FAR, taken_for
-from clsim.paths.visibility.subdivision import ROUNDS, certified, sampled
+from clsim.paths.visibility.subdivision import ROUNDS, Status, certified, sampled
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import PairPaths, PathFamily
-    from clsim.paths.legs.mirrors import Mirrors
-    from clsim.paths.search.bodies import BodySearch, PairQuery
-    from clsim.paths.visibility.obstacles import Obstacles
-    from clsim.paths.visibility.subdivision import Status
-
-    Progress = Callable[[float], None]
-    Rows = NDArray[np.int64]
+Progress = Callable[[float], None]
+Rows = NDArray[np.int64]
 
 _NODES = 8  # times at which corners of paths are asked for, between which they are smooth
 _EARLIER = 1.25  # of a delay, and more, before which sound of a stretch of time was not emitted

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.paths.legs.events import find_events
+from clsim.arrays import Floats
+from clsim.paths.legs.events import Events, find_events
 from clsim.paths.legs.mirrors import ROOM
-from clsim.paths.visibility.certainty import EARLIER, absent, behind, drift, straightened
-from clsim.paths.visibility.obstacles import LegDrift, Legs
-from clsim.paths.visibility.rates import FAR, lasts, taken_for
+from clsim.paths.propagation import UniformAir
+from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, behind, drift, straightened
+from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles
+from clsim.paths.visibility.rates import FAR, EndRates, Pace, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS
+from clsim.scene.motion.motion import Motion
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.events import Events
-    from clsim.paths.propagation import UniformAir
-    from clsim.paths.visibility.certainty import Drift, Line
-    from clsim.paths.visibility.obstacles import Obstacles
-    from clsim.paths.visibility.rates import EndRates, Pace
-    from clsim.scene.motion.motion import Motion
-
-    Bools = NDArray[np.bool_]
-    Rows = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
+from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, Mirrors
 from clsim.paths.visibility.clearance import edges_apart
 from clsim.paths.visibility.occlusion import INNER
-from clsim.paths.visibility.rates import FAR, lasts, middle_of
+from clsim.paths.visibility.rates import FAR, Pace, lasts, middle_of
+from clsim.scene.body import Body
+from clsim.scene.room.walls import Walls
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.legs.events import Events
-    from clsim.paths.visibility.rates import Pace
-    from clsim.scene.body import Body
-    from clsim.scene.room.walls import Walls
-
-    Bools = NDArray[np.bool_]
-    Rows = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 _STEPS = 2  # of the secant's towards where a leg meets a face that turns
 _SPARE = 1.01  # of a body's radius, for legs that are curved as it sees them

@@ -5,25 +5,19 @@ The twin of ``meetings.cl`` and ``crossings.cl``.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import spread
-from clsim.scene.room.walls import INSIDE
+from clsim.arrays import Floats, spread
+from clsim.scene.room.walls import INSIDE, Walls
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.room.walls import Walls
-
-    Ints = NDArray[np.int64]
-    Bools = NDArray[np.bool_]
-    Crossings = Callable[[Floats, Floats], tuple[Ints, Ints, Ints]]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Crossings = Callable[[Floats, Floats], tuple[Ints, Ints, Ints]]
 
 BEHIND = 1e-9  # of the room's size, how far the space behind an aperture reaches before it
 _SHORT = 1e-6  # of the room's size
@@ -159,11 +153,9 @@ class Lookup(Protocol):
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
         """Crossings of segments and walls."""
-        ...
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
         """Return pairs of a beam and a wall that it may meet."""
-        ...
 
 
 class WallLookup:

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.paths.legs.mirrors import FARTHEST
+from clsim.scene.body import Body
 from clsim.scene.motion.curves import CONTINUATION
-from clsim.scene.motion.motion import seen_by
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.body import Body
-    from clsim.scene.motion.motion import Motion
+from clsim.scene.motion.motion import Motion, seen_by
 
 _CELL = 1e-3  # s, in each of which motions are bounded
 _MOST_CELLS = 1_000_000

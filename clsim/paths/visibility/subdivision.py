@@ -8,30 +8,25 @@ Where it differs before and after, the change is found to the resolution by halv
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.scene.motion.motion import even_lengths
+from clsim.arrays import Floats
+from clsim.scene.body import Body
+from clsim.scene.motion.motion import Motion, even_lengths
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.body import Body
-    from clsim.scene.motion.motion import Motion
-
-    Bools = NDArray[np.bool_]
-    Rows = NDArray[np.int64]
-    Evaluation = Callable[[Rows, Floats, Floats], tuple[Bools, Floats, Floats]]
-    Status = Callable[[Rows, Floats], Bools]
-    Gaps = tuple[Any, ...]
-    CodesAt = Callable[[Rows, Floats], NDArray[Any]]
-    Nearby = Callable[[NDArray[np.int64], Floats], Status]
-    Codes = NDArray[np.int8]
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+Evaluation = Callable[[Rows, Floats, Floats], tuple[Bools, Floats, Floats]]
+Status = Callable[[Rows, Floats], Bools]
+Gaps = tuple[Any, ...]
+CodesAt = Callable[[Rows, Floats], NDArray[Any]]
+Nearby = Callable[[NDArray[np.int64], Floats], Status]
+Codes = NDArray[np.int8]
 
 
 SAMPLE = 16  # resolutions; what lasts less is not found

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import DeviceError
 from clsim.opencl.device import find_device
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from clsim.arrays import Floats
-    from clsim.render.options import RenderOptions
-    from clsim.scene.motion.trajectory import Trajectory
-    from clsim.tracks.tracks import SceneTracks
+from clsim.render.options import RenderOptions
+from clsim.scene.motion.trajectory import Trajectory
+from clsim.tracks.tracks import SceneTracks
 
 FILE = Path(__file__).with_name("costs.toml")
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.contributions import Stateless
@@ -20,19 +23,12 @@ from clsim.render.methods.costs import is_passed, measured_costs, on_gpu, passes
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
+from clsim.render.plan import NarrowPart, Plan
+from clsim.render.source_filters import Emission
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
+from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import flat_basis
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.render.plan import NarrowPart, Plan
-    from clsim.render.source_filters import Emission
-    from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import SceneTracks, Tracks
+from clsim.tracks.tracks import SceneTracks, Tracks
 
 _AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
 

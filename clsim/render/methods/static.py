@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.numerics.convolution import convolved
 from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_responses
 from clsim.render.contributions import Stateless
 from clsim.render.interpolator import Bandlimited
+from clsim.render.options import RenderOptions
+from clsim.render.plan import Plan
+from clsim.render.source_filters import SourceFilters
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.signal.occupied_bandwidth import shares
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.render.options import RenderOptions
-    from clsim.render.plan import Plan
-    from clsim.render.source_filters import SourceFilters
-    from clsim.scene.ends import Receiver, Source
-    from clsim.tracks.tracks import SceneTracks, Tracks
+from clsim.tracks.tracks import SceneTracks, Tracks
 
 _WIDEST = 0.95  # of Nyquist
 _SHARE = 1e-12  # of a signal's energy that may lie beyond the band to either side

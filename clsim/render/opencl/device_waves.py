@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import DeviceError
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, compiler_of, upload, work
 from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT
-from clsim.tail.streams import NEIGHBOURS, NODE
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.tail.streams import Between, Motion
+from clsim.tail.streams import NEIGHBOURS, NODE, Between, Motion
 
 assert CPU_LAYOUT.lanes <= NEIGHBOURS
 

@@ -11,9 +11,8 @@ from clsim.acoustics.diffraction import end_coefficients, transition
 from clsim.numerics.quaternions import rotate
 from clsim.numerics.sphere import harmonic_norms
 from clsim.paths.response import SceneResponse, covered, directivity_gain
-from clsim.scene.directivity.ambisonic import NORMALIZATIONS, Ambisonic
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, ChannelDirectivity
-from clsim.scene.directivity.patterns import Omni
+from clsim.scene.directivity.patterns import NORMALIZATIONS, Ambisonic, Omni
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
@@ -24,12 +26,6 @@ from clsim.scene.directivity.directivity import (
     table_band,
 )
 from clsim.scene.directivity.text_files import as_table, read_csv_table, read_mat_arrays, read_npz_arrays
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
 
 _SAME_ANGLE = 1e-6  # degrees
 _OVERHANG = 15.0  # degrees beyond 0° or 180° that are taken for those of the other side
@@ -108,11 +104,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
         that of `transducer=` alone.
     name : str
         Name in messages.
-
-    Raises
-    ------
-    InputError
-        If a value breaks one of these rules.
 
     Notes
     -----
@@ -238,16 +229,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
-        Returns
-        -------
-        AxialDirectivity
-            The table.
-
-        Raises
-        ------
-        InputError
-            If a value breaks a rule.
-
         Examples
         --------
         >>> table = AxialDirectivity.from_db([0, 180], [1e3], [[0.0], [-6.0206]], [[0.0], [90.0]])
@@ -284,11 +265,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
             Scale of the first file's values.
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
-
-        Returns
-        -------
-        AxialDirectivity
-            The table.
 
         Raises
         ------
@@ -334,11 +310,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
 
-        Returns
-        -------
-        AxialDirectivity
-            The table.
-
         Raises
         ------
         InputError
@@ -367,11 +338,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
             As in `from_npz`.
         variable : str, optional
             Name of the struct; `angle`, `frequency` and `values` are its fields then.
-
-        Returns
-        -------
-        AxialDirectivity
-            The table.
 
         Raises
         ------

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_choice, as_floats
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
 
 _SAME_FREQUENCY = 1e-9  # of an end of a band
 _SILENT = 1e-12  # of the loudest direction
@@ -171,18 +167,12 @@ class Directivity(ABC):
 
     @staticmethod
     def names() -> tuple[str, ...]:
-        """Return the names that `named` takes.
-
-        Returns
-        -------
-        tuple of str
-            In the order in which they were given.
-        """
+        """Return the names that `named` takes."""
         return tuple(_NAMED)
 
     @staticmethod
     def named(name: str, outside: str | None = None) -> AxisymmetricDirectivity:
-        """Return the directivity of a transducer by its name.
+        """Return the directivity of a transducer by its name: a `Piston` or an `AxialDirectivity`.
 
         Parameters
         ----------
@@ -194,11 +184,6 @@ class Directivity(ABC):
             and have no phase.
         outside : {None, "hold"}
             Rule for other frequencies than those of a table (T4010A1): refused (None), or the same gain.
-
-        Returns
-        -------
-        AxisymmetricDirectivity
-            A `Piston` or an `AxialDirectivity`.
 
         Raises
         ------
@@ -265,7 +250,7 @@ class ChannelDirectivity(Directivity):
         return np.zeros((*np.shape(direction)[:-1], len(self.channels)))
 
     def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
-        """Return the gains of some channels without the phase of their lateness.
+        """Return the gains (C, ..., F) of some channels without the phase of their lateness.
 
         Parameters
         ----------
@@ -277,11 +262,6 @@ class ChannelDirectivity(Directivity):
             m/s.
         channels : range
             Indices of C channels.
-
-        Returns
-        -------
-        ndarray (C, ..., F)
-            Gain, 1.
         """
         gain = np.moveaxis(self.gain_towards(direction[..., None, :], frequencies, speed_of_sound), -1, 0)[
             channels.start : channels.stop
@@ -299,7 +279,7 @@ class AxisymmetricDirectivity(Directivity):
 
     @abstractmethod
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gain of sound pressure by the angle from the axis.
+        """Return the gain (...) of sound pressure by the angle from the axis; see `Directivity.gain_towards`.
 
         Parameters
         ----------
@@ -310,11 +290,6 @@ class AxisymmetricDirectivity(Directivity):
             Frequency, Hz; broadcasts against `cosine`.
         speed_of_sound : float
             Speed of sound, m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Gain, 1; as of `Directivity.gain_towards`.
 
         Raises
         ------

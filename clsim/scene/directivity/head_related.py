@@ -5,26 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.sphere import sphere_surface_field
-from clsim.arrays import Floats, as_floats, as_number, read_only, short_repr
+from clsim.arrays import Complexes, Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.convolution import advanced, arrival_times
 from clsim.numerics.sphere import RadialOnSphere, fibonacci_sphere, largest_hole, merged, real_harmonics
 from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage
-from clsim.scene.directivity.sofa_hrtf import read_hrtf
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Complexes
+from clsim.scene.directivity.sofa_files import read_hrtf
 
 EARS = ("left", "right")
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
@@ -56,11 +51,6 @@ class HeadRelated(ChannelDirectivity):
         Rule for frequencies above half the sampling rate: refused (None), or the gain there.
     name : str
         Name in messages.
-
-    Raises
-    ------
-    InputError
-        If a value breaks one of these rules.
 
     Notes
     -----
@@ -167,11 +157,6 @@ class HeadRelated(ChannelDirectivity):
         **options : Any
             `outside` and `name` of the constructor.
 
-        Returns
-        -------
-        HeadRelated
-            The responses.
-
         Raises
         ------
         InputError
@@ -193,11 +178,6 @@ class SphericalHead(ChannelDirectivity):
         m, at most 1.
     ear_azimuth : float
         Angle of the left ear from the front, degrees; the right one is opposite.
-
-    Raises
-    ------
-    InputError
-        If a value is out of bounds.
 
     Notes
     -----
@@ -242,42 +222,12 @@ class SphericalHead(ChannelDirectivity):
         return 0.5 * math.pi * self.radius / _SLOWEST
 
     def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
-        """Return about the times of arrival at each ear: straight, and along the surface behind (Woodworth).
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the head's own frame.
-        speed_of_sound : float
-            m/s.
-
-        Returns
-        -------
-        ndarray (..., 2)
-            s: a smooth polynomial of the cosine of incidence.
-        """
+        """Return approximate arrival times (..., 2) at both ears, s (Woodworth); see `ChannelDirectivity.lateness`."""
         late = np.polynomial.polynomial.polyval(self._cosines(direction), _WOODWORTH)
         return np.asarray(self.radius / speed_of_sound * late)
 
     def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
-        """Return the gains of some ears without the phase of their lateness; see `ChannelDirectivity.aligned`.
-
-        Parameters
-        ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the head's own frame.
-        frequencies : ndarray (F,)
-            Hz.
-        speed_of_sound : float
-            m/s.
-        channels : range
-            Indices of C ears.
-
-        Returns
-        -------
-        ndarray (C, ..., F)
-            Gain, 1.
-        """
+        """Return the gains of some ears without the phase of their lateness; see `ChannelDirectivity.aligned`."""
         terms = _aligned_terms(self.radius, np.asarray(frequencies).tobytes(), speed_of_sound)
         cosine = np.moveaxis(self._cosines(direction), -1, 0)[channels.start : channels.stop]
         powers = np.polynomial.chebyshev.chebvander(cosine, len(terms) - 1)

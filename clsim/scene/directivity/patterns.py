@@ -1,21 +1,73 @@
-"""Directivities by formula, and those that have a name."""
+"""Directivities by formulae: omnidirectional, of first order, of a piston; and those of ambisonic microphones."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import first_order_gain, piston_gain
-from clsim.arrays import Floats, as_number
+from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import InputError
+from clsim.numerics.sphere import real_harmonics
 from clsim.scene.directivity.axial_table import AxialDirectivity
-from clsim.scene.directivity.directivity import AxisymmetricDirectivity, name_directivity
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity, ChannelDirectivity, name_directivity
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+HIGHEST = 7  # order
+NORMALIZATIONS = ("SN3D", "N3D")
+
+
+@dataclass(frozen=True, slots=True)
+class Ambisonic(ChannelDirectivity):
+    """Ideal ambisonic components: real spherical harmonics of the direction of arrival, at every frequency alike.
+
+    Parameters
+    ----------
+    order : int
+        0 to 7; there are ``(order + 1)²`` channels in ACN order.
+    normalization : {"SN3D", "N3D"}
+        Normalization of the harmonics: SN3D as in AmbiX files, or N3D, larger by ``sqrt(2 l + 1)`` at degree l.
+
+    Examples
+    --------
+    >>> Ambisonic(1).gain_towards(np.array([1.0, 0.0, 0.0]), 1e3, 343.0).tolist()
+    [1.0, 0.0, 0.0, 1.0]
+    """
+
+    is_complex: ClassVar[bool] = False
+    band: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    order: int = 1
+    normalization: str = "SN3D"
+
+    def __post_init__(self) -> None:
+        as_choice("normalization", self.normalization, NORMALIZATIONS)
+        object.__setattr__(self, "order", as_count("order", self.order, at_least=0, at_most=HIGHEST))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, ``"ACN0"`` and so on."""
+        return tuple(f"ACN{i}" for i in range((self.order + 1) ** 2))
+
+    @property
+    def is_flat(self) -> bool:
+        """Components have no frequency."""
+        return True
+
+    @property
+    def scale(self) -> Floats:
+        """Factor of each channel over SN3D, (C,)."""
+        degrees = np.floor(np.sqrt(np.arange((self.order + 1) ** 2)))
+        return np.sqrt(2.0 * degrees + 1.0) if self.normalization == "N3D" else np.ones_like(degrees)
+
+    def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
+        """Return the gain of each channel; see `Directivity.gain_towards`."""
+        gain = real_harmonics(self.order, direction) * self.scale
+        shape = np.broadcast_shapes(gain.shape[:-1], np.shape(frequency))
+        return np.broadcast_to(gain, (*shape, gain.shape[-1]))
+
 
 # Murata states 80° between the -6 dB points at 40 kHz for both: the directivity of a baffled piston of this radius.
 _MURATA_RADIUS = 0.0047  # m
@@ -56,11 +108,6 @@ class FirstOrder(AxisymmetricDirectivity):
     weight : float
         Share of the omnidirectional part, 0 to 1: 0.5 cardioid, 0.25 hypercardioid, 0 figure of eight.
 
-    Raises
-    ------
-    InputError
-        If the weight is out of bounds.
-
     Examples
     --------
     >>> FirstOrder(0.5).gain(np.array([1.0, 0.0, -1.0]), 1e3, 343.0).tolist()
@@ -89,11 +136,6 @@ class Piston(AxisymmetricDirectivity):
     ----------
     radius : float
         Radius of the piston, m; at most 1.
-
-    Raises
-    ------
-    InputError
-        If the radius is not from 1 µm to 1 m.
 
     Examples
     --------

@@ -1,21 +1,114 @@
-"""SOFA files (AES69): opening within bounds, positions and axes."""
+"""SOFA files (AES69): directivities and head-related responses."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_BINARY, check_file
 from clsim.packages import check_packages
 
-if TYPE_CHECKING:
-    from pathlib import Path
+_CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "SimpleFreeFieldHRTF", "FreeFieldHRTF")
+_EVEN = 1e-6  # by which steps between frequencies may differ
+_MOST_DELAY = 1.0  # s
 
-    from clsim.arrays import Floats
+
+def read_hrtf(path: Path) -> tuple[Floats, Floats, float]:
+    """Return directions (n, 3) in the head's frame, responses (n, 2, m) of both ears and their rate, Hz."""
+    sofa = opened_sofa(path)
+    try:
+        return _read(sofa)
+    except (AttributeError, ValueError, TypeError, IndexError, KeyError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("path", f"must be a whole SOFA file, but {error}") from error
+
+
+def _read(sofa: Any) -> tuple[Floats, Floats, float]:
+    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
+    if convention not in _CONVENTIONS:
+        raise InputError("path", f"must be of the convention {', '.join(_CONVENTIONS)}, but is of {convention!r:.80}")
+    responses, rate = _impulses(sofa) if "IR" in convention else _transformed(sofa)  # (M, 2, n, E)
+    measurements, emitters = responses.shape[0], responses.shape[3]
+    # A single emitter is what its source is, whatever type the convention gives by default.
+    if emitters > 1 and str(getattr(sofa, "EmitterPosition_Type", "cartesian")) == "spherical harmonics":
+        raise InputError("path", "must hold responses by direction, but holds spherical harmonics")
+    directions = np.concatenate([_directions(sofa, m, emitters) for m in range(measurements)])
+    return directions, _left_first(directions, np.moveaxis(responses, 3, 1).reshape(len(directions), 2, -1)), rate
+
+
+def _impulses(sofa: Any) -> tuple[Floats, float]:
+    """Return impulse responses (M, R, n, E), delays included, and their rate, Hz."""
+    samples, rate = _filled(sofa.Data_IR, 4), sampling_rate_of(sofa)
+    late = _filled(getattr(sofa, "Data_Delay", np.zeros((1, 2))), 3, ears=1)
+    if late.shape[0] not in (1, samples.shape[0]) or late.shape[2] not in (1, samples.shape[3]):
+        raise InputError("path", f"must have a delay per measurement or per ear, but has {late.shape[0]}")
+    late = np.broadcast_to(late, (*samples.shape[:2], samples.shape[3]))
+    if not np.any(late):
+        return samples, rate
+    if not 0.0 <= late.min() <= late.max() <= _MOST_DELAY * rate:
+        raise InputError(
+            "path",
+            f"must have delays of 0 to {_MOST_DELAY:g} s, but has {late.min() / rate:.3g} to {late.max() / rate:.3g} s",
+        )
+    size = samples.shape[2] + 2 * int(np.ceil(late.max())) + 64
+    turn = np.exp(-2j * np.pi * late[:, :, None] * np.fft.rfftfreq(size)[:, None])
+    return np.fft.irfft(np.fft.rfft(samples, size, axis=2) * turn, size, axis=2), rate
+
+
+def _transformed(sofa: Any) -> tuple[Floats, float]:
+    """Return impulse responses (M, R, n, E) of transfer functions at multiples of a frequency, and their rate, Hz."""
+    frequencies = np.atleast_1d(np.asarray(sofa.N, dtype=np.float64))
+    values = _filled(sofa.Data_Real, 4) + 1j * _filled(sofa.Data_Imag, 4)
+    if values.shape[2] != len(frequencies):
+        values = np.moveaxis(values, -1, 2)  # as AES69 orders it: measurements, receivers, emitters, frequencies
+    step = frequencies[-1] / (len(frequencies) - 1 + int(frequencies[0] > 0.0))
+    if len(frequencies) < 8 or np.abs(np.diff(frequencies, prepend=frequencies[0] - step) - step).max() > _EVEN * step:
+        raise InputError("path", "must hold at least 8 evenly spaced frequencies from 0 Hz or the first step on")
+    if frequencies[0] > 0.0:  # what head-related responses are at 0 Hz is real
+        values = np.concatenate([np.abs(values[:, :, :1]), values], axis=2)
+    return np.fft.irfft(values, axis=2), float(2.0 * frequencies[-1])
+
+
+def _filled(data: Floats, axes: int, ears: int = 2) -> Floats:
+    """Give finite data (M, R, ...) so many axes, of which files may leave out the last."""
+    array: Any = data.reshape(data.shape + (1,) * (axes - data.ndim))
+    if array.ndim != axes or 0 in array.shape or array.shape[1] not in (2, ears):
+        raise InputError("path", f"must have responses of two ears in {axes} axes, but has the shape {data.shape}")
+    if not np.isfinite(array).all():
+        raise InputError("path", "must hold finite real numbers, but does not")
+    return np.asarray(array)
+
+
+def _directions(sofa: Any, measurement: int, emitters: int) -> Floats:
+    """Return unit vectors (E, 3) from the listener to the emitters, in the listener's frame."""
+    source, listener = (cartesian(sofa, f"{end}Position", measurement)[0] for end in ("Source", "Listener"))
+    apart = source - listener
+    if emitters > 1:
+        apart = apart + cartesian(sofa, "EmitterPosition", measurement)[:emitters] @ axes_of(
+            sofa, "Source", measurement
+        )
+    apart = np.atleast_2d(apart) @ axes_of(sofa, "Listener", measurement).T
+    distance = np.linalg.norm(apart, axis=1)
+    if len(apart) != emitters or not distance.min() > 0.0:
+        raise InputError("path", "must have every source away from the listener, but has not")
+    return np.asarray(apart / distance[:, None])
+
+
+def _left_first(directions: Floats, responses: Floats) -> Floats:
+    """Return responses (n, 2, m) with the ear first that is louder for sound from the left.
+
+    Positions of receivers do not tell: files of early versions have them the wrong way round.
+    """
+    side = directions[:, 1] @ np.sum(responses**2, axis=2)
+    return responses if side[0] >= side[1] else responses[:, ::-1]
+
 
 _MOST_UNPACKED = 2**29  # bytes
 

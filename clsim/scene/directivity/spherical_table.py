@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_count, as_floats, read_only, short_repr
@@ -25,11 +27,6 @@ from clsim.scene.directivity.directivity import (
     table_band,
 )
 from clsim.scene.directivity.sofa_files import axes_of, cartesian, opened_sofa, sampling_rate_of
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
 
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
 _MOST_SCATTERED = 4000  # directions off a grid, whose equations take 0.2 GB and two seconds
@@ -60,11 +57,6 @@ class SphericalDirectivity(Directivity):
         then that of `transducer=` alone.
     name : str
         Name in messages.
-
-    Raises
-    ------
-    InputError
-        If a value breaks one of these rules.
 
     Notes
     -----
@@ -162,11 +154,6 @@ class SphericalDirectivity(Directivity):
             Index of the file's measurement (for example a note), from 0.
         **options : Any
             `outside`, `relative_to_axis` and `name` of the constructor.
-
-        Returns
-        -------
-        SphericalDirectivity
-            The table.
 
         Raises
         ------

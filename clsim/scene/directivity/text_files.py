@@ -6,22 +6,18 @@ import io
 import os
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from clsim.arrays import as_choice
+from clsim.arrays import Floats, as_choice
 from clsim.errors import InputError, not_one_of
 from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, check_file, open_file, read_file
 from clsim.scene.directivity.mat_process import VERSION_73
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from os import PathLike
-
-    from clsim.arrays import Floats
 
 _ANGLE_UNITS = ("degree", "radian")
 _DECIMALS = 4  # of degrees that were radians: rounding of single precision is less

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import (
     backed_layer_reflection,
@@ -17,7 +19,7 @@ from clsim.acoustics.reflection import (
     porous_medium,
     reflection_from_impedance,
 )
-from clsim.arrays import LOUDEST, as_choice, as_count, as_floats, as_number
+from clsim.arrays import LOUDEST, Floats, as_choice, as_count, as_floats, as_number
 from clsim.errors import InputError
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.scene.material.reflecting_surface import ReflectingSurface
@@ -35,13 +37,6 @@ from clsim.scene.material.tabulated import (
     checked_frequencies,
     warn_of_noise,
 )
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Floats
 
 MIKI_RANGE = (0.01, 1.0)  # m³/kg, of frequency over flow resistivity
 _CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
@@ -187,11 +182,6 @@ class Material(ReflectingSurface):
         ----------
         factor : float or complex
             From -1 (pressure release) to 1 (rigid), or complex with a magnitude of 1 at most.
-
-        Raises
-        ------
-        InputError
-            If the factor is out of bounds.
         """
         return cls(ConstantFactor(as_factor("factor", factor)), name, scattering=scattering)
 
@@ -208,11 +198,6 @@ class Material(ReflectingSurface):
         coefficients : array_like (n,)
             Shares of energy absorbed, 0 to 1. Monotone cubics over the logarithm of frequency join them; outside, the
             ends are held with a warning.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds or the lengths differ.
 
         Examples
         --------
@@ -245,11 +230,6 @@ class Material(ReflectingSurface):
             Real, -1 to 1, or complex with magnitudes of 1 at most.
         outside : {None, "hold"}
             Rule for frequencies outside the table: refused (None), or the factor at the nearest end.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds or the lengths differ.
 
         Warns
         -----
@@ -297,11 +277,6 @@ class Material(ReflectingSurface):
             Monotone cubics over the logarithm of frequency join real and imaginary parts.
         outside : {None, "hold"}
             Rule for frequencies outside the table: refused (None), or the impedance at the nearest end.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds or the lengths differ.
 
         Notes
         -----
@@ -425,13 +400,7 @@ class Material(ReflectingSurface):
 
     @classmethod
     def from_solid(
-        cls,
-        density: float,
-        sound_speed: float,
-        boundary_layer: bool = True,
-        name: str = "",
-        *,
-        scattering: Any = None,
+        cls, density: float, sound_speed: float, boundary_layer: bool = True, name: str = "", *, scattering: Any = None
     ) -> Material:
         """Return a thick, hard, smooth, airtight solid.
 
@@ -444,11 +413,6 @@ class Material(ReflectingSurface):
         boundary_layer : bool
             Whether viscosity and heat conduction at the wall take their part. At 40 kHz this is 0.4 % of the pressure
             at normal incidence, and more at grazing incidence. Otherwise one real factor for all angles.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds.
 
         Notes
         -----
@@ -494,11 +458,6 @@ class Material(ReflectingSurface):
         outside : {None, "extend"}
             Rule where frequency over flow resistivity is not from 0.01 to 1 m³/kg, for which the formula was
             fitted: refused, or the formula is used all the same.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds.
 
         Notes
         -----

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import coherent_share, limp_transmission
 from clsim.arrays import Floats, as_floats, as_number
 from clsim.errors import InputError, warn
 from clsim.scene.material.tabulated import checked_frequencies, curve_of, over_octaves
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
 
 _LIGHTEST, _HEAVIEST = 1e-3, 1e5  # kg/m²
 _MOST_LOSS = 300.0  # dB
@@ -132,22 +129,18 @@ class SurfaceModel(Protocol):
     @property
     def is_complex(self) -> bool:
         """Whether factors have a phase."""
-        ...
 
     @property
     def depends_on_angle(self) -> bool:
         """Whether factors depend on the angle of incidence."""
-        ...
 
     @property
     def band(self) -> tuple[float, float]:
         """Frequencies (low, high) in Hz that are covered; ``(0, inf)`` if all."""
-        ...
 
     @property
     def beyond(self) -> str:
         """Note on frequencies outside the band, where the nearest end is held; empty if they are refused."""
-        ...
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
         """Return factors.
@@ -167,30 +160,14 @@ class SurfaceModel(Protocol):
             Float64, or complex128 if `is_complex`: of the shape to which the arguments broadcast, or, where
             nothing depends on the angle, of that of `frequency`.
         """
-        ...
 
     def describe(self) -> str:
         """Return a short description."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReflectingSurface:
-    """How much sound a wall sends back, by frequency and angle of incidence; never more than it receives.
-
-    Parameters
-    ----------
-    model : SurfaceModel
-        Model of the reflection factor.
-    name : str
-        Name in messages and tables.
-    roughness : float
-        Root mean square of the wall's heights, m: see `rough`.
-    scattering : float or (frequencies, values), optional
-        Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-    transmission : TransmissionModel, optional
-        Model of the transmission factor of the pressure: see `transmitting`. Nothing passes when left out.
-    """
+    """How much sound a wall sends back, by frequency and angle of incidence; its fields are those of `Material`."""
 
     model: SurfaceModel
     name: str = ""
@@ -242,11 +219,6 @@ class ReflectingSurface:
         ----------
         rms : float
             Root mean square of the heights about the mean plane, 0 to 0.1 m. Twice rough adds up by squares.
-
-        Raises
-        ------
-        InputError
-            If it is out of bounds.
 
         Notes
         -----
@@ -360,29 +332,7 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(factor, np.broadcast_shapes(f.shape, cos.shape)))
 
     def energy_at(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
-        """Return the share of energy that is reflected, specularly and scattered together.
-
-        Parameters
-        ----------
-        frequency, cosine : array_like (...)
-            As of `reflection_at`, Hz and without a unit.
-        speed_of_sound : float
-            In the air, m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Shares, 0 to 1.
-
-        Raises
-        ------
-        InputError
-            As of `reflection_at`.
-
-        Warns
-        -----
-        ClsimWarning
-            As of `reflection_at`.
+        """Return the reflected share (...) of energy, by `frequency`, `cosine`, `speed_of_sound` as of `reflection_at`.
 
         Examples
         --------
@@ -395,24 +345,7 @@ class ReflectingSurface:
         return np.array(np.broadcast_to(np.minimum(energy, 1.0), np.broadcast_shapes(f.shape, cos.shape)))
 
     def scattered_share(self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2) -> Floats:
-        """Return the share of the energy sent back that leaves the mirror's direction, by coefficient and roughness.
-
-        Parameters
-        ----------
-        frequency, cosine : array_like (...)
-            As of `reflection_at`, Hz and without a unit.
-        speed_of_sound : float
-            In the air, m/s.
-
-        Returns
-        -------
-        ndarray (...)
-            Shares, 0 to 1.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds.
+        """Return the scattered share (...) of energy, by `frequency`, `cosine`, `speed_of_sound` as of `reflection_at`.
 
         Notes
         -----
@@ -460,17 +393,7 @@ class ReflectingSurface:
         return factor
 
     def check_coverage(self, frequency: ArrayLike) -> None:
-        """Check that the material covers frequencies.
-
-        Parameters
-        ----------
-        frequency : array_like (...)
-            Hz.
-
-        Raises
-        ------
-        InputError
-            If it does not.
+        """Check that the material covers each `frequency` (...), Hz.
 
         Warns
         -----

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import reflection_from_absorption, reflection_from_impedance
 from clsim.arrays import Floats, as_floats, as_number, read_only
 from clsim.errors import InputError, warn
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
 
 _LONGEST = 2**17  # samples of an impulse response
 ROUNDING = 1e-9  # by which a magnitude may exceed 1, and within which frequencies are the same
@@ -34,8 +30,7 @@ def checked_frequencies(value: ArrayLike) -> Floats:
         raise InputError(f"frequencies[{i}]", f"must be above 0 Hz, but is {f[i]:g} Hz")
     for i in np.flatnonzero(np.diff(f) <= ROUNDING * f[:-1])[:1] + 1:
         raise InputError(
-            "frequencies",
-            f"must increase strictly, but [{i}] = {f[i]:g} Hz follows [{i - 1}] = {f[i - 1]:g} Hz",
+            "frequencies", f"must increase strictly, but [{i}] = {f[i]:g} Hz follows [{i - 1}] = {f[i - 1]:g} Hz"
         )
     return f
 
@@ -124,7 +119,6 @@ class Tabulated(Protocol):
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
         """Return values at frequencies (...), Hz."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

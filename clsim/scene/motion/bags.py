@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.files.input_files import check_file
 from clsim.packages import check_packages
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from clsim.arrays import Floats
 
 _LARGEST = 2**40  # bytes of a bag: pictures and clouds of points are passed over
 _MOST = 5_000_000  # poses

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
 from clsim.numerics.quaternions import rotate
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
     from scipy.interpolate import PPoly
 
 _SLICE = 65536  # cubics that are bounded at a time
@@ -36,15 +36,12 @@ class Curve(Protocol):
 
     def position(self, time: Floats) -> Floats:
         """Return positions, m."""
-        ...
 
     def velocity(self, time: Floats) -> Floats:
         """Return velocities, m/s."""
-        ...
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
         """Return upper bounds of the speed between two times (n,), m/s; tighter for shorter intervals."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal, DecimalException
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import FARTHEST
+from clsim.arrays import FARTHEST, Floats
 from clsim.errors import InputError, warn
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.scene.motion.bags import read_bag
-from clsim.scene.motion.checks import LONGEST
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from clsim.arrays import Floats
+from clsim.scene.motion.orientation import LONGEST
 
 FORMATS = ("tum", "euroc", "csv", "rosbag")
 REPAIRS = ("times", "gaps", "nan", "jumps")

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_number, read_only
 from clsim.numerics.quaternions import inverse, rotate
 from clsim.scene.motion.curves import CONTINUATION, Curve, is_static
-from clsim.scene.motion.orientation import quaternion_product
+from clsim.scene.motion.orientation import Hinge, Turning, quaternion_product
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.scene.motion.orientation import Hinge, Turning
-
-    Indices = NDArray[np.int64]
-    Probe = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
+Indices = NDArray[np.int64]
+Probe = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
 
 _BATCH = 8192  # ranges evaluated at a time
 _SAME = 1e-9  # relative difference of speeds that does not matter
@@ -130,17 +125,12 @@ class Motion:
         return self.turning is not None and self.turning.turns
 
     def position(self, t: ArrayLike) -> Floats:
-        """Return positions, m.
+        """Return positions (..., 3), m: of the shape of `t` with one more axis.
 
         Parameters
         ----------
         t : array_like
             Times, s, of any shape and in any order.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 3 more columns: ``(n, 3)`` for ``(n,)``, ``(3,)`` for a number.
 
         Examples
         --------
@@ -155,17 +145,7 @@ class Motion:
         return self.curve.position(time)
 
     def velocity(self, t: ArrayLike) -> Floats:
-        """Return velocities, m/s, shaped as in `position`; at a break the one after it.
-
-        Parameters
-        ----------
-        t : array_like (...)
-            Times, s.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 3 more columns.
+        """Return velocities, m/s, at times `t` (...), s, shaped as in `position`; at a break the one after it.
 
         Examples
         --------
@@ -180,17 +160,7 @@ class Motion:
         return velocity
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return upper bounds of the speed between two times (n,), m/s; tighter for shorter intervals.
-
-        Parameters
-        ----------
-        begin, end : ndarray (n,)
-            Times, s.
-
-        Returns
-        -------
-        ndarray (n,)
-            m/s.
+        """Return upper bounds of the speed from `begin` to `end` (n,), s, in m/s; tighter for shorter intervals.
 
         Examples
         --------
@@ -204,17 +174,12 @@ class Motion:
         return np.where((begin > last) | (end < first), 0.0, speed * (1.0 + 1e-12))
 
     def orientation(self, t: ArrayLike) -> Floats:
-        """Return unit quaternions x y z w whose sign does not jump; identity without orientation.
+        """Return unit quaternions x y z w (..., 4) whose sign does not jump; identity without orientation.
 
         Parameters
         ----------
         t : array_like (...)
             Times, s. Before the first and after the last orientation given, that one is held.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 4 more columns.
 
         Examples
         --------
@@ -228,17 +193,7 @@ class Motion:
         return self.turning.orientation(time)
 
     def angular_velocity(self, t: ArrayLike) -> Floats:
-        """Return angular velocities in the room, rad/s, shaped as in `position`; 0 without orientation.
-
-        Parameters
-        ----------
-        t : array_like (...)
-            Times, s; where the turning changes, the angular velocity after it.
-
-        Returns
-        -------
-        ndarray
-            Shape of `t` and 3 more columns.
+        """Return angular velocities in the room at `t` (...), s, in rad/s, shaped as in `position`; 0 without turning.
 
         Examples
         --------
@@ -258,7 +213,7 @@ class Motion:
         return 0.0 if self.turning is None else self.turning.peak
 
     def peak_speed(self, start: float, end: float, rate: float = 1000.0) -> tuple[float, float]:
-        """Return the largest speed at evenly spaced instants to nine digits, and when it is reached.
+        """Return the largest speed at evenly spaced instants to nine digits, m/s, and its time, s.
 
         Instants between which no speed can be larger are left out, so that long rests and even motions cost nothing.
 
@@ -268,16 +223,6 @@ class Motion:
             First and last instant, s.
         rate : float
             Instants per second, at least; above 0, Hz.
-
-        Returns
-        -------
-        speed, time : float
-            m/s and s.
-
-        Raises
-        ------
-        InputError
-            If the range is not finite or ends before it starts, or the rate is not above 0.
 
         Examples
         --------

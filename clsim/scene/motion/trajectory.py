@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from os import PathLike
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
-from clsim.scene.motion.checks import (
-    LONGEST,
-    as_choices,
-    as_columns,
-    as_direction,
-    as_increasing,
-    as_path,
-    as_places,
-    as_span,
-    as_topic,
-    question_turns,
-)
 from clsim.scene.motion.curves import (
     Circular,
     Placement,
@@ -36,13 +26,22 @@ from clsim.scene.motion.curves import (
     spline_through,
 )
 from clsim.scene.motion.motion import Carried, CarriedTurning, Motion, Swung, velocity_breaks
-from clsim.scene.motion.orientation import Hinge, as_quaternions, quaternion_product, turning_between
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from os import PathLike
-
-    from numpy.typing import ArrayLike
+from clsim.scene.motion.orientation import (
+    LONGEST,
+    Hinge,
+    as_choices,
+    as_columns,
+    as_direction,
+    as_increasing,
+    as_path,
+    as_places,
+    as_quaternions,
+    as_span,
+    as_topic,
+    quaternion_product,
+    question_turns,
+    turning_between,
+)
 
 _MOST_SAMPLES = 2e7  # of a function
 
@@ -86,11 +85,6 @@ class Trajectory(Motion):
         orientation : array_like (4,), optional
             Unit quaternion x y z w.
 
-        Raises
-        ------
-        InputError
-            If a value is not finite or the quaternion's norm is not 1.
-
         Examples
         --------
         >>> Trajectory.fixed((1.0, 1.0, 2.9)).position(7.0)
@@ -111,11 +105,6 @@ class Trajectory(Motion):
             First and last position, m.
         duration : float
             s, above 0.
-
-        Raises
-        ------
-        InputError
-            If a value is not finite or the duration not above 0.
 
         Examples
         --------
@@ -154,11 +143,6 @@ class Trajectory(Motion):
             or +y where the axis lies along x. With the axis +z, phase 0 begins
             at ``center + (radius, 0, 0)``.
 
-        Raises
-        ------
-        InputError
-            If a value is not finite or out of range, or the axis is zero.
-
         Warns
         -----
         ClsimWarning
@@ -186,11 +170,7 @@ class Trajectory(Motion):
 
     @staticmethod
     def swing(
-        axis_point: ArrayLike,
-        axis: ArrayLike,
-        angles: ArrayLike,
-        times: ArrayLike,
-        origin: ArrayLike | None = None,
+        axis_point: ArrayLike, axis: ArrayLike, angles: ArrayLike, times: ArrayLike, origin: ArrayLike | None = None
     ) -> Trajectory:
         """Return a swing about an axis, such as that of a door: position and orientation turn together.
 
@@ -207,16 +187,6 @@ class Trajectory(Motion):
         origin : array_like (3,), optional
             Position of the swinging thing at angle 0, m; the axis point where left out. For a body it is the origin of
             its mesh. With 0, 0, 0 a mesh has coordinates of the room, as it is at angle 0.
-
-        Returns
-        -------
-        Trajectory
-            From the first to the last time, with orientation.
-
-        Raises
-        ------
-        InputError
-            If the axis has no length, lengths differ, a value is not finite or times do not increase.
 
         Warns
         -----
@@ -263,16 +233,6 @@ class Trajectory(Motion):
             Whether to join the points by a C2 cubic spline. It is not-a-knot at its ends, so two points give a line and
             three a parabola. Otherwise straight legs join them, and the velocity jumps at each point.
 
-        Returns
-        -------
-        Trajectory
-            From the first to the last time.
-
-        Raises
-        ------
-        InputError
-            If shapes differ, a value is not finite, times do not increase or a quaternion's norm is not 1.
-
         Examples
         --------
         >>> legs = Trajectory.waypoints([0, 1, 2], [(0, 0, 0), (1, 0, 0), (1, 2, 0)], smooth=False)
@@ -307,11 +267,6 @@ class Trajectory(Motion):
         rate : float
             Samples per second, at least (raised so that the last sample falls on `duration`).
 
-        Raises
-        ------
-        InputError
-            If the function's result has another shape or is not finite.
-
         Examples
         --------
         >>> sway = Trajectory.sampled(lambda t: np.stack([np.sin(t), 0 * t, 0 * t], axis=1), 2.0, rate=100.0)
@@ -338,11 +293,6 @@ class Trajectory(Motion):
             Trajectory in the carrier's own frame.
         aim : array_like (3,), optional
             A direction in that frame in which the axis of what is carried points.
-
-        Returns
-        -------
-        Trajectory
-            As long as both are known, with orientation.
 
         Examples
         --------
@@ -407,11 +357,6 @@ class Trajectory(Motion):
             Speed from row to row above which it is a jump, m/s.
         max_gap : float, optional
             Step of time above which it is a gap, s; five median steps where left out.
-
-        Returns
-        -------
-        Trajectory
-            From `time_offset` on; orientations, where the file has them, are joined by great arcs (slerp).
 
         Raises
         ------

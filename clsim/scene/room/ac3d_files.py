@@ -7,19 +7,14 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
 
 _KIND = 0x0F  # bits of a surface's flags: 0 for a polygon, others are lines
 _DEEPEST = 200

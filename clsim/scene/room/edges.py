@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import off_line
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
+from clsim.scene.room.faces import Faces
+from clsim.scene.room.walls import Walls
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.room.faces import Faces
-    from clsim.scene.room.walls import Walls
-
-    Inside = Callable[[Floats], NDArray[np.bool_]]
+Inside = Callable[[Floats], NDArray[np.bool_]]
 
 _NEAR = 1e-7  # of the room's size; what is nearer to a line is on it
 _BESIDE = 1e-6  # of the room's size; how far from an edge it is looked for faces

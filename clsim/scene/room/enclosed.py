@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import unique_rows
+from clsim.arrays import Floats, unique_rows
 from clsim.numerics.quaternions import cross_product
 from clsim.scene.room.mesh_cleaning import clusters, cross_products
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-
-    Ints = NDArray[np.int64]
+Ints = NDArray[np.int64]
 
 _POINTS = 2**16  # of the lattice that measures shells which run through each other
 _LATTICE_ERROR = 4e-3  # of a volume by these points

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from clsim.arrays import as_floats, read_only
+from clsim.arrays import Complexes, Floats, as_floats, read_only
 from clsim.errors import InputError
 from clsim.scene.material.material import Material
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from clsim.arrays import Complexes, Floats
 
 NEAREST = 1e-6  # m; what is nearer to a wall is on it
 _UNIT = 1e-9  # by which the length of a normal may differ from 1

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
-from clsim.scene.room.copies import clean_mesh
 from clsim.scene.room.edges import Edges, find_edges, numbered
 from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
-from clsim.scene.room.healing import HEAL, heal_mesh, healing_tolerance
+from clsim.scene.room.healing import HEAL, clean_mesh, heal_mesh, healing_tolerance
 from clsim.scene.room.mesh_cleaning import (
     MeshShape,
     cross_products,
@@ -28,12 +29,6 @@ from clsim.scene.room.mesh_cleaning import (
 )
 from clsim.scene.room.polygons import checked_polygons, extruded_plan, triangulated
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls, first_contact, first_off, walls_at
-
-if TYPE_CHECKING:
-    import os
-
-    from numpy.typing import ArrayLike, NDArray
-
 
 Materials = Material | Mapping[str, Material] | Sequence[Material]
 # Directions that no wall is likely to lie along; where one of them meets an edge, the two others outvote it.
@@ -47,7 +42,6 @@ _PAIRS = 500_000  # of positions and walls at a time
 class _Part(Protocol):
     def as_mesh(self) -> MeshRoom:
         """Return it as a mesh."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,17 +292,7 @@ class MeshRoom:
 
     @staticmethod
     def joined(parts: Sequence[_Part]) -> MeshRoom:
-        """Return one room made of several: a room and the objects in it.
-
-        Parameters
-        ----------
-        parts : sequence of Room
-            Room, furniture, screens.
-
-        Raises
-        ------
-        InputError
-            If there is none, or one is no room.
+        """Return one room made of several `parts`: a room, furniture, screens.
 
         Examples
         --------
@@ -348,16 +332,6 @@ class MeshRoom:
             Panels of less thickness, each a shell of its own, become one layer in their middle, 0 to 10 m; two
             wavelengths are a good choice with `find_paths(…, diffraction=1)`.
 
-        Returns
-        -------
-        MeshRoom
-            The room; its notes state the changes. Of a panel's two sides one gives the material.
-
-        Raises
-        ------
-        InputError
-            If the thickness is out of bounds.
-
         Examples
         --------
         >>> from clsim import Shoebox
@@ -375,12 +349,7 @@ class MeshRoom:
         )  # fmt: skip
 
     def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
-        """Return the panels that `with_sheets` would make sheets of.
-
-        Parameters
-        ----------
-        thinner_than : float
-            Their thickness at most, m.
+        """Return name and thickness, m, of panels below `thinner_than`, m, of which `with_sheets` makes sheets.
 
         Returns
         -------
@@ -420,34 +389,13 @@ class MeshRoom:
         return self.shape.watertight
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return every wall's reflection factor at normal incidence; see `Faces.reflections`.
-
-        Parameters
-        ----------
-        frequency : array_like (...)
-            Positive, Hz.
-
-        Returns
-        -------
-        ndarray (W, ...)
-            Factors for every frequency, complex where a wall's is.
-        """
+        """Return every wall's reflection factor (W, ...) at normal incidence by `frequency` (...) above 0 Hz."""
         return self.faces.reflections(frequency)
 
     def contains(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask (n,) of positions (n, 3) inside: most rays from them meet the walls an odd number of times.
+        """Return a mask (n,) of `positions` (n, 3), m, inside: most rays from them meet walls an odd number of times.
 
         Of use for watertight rooms only.
-
-        Parameters
-        ----------
-        positions : array_like (n, 3)
-            m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            Whether they are inside.
         """
         x = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         inside, other = (self._met(x, ray) % 2 == 1 for ray in _RAYS[:2])

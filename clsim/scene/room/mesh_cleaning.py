@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import unique_rows
+from clsim.arrays import Floats, unique_rows
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-
-    Ints = NDArray[np.int64]
+Ints = NDArray[np.int64]
 
 _FLAT = 1e-3  # of a panel's thickness, by which its two sides may be uneven
 _EVEN = 1e-3  # of the mesh's size, by which a sheet may be bent

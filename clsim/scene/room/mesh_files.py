@@ -7,23 +7,19 @@ import os
 import re
 import struct
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import FARTHEST, as_choice, as_number, read_only
+from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, check_file, open_file, read_file
 from clsim.scene.room.ac3d_files import read_ac3d
 from clsim.scene.room.polygons import cut_polygon, new_counts, polygon_notes
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from clsim.arrays import Floats
 
 KNOWN_FORMATS = ("OBJ", "STL", "PLY", "GLB", "GLTF", "OFF", "3MF")
 

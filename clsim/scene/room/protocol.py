@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import Any, Protocol, TypeGuard
 
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats
 from clsim.errors import InputError
-from clsim.scene.room.faces import Faces
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.room.edges import Edges
-    from clsim.scene.room.faces import Contact, Mount
-    from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.edges import Edges
+from clsim.scene.room.faces import Contact, Faces, Mount
+from clsim.scene.room.mesh import MeshRoom
 
 
 class Room(Protocol):
@@ -27,56 +24,36 @@ class Room(Protocol):
     @property
     def faces(self) -> Faces:
         """The walls: planes, names and materials."""
-        ...
 
     @property
     def extent(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner, (3,) m each."""
-        ...
 
     @property
     def volume(self) -> float | None:
         """Volume of the air, m³; None where the room is open."""
-        ...
 
     @property
     def surface_area(self) -> float:
         """Area of all walls, m²."""
-        ...
 
     @property
     def scale(self) -> float | None:
         """Metres per unit of the files that the room is from; None without files, or where they differ."""
-        ...
 
     @property
     def is_convex(self) -> bool:
         """Whether `clearance` above 0 at two positions places the whole segment between them in the room."""
-        ...
 
     @property
     def is_closed(self) -> bool:
         """Whether the walls separate an inside from an outside, so that `contains` is defined."""
-        ...
 
     def contains(self, positions: Floats) -> NDArray[np.bool_]:
         """Return mask (n,) of positions (n, 3), m, that lie inside."""
-        ...
 
     def surrounds(self, positions: Floats) -> NDArray[np.bool_]:
-        """Return mask of positions with walls on all sides, inside or not.
-
-        Parameters
-        ----------
-        positions : ndarray (n, 3)
-            m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            Whether walls surround them.
-        """
-        ...
+        """Return mask (n,) of `positions` (n, 3), m, with walls on all sides, inside or not."""
 
     def clearance(self, positions: Floats, mount: Mount | None = None) -> Floats:
         """Return lower bounds of the distance that sources and receivers can move before a contact.
@@ -93,7 +70,6 @@ class Room(Protocol):
         ndarray (n,)
             m; 0 or less where a contact cannot be excluded, in a convex room where there is one.
         """
-        ...
 
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
         """Return the first contact of a motion: where it leaves the room or meets a wall.
@@ -110,34 +86,18 @@ class Room(Protocol):
         Contact or None
             The first position that is in the wrong place or after which a wall is walked through.
         """
-        ...
 
     def walls_at(self, position: Floats) -> NDArray[np.int64]:
-        """Return the walls that a position is on.
-
-        Parameters
-        ----------
-        position : ndarray (3,)
-            m.
-
-        Returns
-        -------
-        ndarray (k,) of int
-            Indices of walls, one for each plane.
-        """
-        ...
+        """Return indices (k,) of the walls that a `position` (3,), m, is on, one for each plane."""
 
     def edges(self) -> Edges:
         """Return the diffracting edges."""
-        ...
 
     def as_mesh(self) -> MeshRoom:
         """Return the same walls made of triangles."""
-        ...
 
     def describe(self) -> list[str]:
         """Return description of the room, a line per fact."""
-        ...
 
 
 ROOM_MEMBERS = tuple(sorted(name for name in vars(Room) if not name.startswith("_")))

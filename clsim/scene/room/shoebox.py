@@ -5,23 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import LARGEST_ROOM, SMALLEST_ROOM, Complexes, Floats, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, meant
 from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges
-from clsim.scene.room.faces import NEAREST, Contact, Faces, first_of
+from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.mesh import MeshRoom
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.room.faces import Mount
-    from clsim.scene.room.protocol import Room
+from clsim.scene.room.protocol import Room
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
 
@@ -57,20 +51,7 @@ class ConvexRoom(ABC):
         return np.asarray((np.asarray(positions, dtype=np.float64) @ faces.normals.T - faces.offsets).min(axis=-1))
 
     def contains(self, positions: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Return a mask of positions strictly inside the room.
-
-        Parameters
-        ----------
-        positions : array_like (n, 3)
-            Positions, m.
-        margin : float
-            Distance from every wall that is asked for, m.
-
-        Returns
-        -------
-        ndarray (n,) of bool
-            False on a wall, at the margin and for NaN.
-        """
+        """Return a mask (n,) of `positions` (n, 3), m, inside by more than a `margin`, m; False for NaN."""
         return np.asarray(self._heights(positions) > margin)
 
     def surrounds(self, positions: ArrayLike) -> NDArray[np.bool_]:
@@ -123,11 +104,6 @@ class Shoebox(ConvexRoom):
     faces : Faces
         Planes, names and materials of the six walls, in this order.
 
-    Raises
-    ------
-    InputError
-        If a length is not from 0.1 mm to 100 km, or a wall is unknown or missing.
-
     Examples
     --------
     >>> floor = Material.from_reflection(0.2)
@@ -169,18 +145,7 @@ class Shoebox(ConvexRoom):
         return float(2.0 * self.size @ np.roll(self.size, 1))
 
     def reflections(self, frequency: ArrayLike) -> Floats | Complexes:
-        """Return the reflection factor of sound pressure of every wall at normal incidence; see `Faces.reflections`.
-
-        Parameters
-        ----------
-        frequency : array_like (...)
-            Positive, Hz.
-
-        Returns
-        -------
-        ndarray (6, ...)
-            Factors in the order of `WALLS` for every frequency, complex where a wall's is.
-        """
+        """Return every wall's factor (6, ...) at normal incidence by `frequency` (...) above 0 Hz, as in `WALLS`."""
         return self.faces.reflections(frequency)
 
     def as_mesh(self) -> MeshRoom:

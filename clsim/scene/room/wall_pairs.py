@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import spread, unique_rows
+from clsim.arrays import Floats, spread, unique_rows
 from clsim.scene.room.mesh_cleaning import clusters
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-
-    Ints = NDArray[np.int64]
-    Meets = Callable[[Ints, Floats, Floats], NDArray[np.bool_]]  # things, middles and halves of boxes
+Ints = NDArray[np.int64]
+Meets = Callable[[Ints, Floats, Floats], NDArray[np.bool_]]  # things, middles and halves of boxes
 
 SAME_PLANE = 1e-7  # of the size; walls nearer than this to each other's plane lie in one plane
 _PARTS = 1e-9  # of the size; what is shorter is no line
@@ -131,10 +125,7 @@ def _span(point: Floats, along: Floats, lines: Floats) -> tuple[float, float]:
         return 0.0, 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         at = -value / slope
-    return (
-        float(np.max(at[slope > 1e-12], initial=-np.inf)),
-        float(np.min(at[slope < -1e-12], initial=np.inf)),
-    )
+    return (float(np.max(at[slope > 1e-12], initial=-np.inf)), float(np.min(at[slope < -1e-12], initial=np.inf)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

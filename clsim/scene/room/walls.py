@@ -5,21 +5,16 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import firsts, spread, unique_rows
+from clsim.arrays import Floats, firsts, spread, unique_rows
 from clsim.scene.room.faces import NEAREST
 from clsim.scene.room.mesh_cleaning import clusters, cross_products, outward_sides
 from clsim.scene.room.wall_pairs import WallTree, inwards, meeting, same_planes, straddling, touching_pairs
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-
-    Ints = NDArray[np.int64]
+Ints = NDArray[np.int64]
 
 ON_LINE = 1e-9  # of the size; what is nearer to a line lies on it
 FLATNESS = 1e-6  # m; triangles of a wall lie this near to its plane

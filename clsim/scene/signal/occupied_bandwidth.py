@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.scene.signal.signal import SEGMENT_LENGTH
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.signal.signal import Signal
+from clsim.arrays import Floats
+from clsim.scene.signal.signal import SEGMENT_LENGTH, Signal
 
 CELLS = 64  # of a band, by which a signal's importance is given
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, warn
@@ -23,11 +25,6 @@ from clsim.scene.signal.waveforms import (
     binary_sequence,
     most_repeats,
 )
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
 
 SEGMENT_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
@@ -122,18 +119,7 @@ class Signal:
         return wave.steady_band(self.sampling_rate) if fade <= first and last <= self.count - 1 - fade else None
 
     def read(self, start: int, stop: int) -> Floats:
-        """Return samples `start` to `stop` (n,), zero outside the signal; the same however it is cut.
-
-        Parameters
-        ----------
-        start, stop : int
-            First sample, and the one after the last.
-
-        Returns
-        -------
-        ndarray (n,)
-            Pa, or V where a transducer is driven.
-        """
+        """Return samples (n,) from `start` to `stop`, Pa or V; zero outside the signal, the same however cut."""
         out = np.zeros(max(stop - start, 0))
         first, last = max(start, 0), min(stop, self.count)
         if first < last:
@@ -159,11 +145,6 @@ class Signal:
 
         Hann-windowed segments with half overlap, from before the onset to after the end. Of long signals the
         first and last segments and, from equal stretches between them, one each are taken, which stand for the rest.
-
-        Returns
-        -------
-        frequencies, energy : ndarray (n,)
-            Hz, and Pa² times samples.
         """
         length, hop = SEGMENT_LENGTH, SEGMENT_LENGTH // 2
         picked, weight = _picked_segments(self.count, hop)
@@ -219,13 +200,7 @@ class Signal:
         return np.where(emitting, level, 0.0), np.abs(np.fft.rfft(windowed[1:-1], axis=1)) ** 2
 
     def band(self) -> tuple[float, float]:
-        """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz.
-
-        Returns
-        -------
-        low, high : float
-            Hz.
-        """
+        """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz."""
         frequencies, energy = self.energy_spectrum()
         share = np.cumsum(energy) / max(float(energy.sum()), 1e-300)
         low, high = np.minimum(np.searchsorted(share, [0.005, 0.995]), len(share) - 1)
@@ -253,11 +228,6 @@ class Signal:
             Pa, rad.
         fade : float
             Length of a raised-cosine rise and fall, s; at most half the duration.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
 
         Examples
         --------
@@ -302,11 +272,6 @@ class Signal:
             Pa.
         fade : float
             Length of a raised-cosine rise and fall, s, in place of a window; at most half the duration.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
 
         Notes
         -----
@@ -390,11 +355,6 @@ class Signal:
         fade : float
             Length of a raised-cosine rise and fall, s; at most half the duration. Abrupt ends sound over all
             frequencies, outside of the band too.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
 
         Notes
         -----

@@ -6,18 +6,14 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_count, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.resampling import Resampler, band_pass
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
 
 _TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
@@ -46,19 +42,15 @@ class Waveform(Protocol):
     @property
     def centre_frequency(self) -> float | None:
         """Frequency that stands for all, Hz; None for all frequencies alike."""
-        ...
 
     def count(self, sampling_rate: float) -> int:
         """Return the number of samples."""
-        ...
 
     def read(self, first: int, last: int, sampling_rate: float) -> NDArray[Any]:
         """Return samples `first` to `last`, which lie inside."""
-        ...
 
     def at_rate(self, old: float, new: float) -> Waveform:
         """Return the same sound for another sampling rate."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,10 +355,7 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
         code = as_count("code", code, at_least=0, at_most=length - 1)
         return np.asarray(np.roll(1.0 - 2.0 * max_len_seq(bits)[0], code))
     if bits not in _PREFERRED:
-        raise InputError(
-            "bits",
-            f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits}",
-        )
+        raise InputError("bits", f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits}")
     code = as_count("code", code, at_least=0, at_most=length + 1)
     first, second = (1.0 - 2.0 * max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
     if code < 2:

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from clsim.arrays import FASTEST, LOUDEST, QUIETEST, SLOWEST, as_count, as_number
+from clsim.arrays import FASTEST, LOUDEST, QUIETEST, SLOWEST, Floats, as_count, as_number
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from clsim.arrays import Floats
 
 _REFERENCE = 20e-6  # Pa
 _LARGEST_OFFSET = 1.0  # s
@@ -124,35 +120,13 @@ class Electronics:
         return self.adc_full_scale * 2.0 ** (1 - self.adc_bits)
 
     def ambient_rms(self, sampling_rate: float) -> float:
-        """Return the root mean square of the air's noise from 0 Hz to half the sampling rate, Pa.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
-
-        Returns
-        -------
-        float
-            Pa.
-        """
+        """Return the root mean square of the air's noise from 0 Hz to half the `sampling_rate`, Hz, in Pa."""
         if self.snr_db is not None and self.reference_level_db is not None:
             return _REFERENCE * 10 ** ((self.reference_level_db - self.snr_db) / 20)
         return _rms(self.ambient_noise_db, sampling_rate)
 
     def self_rms(self, sampling_rate: float) -> float:
-        """Return that of the receiver's noise, as the pressure that would make it, Pa.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
-
-        Returns
-        -------
-        float
-            Pa.
-        """
+        """Return that of the receiver's noise at a `sampling_rate`, Hz, as the pressure that would make it, Pa."""
         return _rms(self.self_noise_db, sampling_rate)
 
     @property
@@ -161,50 +135,17 @@ class Electronics:
         return self.clock_ppm != 0.0 or self.clock_offset != 0.0
 
     def clock_error(self, times: Floats) -> Floats:
-        """Return the error of the receiver's clock at its times (n,), s: how much later samples are taken.
-
-        Parameters
-        ----------
-        times : ndarray (n,)
-            By the receiver's clock, s.
-
-        Returns
-        -------
-        ndarray (n,)
-            s.
-        """
+        """Return the error (n,) of the receiver's clock at its own `times` (n,), s: the lateness of samples."""
         return 1e-6 * self.clock_ppm * times + self.clock_offset
 
     def check_rate(self, sampling_rate: float) -> None:
-        """Raise an InputError if a cut does not lie below half the sampling rate.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
-
-        Raises
-        ------
-        InputError
-            If one does not.
-        """
+        """Raise an InputError if a cut does not lie below half the `sampling_rate`, Hz."""
         for name in ("low_cut", "high_cut"):
             if getattr(self, name) is not None:
                 as_number(name, getattr(self, name), below=0.5 * sampling_rate, unit="Hz")
 
     def describe(self, unit: str) -> str:
-        """Return a description of the processing in one line.
-
-        Parameters
-        ----------
-        unit : str
-            Unit of the samples, "Pa" or "V".
-
-        Returns
-        -------
-        str
-            A line.
-        """
+        """Return a description of the processing in one line, with the `unit` of the samples, "Pa" or "V"."""
         parts = []
         if self.ambient_noise_db is not None:
             parts.append(f"ambient noise {self.ambient_noise_db:g} dB re 20 µPa/√Hz")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Protocol
+from os import PathLike
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.air import absorption_iso9613
 from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
@@ -16,14 +19,7 @@ from clsim.files.sound import as_scale, read_sound_file
 from clsim.numerics.band_filters import minimum_phase, resonance_response, resonance_taps
 from clsim.numerics.resampling import Resampler
 from clsim.scene.signal.signal import Signal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from clsim.scene.signal.waveforms import Waveform
+from clsim.scene.signal.waveforms import Waveform
 
 _BLOCK = 8192  # samples of a filtered signal that are made at a time
 _CACHED = 64  # blocks kept
@@ -50,7 +46,6 @@ class Response(Protocol):
 
     def impulse_response(self, sampling_rate: float) -> Floats:
         """Return the causal impulse response, (n,)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,8 +254,7 @@ def _causal(taps: Floats, field: str, advice: str, before: int | None = None) ->
     share = float(energy[len(taps) - size :].sum() / energy.sum())
     if share > _BEFORE:
         raise InputError(
-            field,
-            f"must respond after 0 s, but {10 * math.log10(share):.0f} dB of the energy come before; {advice}",
+            field, f"must respond after 0 s, but {10 * math.log10(share):.0f} dB of the energy come before; {advice}"
         )
     return _cut(taps[: len(taps) - size])
 
@@ -283,11 +277,6 @@ class Transducer:
         Model of the response.
     name : str
         Name in messages.
-
-    Raises
-    ------
-    InputError
-        If the model is none, or the name no text.
     """
 
     model: Resonance | ResponseTable | ImpulseResponse
@@ -309,17 +298,7 @@ class Transducer:
         return self.model.peak
 
     def impulse_response(self, sampling_rate: float) -> Floats:
-        """Return the causal impulse response (n,) at a sampling rate: what the transducer is rendered with.
-
-        Parameters
-        ----------
-        sampling_rate : float
-            Hz.
-
-        Returns
-        -------
-        ndarray (n,)
-            Taps, Pa at 1 m per V, or V per Pa.
+        """Return the causal impulse response (n,) at a `sampling_rate`, Hz, in Pa at 1 m per V, or V per Pa.
 
         Raises
         ------
@@ -329,36 +308,13 @@ class Transducer:
         return _taps(self, as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz"))
 
     def response(self, frequencies: ArrayLike, sampling_rate: float) -> NDArray[np.complex128]:
-        """Return the complex response at frequencies (n,) in Hz, as rendered at a sampling rate.
-
-        Parameters
-        ----------
-        frequencies : ndarray (n,)
-            Hz.
-        sampling_rate : float
-            Hz.
-
-        Returns
-        -------
-        ndarray (n,)
-            Complex, Pa at 1 m per V, or V per Pa.
-        """
+        """Return the complex response (n,) at `frequencies` (n,), Hz, as rendered at a `sampling_rate`, Hz."""
         taps = self.impulse_response(sampling_rate)
         angle = -2j * np.pi * np.asarray(frequencies, dtype=np.float64) / sampling_rate
         return np.array([np.exp(a * np.arange(len(taps))) @ taps for a in np.atleast_1d(angle)])
 
     def drive(self, voltage: Signal) -> Signal:
-        """Return the sound pressure at 1 m that a voltage makes; the ring-down makes it longer.
-
-        Parameters
-        ----------
-        voltage : Signal
-            V.
-
-        Returns
-        -------
-        Signal
-            Pa at 1 m.
+        """Return the sound pressure at 1 m that a `voltage` makes, Pa; the ring-down makes it longer.
 
         Raises
         ------
@@ -375,20 +331,7 @@ class Transducer:
         return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
 
     def check_coverage(self, band: tuple[float, float], what: str) -> None:
-        """Raise an InputError if the band (low, high) in Hz of `what` is not covered by the response.
-
-        Parameters
-        ----------
-        band : tuple of float
-            Frequencies (low, high), Hz.
-        what : str
-            Has the band; for the message.
-
-        Raises
-        ------
-        InputError
-            If the response does not cover it.
-        """
+        """Raise an InputError if the `band` (low, high), Hz, of `what` is not covered by the response."""
         low, high = self.model.band
         if band[0] < low or band[1] > high:
             extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
@@ -410,11 +353,6 @@ class Transducer:
             Between the -6 dB points (half the magnitude), Hz; less than `frequency`.
         sensitivity : float
             Magnitude at resonance: Pa at 1 m per V, or V per Pa.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds.
 
         Examples
         --------
@@ -442,11 +380,6 @@ class Transducer:
         outside : {None, "zero", "hold"}
             Rule for frequencies beyond the table: refused if a signal needs it (None), nothing, or the value at its
             nearer end.
-
-        Raises
-        ------
-        InputError
-            If a value is out of bounds or the lengths differ.
 
         Notes
         -----
@@ -501,13 +434,7 @@ class Transducer:
 
     @classmethod
     def from_wav(
-        cls,
-        path: str | PathLike[str],
-        channel: int = 0,
-        scale: float = 1.0,
-        name: str = "",
-        *,
-        truncated: bool = False,
+        cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0, name: str = "", *, truncated: bool = False
     ) -> Transducer:
         """Return the transducer whose impulse response is one channel of a sound file; full scale becomes `scale`.
 
@@ -542,11 +469,6 @@ class Transducer:
             a resonance at 40 kHz, 2.4 kHz wide at -6 dB. MA40S4S makes 120 dB re 20 µPa at 0.3 m from 10 V rms, MA40S4R
             has -63 dB re 10 V/Pa. Frequency, level and sensitivity are the catalogue's (Murata, "Ultrasonic Sensor
             Application Manual", Cat. No. S15E), each within 3 dB; the width is a round typical value.
-
-        Returns
-        -------
-        Transducer
-            A resonance. Its directivity is another matter: see `Directivity.named`.
 
         Raises
         ------

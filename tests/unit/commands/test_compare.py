@@ -7,33 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
 
 RATE = 16e3
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [6.0, 4.5, 3.0]
-walls = { reflection = 0.85, scattering = 0.05 }
-[[sources]]
-name = "S"
-signal = { kind = "tone", frequency = 1e3, duration = 0.1, sampling_rate = 16e3, fade = 0.01 }
-trajectory = { kind = "fixed", position = [1, 1, 1.2] }
-[[receivers]]
-name = "near"
-trajectory = { kind = "fixed", position = [2.2, 1.9, 1.5] }
-[[receivers]]
-name = "far"
-trajectory = { kind = "fixed", position = [4.4, 3.3, 1.9] }
-[paths]
-max_order = 2
-[render]
-sampling_rate = 16e3
-engine = "reference"
-"""
+SCENE = scene_text(
+    source_at("S", tone_of(1e3, 0.1, 16e3, fade=0.01), (1, 1, 1.2)),
+    receiver_at("near", (2.2, 1.9, 1.5)),
+    receiver_at("far", (4.4, 3.3, 1.9)),
+    room={"kind": "shoebox", "size": (6.0, 4.5, 3.0), "walls": {"reflection": 0.85, "scattering": 0.05}},
+    max_order=2,
+    rate=16e3,
+    render={"engine": "reference"},
+)
 LATE, GAIN = 0.02127, -0.037  # s, no whole number of samples; and reversed
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import soundfile
 from made_meshes import box
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -285,27 +286,12 @@ def test_view_keeps_one_of_the_instants_between_which_nothing_moves(mesh_scene: 
     assert set(every[(every == 0.0) | (every > 0.1) & (every < 0.2)]) <= set(times)
 
 
-SHOEBOX_SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 0.05, sampling_rate = 192e3, fade = 0.005 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1000.0 }
-[[receivers]]
-name = "über/left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 2
-[render]
-sampling_rate = 192e3
-"""
+SHOEBOX_SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 0.05, fade=0.005), along((1, 1, 1), (2, 1, 1), 1e3)),
+    receiver_at("über/left", (3.0, 1.0, 2.0)),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+    max_order=2,
+)
 
 
 @pytest.fixture

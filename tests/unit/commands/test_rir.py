@@ -7,35 +7,26 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import soundfile
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
 from clsim.output.result_files import write_responses
 from clsim.scene_file import load_scene
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 10e3, duration = 0.5, sampling_rate = 48e3, fade = 0.005 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1.0 }
-directivity = { kind = "first-order", weight = 0.5 }
-aim = [0, 1, 0]
-[[receivers]]
-name = "left/1"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 2
-[render]
-sampling_rate = 48e3
-"""
+SCENE = scene_text(
+    source_at(
+        "robot",
+        tone_of(10e3, 0.5, 48e3, fade=0.005),
+        along((1, 1, 1), (2, 1, 1), 1.0),
+        directivity={"kind": "first-order", "weight": 0.5},
+        aim=(0, 1, 0),
+    ),
+    receiver_at("left/1", (3.0, 1.0, 2.0)),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+    max_order=2,
+    rate=48e3,
+)
 
 
 @pytest.fixture

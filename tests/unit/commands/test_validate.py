@@ -7,32 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 import clsim
 from clsim.cli import main
-from clsim.measured.bras import bras_room
-from clsim.measured.rooms import MeasuredRoom, data_folder, measured_room
+from clsim.measured.rooms import MeasuredRoom, bras_room, data_folder, measured_room
 from clsim.measured.simulated import mean_difference
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.7 }
-[[sources]]
-name = "S"
-signal = { kind = "tone", frequency = 1e3, duration = 0.1, sampling_rate = 8e3, fade = 0.01 }
-trajectory = { kind = "fixed", position = [1, 1, 1] }
-[[receivers]]
-name = "R"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 1.5] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 8e3
-engine = "reference"
-"""
+SCENE = scene_text(
+    source_at("S", tone_of(1e3, 0.1, 8e3, fade=0.01), (1, 1, 1)),
+    receiver_at("R", (3.0, 2.0, 1.5)),
+    room=shoebox_of(reflection=0.7),
+    rate=8e3,
+    render={"engine": "reference"},
+)
 MEASURED = """
 name = "made"
 source = "a test"

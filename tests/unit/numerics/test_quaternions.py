@@ -27,9 +27,7 @@ def test_rotate_broadcasts_and_keeps_length(rng):
     turned = rotate(quaternions, vectors)
     assert turned.shape == (5, 7, 3)
     np.testing.assert_allclose(
-        np.linalg.norm(turned, axis=-1),
-        np.broadcast_to(np.linalg.norm(vectors, axis=-1), (5, 7)),
-        rtol=ROUNDING,
+        np.linalg.norm(turned, axis=-1), np.broadcast_to(np.linalg.norm(vectors, axis=-1), (5, 7)), rtol=ROUNDING
     )
     np.testing.assert_allclose(rotate(-quaternions, vectors), turned, atol=ROUNDING)
 

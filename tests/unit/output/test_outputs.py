@@ -1,23 +1,232 @@
-"""Files are whole or absent, and hold what they should."""
+"""Outputs: sound files, stores, tables and pictures."""
 
 import errno
 import os
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+from clsim_barn.columns import Columns
+from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 import clsim
+from clsim.cli import main
 from clsim.files.atomic import atomic_path
 from clsim.files.sound import WavWriter
+from clsim.output import stores
+from clsim.output.raw_files import fletcher32
 from clsim.output.result_files import read_table, write_table
 from clsim.paths.path_table import PathTable
-from clsim.pictures.plots import envelope_picture, spectrogram_picture
+from clsim.pictures.plots import envelope_picture, spectrogram, spectrogram_picture
 from clsim.workflow.pictures import echogram_picture
+
+h5py = pytest.importorskip("h5py")
+
+
+@pytest.mark.parametrize("size", [4, 720, 724, 73_728, 300_000])
+@pytest.mark.parametrize("kind", ["zeros", "ones", "one", "noise", "carry"])
+def test_checksums_are_those_of_the_library(kind: str, size: int, tmp_path: Path, rng: np.random.Generator) -> None:
+    """Also where sums are multiples of 65535, and over several blocks."""
+    data = np.zeros(size, np.uint8)
+    if kind == "ones":
+        data[:] = 255
+    elif kind == "one":
+        data[-1] = 1
+    elif kind == "noise":
+        data[:] = rng.integers(256, size=size)
+    elif kind == "carry":
+        data[:4] = 0, 1, 255, 254
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        found = file.create_dataset("a", data=data, chunks=(size,), fletcher32=True).id.read_direct_chunk((0,))[1]
+    assert bytes(found) == data.tobytes() + fletcher32(data).tobytes()
+
+
+SCENE = scene_text(
+    source_at("s", tone_of(40e3, 0.005, fade=0.001), (1.0, 1.0, 1.0)),
+    receiver_at("left", (3.0, 1.0, 2.0)),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+    max_order=0,
+    render={"engine": "reference"},
+)
+
+
+class Named(Columns):
+    """A store that refuses a name."""
+
+    packages = ("numpy",)
+
+    @staticmethod
+    def problem_of(receiver: str) -> str:
+        return "must not be called nobody" if receiver == "nobody" else ""
+
+
+def test_a_store_is_a_class_and_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    scene = tmp_path / "s.toml"
+    scene.write_text(SCENE, "utf-8")
+    assert main(["run", str(scene), "-o", str(tmp_path / "wav"), "--no-plots"]) == 0
+    assert main(["run", str(scene), "-o", str(tmp_path / "npy"), "--store", "columns"]) == 2
+    assert '--store: must be one of "wav", "zarr", "hdf5", but is' in capsys.readouterr().err
+    monkeypatch.setitem(stores.STORES, "columns", Named)
+    assert main(["run", str(scene), "-o", str(tmp_path / "npy"), "--store", "columns", "--no-plots"]) == 0
+    for row, name in zip(np.load(tmp_path / "npy" / "sound.npy").T, ("left", "right"), strict=True):
+        np.testing.assert_array_equal(row, soundfile.read(tmp_path / "wav" / f"{name}.wav", dtype="float32")[0])
+    scene.write_text(SCENE.replace("left", "nobody"), "utf-8")
+    capsys.readouterr()
+    assert main(["run", str(scene), "-o", str(tmp_path / "other"), "--store", "columns"]) == 2
+    assert capsys.readouterr().err == "clsim: error: receivers[0]: must not be called nobody\n"
+
+
+@pytest.mark.parametrize("kind", stores.STORES)
+def test_stores_have_names_and_packages(kind: str) -> None:
+    names = stores.STORES[kind].names(["a", "b"])
+    assert len(names) == len(set(names)) > 0
+    assert stores.STORES[kind].problem_of("a") == ""
+
+
+WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
+
+
+def large_table(rng: np.random.Generator, paths: int, times: int, order: int) -> PathTable:
+    delay = rng.random((paths, times))
+    delay[3, 5:9] = np.nan
+    return PathTable(
+        times=np.arange(times) / 100.0,
+        source=rng.integers(0, 2, paths, dtype=np.int32),
+        receiver=rng.integers(0, 3, paths, dtype=np.int32),
+        order=np.full(paths, order, dtype=np.int32),
+        interactions=np.zeros((paths, order), dtype=np.int8),
+        objects=rng.integers(0, 6, (paths, order), dtype=np.int8),
+        direct=np.zeros(paths, dtype=np.bool_),
+        delay=delay,
+        doppler_factor=rng.random((paths, times)),
+        doppler_shift=rng.random((paths, times)),
+        gain=rng.random((paths, times)),
+        departure=rng.random((paths, times, 3)),
+        arrival=rng.random((paths, times, 3)),
+        source_names=("robot", "beacon"),
+        receiver_names=("a", "b", "the one with the long name"),
+        object_names=WALLS,
+    )
+
+
+def test_parquet_is_written_in_pieces(tmp_path, rng: np.random.Generator) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = large_table(rng, paths=301, times=1000, order=30)
+    write_table(
+        large_table(rng, paths=9, times=9, order=2), tmp_path / "first.parquet"
+    )  # loads pyarrow and its friends
+    tracemalloc.start()
+    try:
+        write_table(table, tmp_path / "t.parquet")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # 100 000 rows of 16 columns, 8 bytes each, and a copy of one: 14 MB. Walls as text of four bytes a character,
+    # all rows at once, would be 200 MB.
+    assert peak < 30e6
+    groups = parquet.ParquetFile(tmp_path / "t.parquet").metadata
+    assert max(groups.row_group(i).num_rows for i in range(groups.num_row_groups)) <= 100_000
+
+
+def test_parquet_pieces_join_without_a_seam(tmp_path, rng: np.random.Generator) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = large_table(rng, paths=301, times=1000, order=3)
+    write_table(table, tmp_path / "t.parquet")
+    read = parquet.read_table(tmp_path / "t.parquet")
+    heard = np.isfinite(table.delay)
+    assert read.num_rows == heard.sum() == 301_000 - 4
+    path, time = np.nonzero(heard)
+    np.testing.assert_array_equal(read["path"].to_numpy(), path)
+    np.testing.assert_array_equal(read["times"].to_numpy(), table.times[time])
+    np.testing.assert_array_equal(read["delay"].to_numpy(), table.delay[heard])
+    np.testing.assert_array_equal(read["departure_y"].to_numpy(), table.departure[heard][:, 1])
+    for name, names, index in (
+        ("source", table.source_names, table.source),
+        ("receiver", table.receiver_names, table.receiver),
+    ):
+        assert read[name].to_pylist() == [names[i] for i in index[path]]
+    ways = [",".join(WALLS[w] for w in row) for row in table.objects]
+    assert read["objects"].to_pylist() == [ways[p] for p in path]
+    assert set(read["interactions"].to_pylist()) == {"0,0,0"}
+
+
+RATE = 192e3
+
+
+def centres(raster) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies of the rows and times of the columns."""
+    rows, columns = raster.level.shape
+    frequencies = raster.low + (np.arange(rows) + 0.5) * (raster.high - raster.low) / rows
+    return frequencies, (np.arange(columns) + 0.5) * raster.duration / columns
+
+
+@pytest.mark.parametrize("band", [(39e3, 41e3), (0.0, 96e3)])
+def test_a_sine_has_its_level_at_its_frequency(band: tuple[float, float]) -> None:
+    tone = np.sqrt(2.0) * np.sin(2 * np.pi * 40.4e3 * np.arange(100_000) / RATE)
+    raster = spectrogram(tone, RATE, band)
+    # 1 Pa rms. Between two bins a Hann window loses up to 1.43 dB; it never gains but by its own other half, -90 dB.
+    peaks = raster.level.max(axis=0)
+    assert np.all(peaks < 20 * np.log10(1.0 / 20e-6) + 0.01)
+    assert np.all(peaks > 20 * np.log10(1.0 / 20e-6) - 1.43)
+    frequencies, _ = centres(raster)
+    height = (raster.high - raster.low) / len(frequencies)
+    np.testing.assert_allclose(frequencies[raster.level.argmax(axis=0)], 40.4e3, atol=height)
+
+
+def test_white_noise_has_its_density(rng: np.random.Generator) -> None:
+    noise = rng.normal(size=400_000)
+    segment = 1024
+    raster = spectrogram(noise, RATE, (10e3, 20e3), segment)
+    power = np.mean(10 ** (raster.level / 10)) * (20e-6) ** 2
+    # Variance 1 over 96 kHz, in a window's noise bandwidth of 1.5 bins of 187.5 Hz.
+    # 400 000 / 1024 * 53 independent values: a deviation of 1 %.
+    assert power == pytest.approx(1.5 * RATE / segment / 96e3, rel=0.05)
+
+
+def test_a_click_is_in_its_column() -> None:
+    sound = np.zeros(200_000)
+    sound[150_000] = 1.0
+    raster = spectrogram(sound, RATE, (0.0, 96e3), 512)
+    _, times = centres(raster)
+    # The click lies within the windows, 512 samples long, of its columns alone.
+    power = 10 ** (raster.level.max(axis=0).astype(np.float64) / 10)
+    assert (power @ times) / power.sum() == pytest.approx(150_000 / RATE, abs=raster.duration / len(times))
+    assert np.all(raster.level[:, np.abs(times - 150_000 / RATE) > 512 / RATE] < 0.0)
+
+
+class Long:
+    """Silence, which counts what is read at once."""
+
+    def __init__(self, duration: float) -> None:
+        self.count = int(duration * RATE)
+        self.largest = 0
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, part: slice) -> np.ndarray:
+        self.largest = max(self.largest, part.stop - part.start)
+        return np.zeros(part.stop - part.start, dtype=np.float32)
+
+
+@pytest.mark.parametrize(("duration", "band"), [(60.0, (0.0, 96e3)), (10.0, (39.9e3, 40.1e3)), (5.0, (40e3, 40e3))])
+def test_long_sound_is_read_in_pieces(duration: float, band: tuple[float, float]) -> None:
+    sound = Long(duration)
+    raster = spectrogram(sound, RATE, band)
+    assert raster.level.shape[0] <= 600
+    assert raster.level.shape[1] <= 1200
+    assert 0 < sound.largest <= 65536
+
+
+@pytest.mark.parametrize("count", [1, 3, 130])
+def test_short_sound(count: int) -> None:
+    raster = spectrogram(np.ones(count), RATE, (0.0, 96e3))
+    assert np.all(np.isfinite(raster.level))
 
 
 @pytest.fixture

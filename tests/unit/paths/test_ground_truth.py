@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -117,24 +118,15 @@ def test_a_silent_path_is_not_counted_as_heard(paths: clsim.PathSet, table) -> N
     assert not any("z_min" in label for label in frame.labels)
 
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [8.0, 6.0, 3.0]
-walls = { default = { reflection = 0.9 }, z_min = { reflection = 0.0 } }
-[[sources]]
-name = "s"
-signal = { kind = "tone", frequency = 40e3, duration = 0.01, sampling_rate = 192e3 }
-trajectory = { kind = "fixed", position = [2.0, 2.0, 1.0] }
-[[receivers]]
-name = "r"
-trajectory = { kind = "fixed", position = [6.0, 3.0, 1.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-"""
+SCENE = scene_text(
+    source_at("s", tone_of(40e3, 0.01), (2.0, 2.0, 1.0)),
+    receiver_at("r", (6.0, 3.0, 1.0)),
+    room={
+        "kind": "shoebox",
+        "size": (8.0, 6.0, 3.0),
+        "walls": {"default": {"reflection": 0.9}, "z_min": {"reflection": 0.0}},
+    },
+)
 
 
 def test_paths_are_listed_as_silent(tmp_path: Path, capsys) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -129,26 +130,12 @@ def test_save_writes_two_channels(tmp_path: Path) -> None:
     assert any("complex envelopes of 4000 Hz about 40000 Hz" in line for line in made.notes)
 
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [6.0, 5.0, 3.0]
-walls = { reflection = 0.8 }
-[[sources]]
-name = "s"
-trajectory = { kind = "fixed", position = [2.0, 2.0, 1.0] }
-signal = { kind = "tone", frequency = 40e3, duration = 0.05, sampling_rate = 192e3, fade = 0.02 }
-[[receivers]]
-name = "r"
-trajectory = { kind = "fixed", position = [4.0, 3.0, 2.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-engine = "reference"
-baseband = { carrier = 40e3, bandwidth = 4e3 }
-"""
+SCENE = scene_text(
+    source_at("s", tone_of(40e3, 0.05, fade=0.02), (2.0, 2.0, 1.0)),
+    receiver_at("r", (4.0, 3.0, 2.0)),
+    room=shoebox_of(6.0, 5.0, 3.0, reflection=0.8),
+    render={"engine": "reference", "baseband": {"carrier": 40e3, "bandwidth": 4e3}},
+)
 
 
 def test_scene_file_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -31,19 +32,11 @@ SHORT = clsim.Signal.tone(40e3, duration=0.001, sampling_rate=192e3, fade=0.0005
 DAYS = 1e6  # s
 MOST_EVALUATIONS = 20_000  # instants of all motions together
 
-SCENE = """
-format = 1
-room = { kind = "shoebox", size = [8.0, 6.0, 3.0], walls = { default = { reflection = 0.9 } } }
-paths = { max_order = 1 }
-render = { sampling_rate = 192e3 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 1e6, sampling_rate = 192e3 }
-trajectory = { kind = "fixed", position = [4.0, 3.0, 1.5] }
-[[receivers]]
-name = "ceiling"
-trajectory = { kind = "fixed", position = [1.0, 1.0, 2.9] }
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 1000e3), (4.0, 3.0, 1.5)),
+    receiver_at("ceiling", (1.0, 1.0, 2.9)),
+    room={"kind": "shoebox", "size": (8.0, 6.0, 3.0), "walls": {"default": {"reflection": 0.9}}},
+)
 
 
 def scene_of(

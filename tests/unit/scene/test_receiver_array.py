@@ -4,39 +4,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import along, receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 import clsim
 from clsim.cli import main
 from clsim.scene_file import load_scene
-from clsim.workflow import outputs, pictures
+from clsim.workflow import pictures, result_folder
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [8.0, 6.0, 3.0]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 0.02, sampling_rate = 192e3, fade = 5e-3 }
-trajectory = { kind = "line", start = [2.0, 3.0, 1.5], end = [3.0, 3.0, 1.5], duration = 0.5 }
-[[receivers]]
-name = "ceiling"
-positions = { kind = "grid", x = [0.5, 7.5, 5], y = [0.5, 5.5, 4], z = 2.9 }
-directivity = { kind = "first-order" }
-aim = [0.0, 0.0, -1.0]
-[[receivers]]
-name = "table"
-positions = { kind = "file", path = "mics.csv" }
-[[receivers]]
-name = "one"
-trajectory = { kind = "fixed", position = [1.0, 1.0, 1.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-duration = 0.04
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 0.02, fade=0.005), along((2.0, 3.0, 1.5), (3.0, 3.0, 1.5), 0.5)),
+    receiver_at(
+        "ceiling",
+        None,
+        positions={"kind": "grid", "x": (0.5, 7.5, 5), "y": (0.5, 5.5, 4), "z": 2.9},
+        directivity={"kind": "first-order"},
+        aim=(0.0, 0.0, -1.0),
+    ),
+    receiver_at("table", None, positions={"kind": "file", "path": "mics.csv"}),
+    receiver_at("one", (1.0, 1.0, 1.0)),
+    room=shoebox_of(8.0, 6.0, 3.0),
+    render={"duration": 0.04},
+)
 
 
 @pytest.fixture
@@ -214,8 +202,8 @@ def test_arrays_of_nothing_are_refused(name: str, positions, message: str) -> No
 def test_a_run_tells_the_truth_about_all_and_draws_some(
     scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert outputs.MOST_DRAWN == 16
-    for module in (outputs, pictures):
+    assert result_folder.MOST_DRAWN == 16
+    for module in (result_folder, pictures):
         monkeypatch.setattr(module, "MOST_DRAWN", 2)  # each takes half a second
     out = tmp_path / "out"
     assert main(["run", str(scene), "-o", str(out)]) == 0

@@ -7,6 +7,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 import scipy.io
+from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
@@ -14,25 +15,9 @@ from clsim.output.plots import DirectivityDiagram, directivity_levels
 from clsim.scene_file import load_scene
 from clsim.scene_file.scene import build_scene, completed_scene, scene_schema
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 0.01, sampling_rate = 192e3 }
-trajectory = { kind = "fixed", position = [1, 1, 1] }
-directivity = %s
-[[receivers]]
-name = "left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 0.01), (1, 1, 1), directivity="%s"), receiver_at("left", (3.0, 1.0, 2.0))
+)
 TABLE = "angle,30e3,50e3\n0,0,0\n45,-2,-6\n90,-10,-20\n"
 PHASES = "angle,30e3,50e3\n0,0,0\n45,-10,-20\n90,-20,-40\n"
 

@@ -6,31 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.study.file import Study, checked, load_study, parsed, replaced
 
-SCENE = """
-format = 1
-[room]
-kind = "shoebox"
-size = [4.0, 3.0, 2.5]
-walls = { reflection = 0.9 }
-[[sources]]
-name = "robot"
-signal = { kind = "tone", frequency = 40e3, duration = 0.01, sampling_rate = 192e3, fade = 0.002 }
-trajectory = { kind = "line", start = [1, 1, 1], end = [2, 1, 1], duration = 1.0 }
-[[receivers]]
-name = "left"
-trajectory = { kind = "fixed", position = [3.0, 1.0, 2.0] }
-[[receivers]]
-name = "right"
-trajectory = { kind = "fixed", position = [3.0, 2.0, 2.0] }
-[paths]
-max_order = 1
-[render]
-sampling_rate = 192e3
-"""
+SCENE = scene_text(
+    source_at("robot", tone_of(40e3, 0.01, fade=0.002), along((1, 1, 1), (2, 1, 1), 1.0)),
+    receiver_at("left", (3.0, 1.0, 2.0)),
+    receiver_at("right", (3.0, 2.0, 2.0)),
+)
 
 
 def study(folder: Path, text: str, limit: int = 1000) -> Study:

@@ -127,12 +127,7 @@ def test_all_repairs_at_once_are_all_reported(tmp_path, rows):
     path = write(tmp_path / "a.csv", changed[:40] + changed[48:])
     notes = Trajectory.from_file(path, "csv", repair=("gaps", "nan", "jumps", "times")).notes
     assert [note.split()[0] for note in notes] == ["Dropped", "Dropped", "Dropped", "Bridged", "Smoothed"]
-    assert [note.split("line ")[-1].split(",")[0].rstrip(".") for note in notes[:4]] == [
-        "7",
-        "14",
-        "32",
-        "42",
-    ]
+    assert [note.split("line ")[-1].split(",")[0].rstrip(".") for note in notes[:4]] == ["7", "14", "32", "42"]
 
 
 BAD_TEXT = [

@@ -156,11 +156,7 @@ def test_smooth_waypoints_reproduce_a_cubic_from_any_points():
     trajectory = Trajectory.waypoints(t, cubic(t))
     u = np.linspace(1.0, 3.1, 101)
     np.testing.assert_allclose(trajectory.position(u), cubic(u), atol=1e-13)
-    assert (trajectory.start, trajectory.end, trajectory.duration) == (
-        1.0,
-        3.1,
-        pytest.approx(2.1, rel=1e-15),
-    )
+    assert (trajectory.start, trajectory.end, trajectory.duration) == (1.0, 3.1, pytest.approx(2.1, rel=1e-15))
     assert trajectory.breaks.size == 0
 
 

@@ -7,7 +7,7 @@ import pytest
 from made_meshes import box, cut_box, l_room, screen
 
 import clsim
-from clsim.scene.room.copies import clean_mesh
+from clsim.scene.room.healing import clean_mesh
 
 WALL, SOFT = clsim.Material.from_reflection(0.9), clsim.Material.from_reflection(0.1)
 TONE = clsim.Signal.tone(40e3, 0.1, 192e3)
@@ -159,25 +159,6 @@ def test_receivers_are_held_to_the_same() -> None:
         scene(ROOM, (1.0, 1.0, 1.0), (4.0, 2.0, 1.0))
     with pytest.raises(clsim.InputError, match="'ear' meets the wall 'x_max'"):
         scene(ROOM, (1.0, 1.0, 1.0), (8.0, 3.0, 1.0))
-
-
-@pytest.mark.parametrize(("up", "low", "high"), [
-    ("x", (0, 0, 0), (3, 2, 4)), ("y", (0, -2, 0), (4, 0, 3)), ("z", (0, 0, 0), (4, 3, 2)),
-])  # fmt: skip
-def test_the_axis_that_points_up(tmp_path: Path, up: str, low: tuple, high: tuple) -> None:
-    path = tmp_path / "corner.obj"
-    path.write_text(OBJ)
-    room = clsim.MeshRoom.from_file(path, up=up, materials=WALL)
-    np.testing.assert_array_equal(room.extent, [low, high])
-
-
-def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
-    (tmp_path / "notes.obj").write_text("nothing of note\n")
-    (tmp_path / "folder.obj").mkdir()
-    for name in ("missing.obj", "notes.obj", "folder.obj"):
-        with pytest.raises(clsim.InputError) as caught:
-            clsim.MeshRoom.from_file(tmp_path / name, materials=WALL)
-        assert caught.value.field == str(tmp_path / name)
 
 
 def test_joined_parts_keep_what_they_are() -> None:

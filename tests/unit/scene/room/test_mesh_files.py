@@ -316,11 +316,6 @@ def test_parts_without_faces_are_left_out_with_a_note(tmp_path):
 # Scale and axes
 
 
-def test_scale(tmp_path):
-    mesh = read_mesh(write(tmp_path, obj(flat(L_SHAPE))), scale=0.01)
-    assert area(mesh) == pytest.approx(6e-4, rel=1e-12)
-
-
 @pytest.mark.parametrize(("up", "turned"), [("z", [1, 2, 3]), ("y", [1, -3, 2]), ("x", [2, 3, 1])])
 def test_up(tmp_path, up, turned):
     mesh = read_mesh(write(tmp_path, "v 1 2 3\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n"), up=up, scale=2.0)
