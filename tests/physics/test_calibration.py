@@ -13,12 +13,8 @@ EXAMPLE = Path(clsim.__file__).parents[1] / "examples" / "calibrate_microphones.
 
 @pytest.mark.usefixtures("device")
 def test_microphones_are_found_and_noise_reaches_its_bound() -> None:
-    """Eight microphones from 5 cm off within 0.5 mm; 64 fits to noisy recordings within 15 % of the bound.
-
-    Of so many, 192 coordinates, the root mean square is known within 5 %.
-    """
+    """Eight microphones from 5 cm off within 0.5 mm; 200 fits to noisy recordings within 10 % of the bound."""
     example = runpy.run_path(str(EXAMPLE))
-    example["against_bound"].__globals__["DRAWS"] = 8  # of 25, which take seconds
     truth = example["MICROPHONES"]
     off = np.random.default_rng(0).standard_normal(truth.shape)
     begin = truth + 0.05 * off / np.linalg.norm(off, axis=1, keepdims=True)
@@ -26,8 +22,8 @@ def test_microphones_are_found_and_noise_reaches_its_bound() -> None:
     found = example["calibrate"](recorded, begin)[-1]
     assert np.linalg.norm(found - truth, axis=1).max() < 1e-6
     errors, bounds = example["against_bound"](found, recorded)
-    assert errors.shape == (8, 8, 3)
-    assert np.sqrt(np.mean((errors / bounds) ** 2)) == pytest.approx(1.0, abs=0.15)
+    assert errors.shape[0] * errors.shape[1] == 200
+    assert np.sqrt(np.mean((errors / bounds) ** 2)) == pytest.approx(1.0, abs=0.1)
 
 
 def test_the_free_field_bound_is_that_on_paper() -> None:
