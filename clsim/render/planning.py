@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import methodcaller
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -246,32 +247,51 @@ def allocate(
     convolved = Allocation(static.pairs_at_rest(tracks, options))
     parts, rest = ears.parts_of(emissions, tracks, options, samples, convolved.convolved)
     convolved = replace(convolved, ears=parts)
-    shaded = _shaded(tracks, convolved, options)
-    if not shaded:
+    groups = _scattered(tracks, convolved, options)
+    if not groups or tracks.of_scene is None:
         return _allocated(emissions, tracks, options, samples, convolved, rest)
     # Their responses need many more functions of frequency than others, which these would all have to take.
-    all_of_it, allowed_db = frozenset(range(len(tracks.pairs))), options.shadow_error_db or 0.0
-    of_ears = convolved.claimed - convolved.convolved
-    assert tracks.of_scene is not None, "shadows are those of scenes"
-    within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
-    own, rest = (tracks.of_scene.among(sorted(some)) for some in (shaded, all_of_it - shaded - of_ears))
-    filters, alone = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - shaded), own, costly=True)
-    others = replace(convolved, convolved=convolved.convolved | shaded)
+    all_of_it, alone = frozenset(range(len(tracks.pairs))), frozenset[int]().union(*(g.pairs for g in groups))
+    others = replace(convolved, convolved=convolved.convolved | alone)
+    rest = tracks.of_scene.among(sorted(all_of_it - alone - convolved.claimed | convolved.convolved))
     made, others = _allocated(emissions, tracks, options, samples, others, rest)
-    plan = plan_of_part(within, tracks, replace(alone, narrow=()), filters, samples, BLOCKS[1:], [PER_SAMPLE])
-    return made, replace(
-        others, convolved=convolved.convolved, shadows=(PairPart(plan, shaded),), narrow=others.narrow + alone.narrow,
-        notes=tuple(dict.fromkeys(others.notes + alone.notes)),
-    )  # fmt: skip
+    for name, within, pairs, blocks in groups:
+        own = tracks.of_scene.among(sorted(pairs))
+        filters, part = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - pairs), own, costly=True)
+        plan = plan_of_part(within, tracks, replace(part, narrow=()), filters, samples, blocks, [PER_SAMPLE])
+        others = replace(
+            others, narrow=others.narrow + part.narrow, notes=tuple(dict.fromkeys(others.notes + part.notes)),
+            **{name: (PairPart(plan, pairs),)},
+        )  # fmt: skip
+    return made, replace(others, convolved=convolved.convolved)
 
 
-def _shaded(tracks: Tracks, convolved: Allocation, options: RenderOptions) -> frozenset[int]:
-    """Return the pairs by scatterers of which any has an outline's shadow, where these have filters of their own."""
+class _Group(NamedTuple):
+    """Pairs with filters of their own: the field of the allocation, their options, indices and lengths of blocks."""
+
+    name: str
+    options: RenderOptions
+    pairs: frozenset[int]
+    blocks: tuple[int, ...]
+
+
+def _scattered(tracks: Tracks, convolved: Allocation, options: RenderOptions) -> list[_Group]:
+    """Groups of pairs by scatterers whose fields vary over frequency: with shadows of outlines, and others."""
     usable = options.engine == "opencl" and options.baseband is None and isinstance(options.interpolator, Bandlimited)
-    if tracks.of_scene is None or options.shadow_error_db is None or not usable:
-        return frozenset()
-    vertices = (getattr(pair.family, "vertex", None) for pair in tracks.of_scene.pair_paths)
-    return frozenset(i for i, v in enumerate(vertices) if getattr(v, "outlined", False)) - convolved.claimed
+    if tracks.of_scene is None or not usable:
+        return []
+    vertices = [getattr(pair.family, "vertex", None) for pair in tracks.of_scene.pair_paths]
+    varied = {i for i, v in enumerate(vertices) if getattr(v, "varies", False)} - convolved.claimed
+    outlined = frozenset(i for i in varied if getattr(vertices[i], "outlined", False))
+    allowed_db, found = options.shadow_error_db, []
+    if allowed_db is None:
+        outlined = frozenset()
+    elif outlined:
+        within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
+        found.append(_Group("shadows", within, outlined, BLOCKS[1:]))
+    if varied - outlined:
+        found.append(_Group("scattered", replace(options, channels=False), frozenset(varied - outlined), BLOCKS))
+    return found
 
 
 def _allocated(
@@ -373,7 +393,7 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 
     return replace(
         allocation, narrow=moved(allocation.narrow), channels=moved(allocation.channels), ears=moved(allocation.ears),
-        shadows=moved(allocation.shadows),
+        shadows=moved(allocation.shadows), scattered=moved(allocation.scattered),
     )  # fmt: skip
 
 
@@ -381,7 +401,8 @@ PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,
-    methodcaller("where_claimed", "shadows", per_sample.of_shadows),
+    methodcaller("where_claimed", "shadows", partial(per_sample.of_pairs, "shadows")),
+    methodcaller("where_claimed", "scattered", partial(per_sample.of_pairs, "scattered")),
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
     methodcaller("where_claimed", "channels", sampled_channel.build),

@@ -69,8 +69,11 @@ def scene_basis(
     held = Held(drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    held_out = drawn.responses(band, held_out=True)
     sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
+    if drawn.whole and len(sampled.first) > 1:
+        sampled, held_out = sampled.frames(np.s_[::2]), sampled.frames(np.s_[1::2])
+    else:
+        held_out = drawn.responses(band, held_out=True)
     rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):

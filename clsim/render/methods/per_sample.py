@@ -66,9 +66,9 @@ class PathSum:
         return _Sum(self.plan)
 
 
-def of_shadows(plan: Plan) -> PathSum:
-    """Make the sum over paths with shadows of outlines."""
-    return PathSum(plan.allocation.shadows[0].plan, "shadows")
+def of_pairs(name: str, plan: Plan) -> PathSum:
+    """Make the sum over the paths of a field of the allocation, with a plan of their own."""
+    return PathSum(getattr(plan.allocation, name)[0].plan, name)
 
 
 class _Sum(Stateless):

@@ -60,6 +60,7 @@ OF_GAINS = {
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
+    "NEAREST_END": silhouette.NEAREST_END,
     "WITHIN": shade.WITHIN,
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
@@ -251,12 +252,12 @@ class ScattererColumns(StaticColumns):
 
         Points that are worked on side by side have their numbers beside each other.
         """
-        requested = outline.requested(2.0 * math.pi * float(waves.max()))
-        steps, together = requested.steps(), self._of.together
+        wave, together = 2.0 * math.pi * float(waves.max()), self._of.together
+        steps, most = silhouette.steps_of_points(outline, wave), silhouette.most_points(outline, wave)
         tables = [outline.table(count).reshape(6, -1, together).swapaxes(0, 1).ravel() for _, count in steps]
         places = start + 5 + 3 * len(steps) + np.cumsum([0, *(table.size for table in tables)])
         rows = [(limit, count, place) for (limit, count), place in zip(steps, places[:-1], strict=True)]
-        head = [len(steps), requested.fewest, requested.slope, requested.most, requested.largest]
+        head = [len(steps), outline.fewest, wave, most, outline.largest]
         return np.concatenate([head, np.ravel(rows), *tables])
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
