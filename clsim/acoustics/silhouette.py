@@ -40,7 +40,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 SHORTEST = 1e-3  # of the path by the surface: no line of sight counts as shorter
 _LARGEST = 3.5  # of the field about an outline, relative to the free field
 _LEAST = 1e-30
-_AT_A_TIME = 1 << 20  # complex numbers that are worked on together
+_AT_A_TIME, _IN_CACHE = 1 << 20, 1 << 16  # numbers that are worked on together, and those that phases are made of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -395,38 +395,43 @@ def _summed(known: Complexes, detour: Floats, wave: Floats) -> Complexes:
     total = np.zeros((len(detour), len(wave)), dtype=np.complex128)
     low, high = float(wave.min()), float(wave.max())
     roots = np.cbrt(0.5 * wave)
-    weights = interpolation(float(roots.min()), float(roots.max()), len(known), roots)
-    for row, late in enumerate(detour):
-        here = np.flatnonzero(known[:, row].any(axis=0))
-        if not len(here):
-            continue
-        begin, end = float(late[here].min()), float(late[here].max())
-        turn, middle = 0.25 * (high - low) * (end - begin), 0.5 * (begin + end)
-        count = 8 * math.ceil((turn + 6.0 * float(np.cbrt(turn)) + 12.0) / 8.0)
-        strength, late = known[:, row, here], late[here] - middle
-        if count < len(wave):
-            sums = _at_points(strength * np.exp(-0.5j * (high + low) * late), 0.5 * (high - low) * late, count)
-            sums = sums @ _carry(wave.tobytes(), count)
-        else:
-            sums = strength @ np.exp(-1j * np.outer(late, wave))
-        total[row] = np.sum(weights * sums, axis=0) * np.exp(-1j * middle * wave)
-    return total
+    counted = known.any(axis=0)
+    begin, end = np.where(counted, detour, np.inf).min(axis=1), np.where(counted, detour, -np.inf).max(axis=1)
+    turn, middle = 0.25 * (high - low) * np.maximum(end - begin, 0.0), 0.5 * (begin + end)
+    counts = 8 * np.ceil((turn + 6.0 * np.cbrt(turn) + 12.0) / 8.0)
+    counts[counts >= len(wave)] = 0  # of wave numbers themselves
+    for count in np.unique(counts).astype(int).tolist():
+        at = chebyshev_points(low, high, count) if count else wave
+        weights = interpolation(float(roots.min()), float(roots.max()), len(known), np.cbrt(0.5 * at))
+        alike = np.flatnonzero((counts == count) & counted.any(axis=1))
+        each = max(_IN_CACHE // (detour.shape[1] * len(at)), 1)
+        for rows in (alike[first : first + each] for first in range(0, len(alike), each)):
+            late = (detour[rows] - middle[rows, None]) * (0.5 / math.pi)
+            strength = known[:, rows].swapaxes(0, 1)
+            if not count:
+                total[rows] = np.sum(weights * (strength @ _turned(late[..., None] * at)), axis=1)
+                continue
+            # Of Chebyshev points one half has the phases of the other with the other sign, about the middle.
+            strength = strength * _turned(late * (0.5 * (high + low)))[:, None]
+            half = _turned(late[..., None] * (at[: count // 2] - 0.5 * (high + low)))
+            sums = np.concatenate([strength @ half, np.conj(np.conj(strength) @ half)[..., ::-1]], axis=-1)
+            total[rows] = np.sum(weights * sums, axis=1) @ _carry(wave.tobytes(), count)
+    return total * np.exp(-1j * np.where(np.isfinite(middle), middle, 0.0)[:, None] * wave)
+
+
+def _turned(turns: Floats) -> Complexes:
+    """Phase factors of turns, within 2e-7: sine and cosine in single precision take a fifth of the time."""
+    part = ((turns - np.rint(turns)) * (2.0 * math.pi)).astype(np.float32)
+    factors = np.empty(part.shape, dtype=np.complex128)
+    factors.real, factors.imag = np.cos(part), -np.sin(part)
+    return factors
 
 
 @lru_cache(maxsize=32)
-def _carry(wave: bytes, count: int) -> Floats:
+def _carry(wave: bytes, count: int) -> Complexes:
     """Weights (count, F) of values at Chebyshev points of a band for those at wave numbers (F,)."""
     x = np.frombuffer(wave)
-    return interpolation(float(x.min()), float(x.max()), count, x)
-
-
-def _at_points(strength: Complexes, turn: Floats, count: int) -> Complexes:
-    """Field (M, count) of strengths (M, N) with phases ``-turn x``, at the Chebyshev points from 1 to -1.
-
-    Half of these have the phases of the others with the other sign.
-    """
-    half = np.exp(-1j * np.outer(turn, chebyshev_points(-1.0, 1.0, count)[: count // 2]))
-    return np.concatenate([strength @ half, np.conj(np.conj(strength) @ half)[:, ::-1]], axis=1)
+    return interpolation(float(x.min()), float(x.max()), count, x).astype(np.complex128)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

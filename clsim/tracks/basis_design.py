@@ -27,6 +27,7 @@ MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 s
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
 _EMPHASES = 5  # times that instants which are held badly are given more weight
 _HOPELESS = 4.0  # times the bound, from which on another weight does not help
+_WIDE = 1.5  # times the lower end of a band, from which on its upper end asks for a grid that is looked for by few
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 
@@ -62,17 +63,19 @@ def scene_basis(
     late = drawn.common_delay(band_at(drawn.grids[0]), sampling_rate)
     for count in drawn.grids:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
-        sampled = drawn.responses(fine)
+        few = drawn.probe() if band.high > _WIDE * band.low else drawn
+        sampled = few.responses(fine)
         unresolved = float(sampled.relative(_unresolved(sampled.responses)).max())
         if unresolved <= allowed:
             break
     held = Held(drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
-    if drawn.whole and len(sampled.first) > 1:
-        sampled, held_out = sampled.frames(np.s_[::2]), sampled.frames(np.s_[1::2])
+    if drawn.whole:
+        every = drawn.responses(band) if few is not drawn else Sample(band, sampled.responses[:, 1::3], sampled.first)
+        sampled, held_out = (every.frames(np.s_[i::2] if len(every.first) > 1 else np.s_[:]) for i in (0, 1))
     else:
+        sampled = Sample(band, sampled.responses[:, 1::3], sampled.first)
         held_out = drawn.responses(band, held_out=True)
     rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)

@@ -52,7 +52,8 @@ _QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
 _FAINTEST = 1e-4  # energy of what is heard of a window, relative to its centre frequency, that is asked for
 _LATEST = 0.012  # s between the earliest and the latest of responses that can be told
 _MOST_DELAYS = 512  # samples of them
-_LATE_ROWS, _LATE_EVERY = 64, 8  # responses that tell it, and instants from one to the next where all are there
+_LATE_ROWS = 64  # responses that tell it
+_PROBED = 7  # instants from one at which a delay and a grid are looked for to the next, where all paths are taken
 _LATE_SHARE = 1e-4  # of their energy may lie earlier than the time of which the middle is taken, and later
 _LEAST_LATE = 32  # samples; less is not worth being taken out
 _SILENT = 1e-150  # gain, whose square is still a number; what air leaves of 40 kHz after some 2 km
@@ -209,6 +210,12 @@ class Draw:
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in counts)
         return cls(of_scene, source, until, rows, held_out, grids)
 
+    def probe(self) -> Draw:
+        """Return the same with few of the instants, where all paths are taken at each."""
+        several = [some for some in self.rows if len(some.first) > 2]
+        rows = tuple(some.thinned(_PROBED) for some in several) or self.rows[::_PROBED]
+        return replace(self, rows=rows) if self.whole else self
+
     def responses(self, band: Band, *, held_out: bool = False) -> Sample:
         """Responses over a band of the paths of which functions are made, or of those at which they are checked."""
         made: list[Any] = []
@@ -240,13 +247,12 @@ class Draw:
         even = np.linspace(band.low, band.high, count)
         level = np.sqrt(band.energy.max(axis=0))
         level = np.interp(even, band.frequencies[::-1], np.maximum(level / level.max(), _FAINT)[::-1])
-        if self.whole:
-            several = [some for some in self.rows if len(some.first) > 2]
-            picked: Any = [some.thinned(_LATE_EVERY) for some in several] or self.rows[::_LATE_EVERY]
-        else:
-            picked = picked_paths(self.tracks, self.source, self.until, _LATE_ROWS, np.random.default_rng(SEED))
+        few = self.probe()
+        if not self.whole:
+            rng = np.random.default_rng(SEED)
+            few = replace(self, rows=tuple(picked_paths(self.tracks, self.source, self.until, _LATE_ROWS, rng)))
         spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
-        rows = replace(self, rows=tuple(picked)).responses(spread).responses
+        rows = few.responses(spread).responses
         energy = np.sum(np.abs(np.fft.ifft(rows * (level * np.hanning(count)), axis=1)) ** 2, axis=0)
         # The transform goes round: time begins opposite to where most of the energy is, which is late rather than
         # early.
