@@ -13,6 +13,7 @@ from clsim.acoustics.scattering import SpecularPoint, lit_share
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from clsim.acoustics.outline import Outline
     from clsim.arrays import Complexes, Floats
 
 _STEPS = 40  # of Newton's, at most, where ends are far from where they were
@@ -109,7 +110,7 @@ def _incidence_curvature(radius: float, half: float, source: Floats, at: tuple[F
 
 
 def capsule_field(
-    wave: Floats, aspects: Floats, outline: silhouette.Outline | None = None, past: Complexes | float = 1.0
+    wave: Floats, aspects: Floats, outline: Outline | None = None, past: Complexes | float = 1.0
 ) -> Complexes:
     """Return the field of a rigid capsule over its strength.
 

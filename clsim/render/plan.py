@@ -459,7 +459,11 @@ class Allocation:
     @property
     def plans(self) -> list[Plan]:
         """Plans of the parts that have one of their own."""
-        return [part.plan for parts in (self.narrow, self.channels, self.ears, self.shadows, self.scattered) for part in parts]
+        return [
+            part.plan
+            for parts in (self.narrow, self.channels, self.ears, self.shadows, self.scattered)
+            for part in parts
+        ]
 
     @property
     def claimed(self) -> frozenset[int]:

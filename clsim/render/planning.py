@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import methodcaller
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import NarrowFilters, design_envelope, design_split
-from clsim.render.interpolator import Bandlimited
 from clsim.render.methods import ears, narrow_part, per_sample, sampled_channel, static
 from clsim.render.options import RenderOptions
 from clsim.render.plan import (
@@ -247,7 +246,7 @@ def allocate(
     convolved = Allocation(static.pairs_at_rest(tracks, options))
     parts, rest = ears.parts_of(emissions, tracks, options, samples, convolved.convolved)
     convolved = replace(convolved, ears=parts)
-    groups = _scattered(tracks, convolved, options)
+    groups = per_sample.scattered_groups(tracks, convolved, options)
     if not groups or tracks.of_scene is None:
         return _allocated(emissions, tracks, options, samples, convolved, rest)
     # Their responses need many more functions of frequency than others, which these would all have to take.
@@ -264,34 +263,6 @@ def allocate(
             **{name: (PairPart(plan, pairs),)},
         )  # fmt: skip
     return made, replace(others, convolved=convolved.convolved)
-
-
-class _Group(NamedTuple):
-    """Pairs with filters of their own: the field of the allocation, their options, indices and lengths of blocks."""
-
-    name: str
-    options: RenderOptions
-    pairs: frozenset[int]
-    blocks: tuple[int, ...]
-
-
-def _scattered(tracks: Tracks, convolved: Allocation, options: RenderOptions) -> list[_Group]:
-    """Groups of pairs by scatterers whose fields vary over frequency: with shadows of outlines, and others."""
-    usable = options.engine == "opencl" and options.baseband is None and isinstance(options.interpolator, Bandlimited)
-    if tracks.of_scene is None or not usable:
-        return []
-    vertices = [getattr(pair.family, "vertex", None) for pair in tracks.of_scene.pair_paths]
-    varied = {i for i, v in enumerate(vertices) if getattr(v, "varies", False)} - convolved.claimed
-    outlined = frozenset(i for i in varied if getattr(vertices[i], "outlined", False))
-    allowed_db, found = options.shadow_error_db, []
-    if allowed_db is None:
-        outlined = frozenset()
-    elif outlined:
-        within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
-        found.append(_Group("shadows", within, outlined, BLOCKS[1:]))
-    if varied - outlined:
-        found.append(_Group("scattered", replace(options, channels=False), frozenset(varied - outlined), BLOCKS))
-    return found
 
 
 def _allocated(

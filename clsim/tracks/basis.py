@@ -34,6 +34,7 @@ class Basis:
     error_db: float
     # Whether the second of every two functions is the first one times j, so that envelopes have complex gains.
     paired: bool = False
+    option: str = "response_error_db"  # option that asks for the bound
 
     def __len__(self) -> int:
         return len(self.projection)

@@ -47,8 +47,9 @@ def turning_basis(source: int, frequency: float, band: Band, sampling_rate: floa
 
 
 def scene_basis(
-    drawn: Draw, band_at: Callable[[int], Band], sampling_rate: float, error_db: float, paired: bool = False
-) -> Basis:
+    drawn: Draw, band_at: Callable[[int], Band], sampling_rate: float, error_db: float, paired: bool = False,
+    option: str = "response_error_db",
+) -> Basis:  # fmt: skip
     """Return the fewest functions that hold the responses of a source's paths within an error.
 
     Phases of paths are as good as random, so that what a receiver hears, and the error of it, are the roots of sums of
@@ -68,7 +69,9 @@ def scene_basis(
         unresolved = float(sampled.relative(_unresolved(sampled.responses)).max())
         if unresolved <= allowed:
             break
-    held = Held(drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
+    held = Held(
+        drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved), option=option
+    )
     if held.resolved_db > WORST_DB:
         held.within(error_db)
     if drawn.whole:
@@ -140,7 +143,7 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, pa
     requested_db = max(error_db, reached)  # what is told already needs no other warning
     return Basis(
         band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, strengths, loudness, requested_db,
-        reached, paired,
+        reached, paired, held.option,
     )  # fmt: skip
 
 
@@ -288,6 +291,7 @@ class Held:
     functions: int = 0  # functions of frequency
     functions_db: float = -math.inf  # error of responses as sums of them
     at_centre: bool = False  # responses are those at one frequency: no error was asked for, so that none is refused
+    option: str = "response_error_db"  # option that asks for the error
 
     def within(self, requested_db: float, filters: BandFilters | None = None) -> float:
         """Return the error that is reached, dB, with filters if they are there already."""
@@ -300,12 +304,12 @@ class Held:
         where = f"from {self.low:.0f} to {self.high:.0f} Hz"
         if reached > WORST_DB and not self.at_centre:
             raise InputError(
-                "response_error_db",
+                self.option,
                 f"must be reached {where}, but for source {self.source} {requested_db:g} dB is not: {cause}; "
                 f"{reached:.0f} dB is the best; {remedy}, or ask for less",
             )
         requested = f", not the {requested_db:g} dB asked for" if not self.at_centre else ""
-        less = f", or ask for response_error_db={math.ceil(reached)}" if not self.at_centre else ""
+        less = f", or ask for {self.option}={math.ceil(reached)}" if not self.at_centre else ""
         warn(
             f"source {self.source}: air, walls and directivities are approximated to {reached:.0f} dB {where}"
             f"{requested}: {cause}; {remedy}{less}"

@@ -210,6 +210,12 @@ class Draw:
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in counts)
         return cls(of_scene, source, until, rows, held_out, grids)
 
+    @property
+    def outlined(self) -> bool:
+        """Whether all paths are by scatterers with the shadows of their outlines."""
+        vertices = (getattr(pair.family, "vertex", None) for pair in self.tracks.pair_paths)
+        return all(getattr(vertex, "outlined", False) for vertex in vertices)
+
     def probe(self) -> Draw:
         """Return the same with few of the instants, where all paths are taken at each."""
         several = [some for some in self.rows if len(some.first) > 2]

@@ -14,7 +14,8 @@ from exhaustive import exhaustive
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
-from clsim.acoustics.silhouette import ASPECTS, CapsuleOutline, EllipsoidOutline, counts_of_points, forward_share, outline_field
+from clsim.acoustics.outline import CapsuleOutline, EllipsoidOutline, counts_of_points
+from clsim.acoustics.silhouette import ASPECTS, forward_share, outline_field
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.scene.shaded import hidden_by_several

@@ -1,5 +1,5 @@
-// Points of the outlines of ellipsoids and capsules as seen along the line of sight, several side by side: twin of `points` in
-// acoustics/silhouette.py.
+// Points of the outlines of ellipsoids and capsules as seen along the line of sight, several side by side: twin of
+// acoustics/outline.py.
 
 #if VERTEX == SCATTERER && PARTS == 2
 #define POINT_COLUMNS 6  // of the table of points: cosine, sine, sign, whether on a side, place there from -1 to 1, share of the length
