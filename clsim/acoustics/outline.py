@@ -262,7 +262,7 @@ def counts_of_points(outline: Outline, wave: float, source: Floats, receiver: Fl
 
     A sum over N evenly spaced points of a closed curve is right but for Fourier coefficients of orders from N on
     (L. N. Trefethen, J. A. C. Weideman, SIAM Rev. 56, 2014, section 2). Those of a phase end little above its turns at
-    its largest rate. With `fewest` more, fields are within 5e-4 of the free one, but for grazing lines near small bodies (2e-3).
+    its largest rate. With `fewest` more, fields are within 5e-4 of the free one; grazing lines near small bodies 2e-3.
     """
     requested = outline.fewest + wave * outline.turning(source, receiver)
     limits, counts = (np.array(column) for column in zip(*steps_of_points(outline, wave), strict=True))

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import methodcaller
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -258,10 +258,8 @@ def allocate(
         own = tracks.of_scene.among(sorted(pairs))
         filters, part = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - pairs), own, costly=True)
         plan = plan_of_part(within, tracks, replace(part, narrow=()), filters, samples, blocks, [PER_SAMPLE])
-        others = replace(
-            others, narrow=others.narrow + part.narrow, notes=tuple(dict.fromkeys(others.notes + part.notes)),
-            **{name: (PairPart(plan, pairs),)},
-        )  # fmt: skip
+        more: dict[str, Any] = {name: (PairPart(plan, pairs),), "narrow": others.narrow + part.narrow}
+        others = replace(others, notes=tuple(dict.fromkeys(others.notes + part.notes)), **more)
     return made, replace(others, convolved=convolved.convolved)
 
 

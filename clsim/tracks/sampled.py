@@ -205,7 +205,7 @@ class Draw:
         assert of_scene is not None
         total = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source)
         if costly and _LEAST_WHOLE * total <= min(counts):
-            rows = tuple(picked_paths(of_scene, source, until, 2 * max(counts), rng, whole=True))
+            rows = tuple(picked_paths(of_scene, source, until, 2 * min(counts), rng, whole=True))
             return cls(of_scene, source, until, rows, (), grids, whole=True)
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in counts)
         return cls(of_scene, source, until, rows, held_out, grids)
