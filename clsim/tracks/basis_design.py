@@ -27,7 +27,8 @@ MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 s
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
 _EMPHASES = 5  # times that instants which are held badly are given more weight
 _HOPELESS = 4.0  # times the bound, from which on another weight does not help
-_WIDE = 1.5  # times the lower end of a band, from which on its upper end asks for a grid that is looked for by few
+_WIDE = 4.0  # times the lower end of a band, from which on its upper end asks for a grid that is looked for by few
+_OF_FEW = 0.3  # times the bound, up to which few instants tell of all
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 
@@ -64,10 +65,10 @@ def scene_basis(
     late = drawn.common_delay(band_at(drawn.grids[0]), sampling_rate)
     for count in drawn.grids:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
-        few = drawn.probe() if band.high > _WIDE * band.low else drawn
+        few = drawn.probe() if drawn.whole and band.high > _WIDE * band.low else drawn
         sampled = few.responses(fine)
         unresolved = float(sampled.relative(_unresolved(sampled.responses)).max())
-        if unresolved <= allowed:
+        if unresolved <= (allowed if few is drawn else _OF_FEW * allowed):
             break
     held = Held(
         drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved), option=option

@@ -38,6 +38,7 @@ SEED = 20_160_914
 _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
 _COSTLY, _FEWER = (192, 256), 33  # the same, and frequencies, of costly responses
+_CHEAPER = 2  # times as many of those without outlines
 _LEAST_WHOLE = 5  # instants at which at least all paths are taken, where responses are costly
 _TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 _FRAMES = 48  # of all pairs, about
@@ -205,7 +206,8 @@ class Draw:
         assert of_scene is not None
         total = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source)
         if costly and _LEAST_WHOLE * total <= min(counts):
-            rows = tuple(picked_paths(of_scene, source, until, 2 * min(counts), rng, whole=True))
+            together = sum(counts) * (1 if _outlined(of_scene) else _CHEAPER)
+            rows = tuple(picked_paths(of_scene, source, until, together, rng, whole=True))
             return cls(of_scene, source, until, rows, (), grids, whole=True)
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in counts)
         return cls(of_scene, source, until, rows, held_out, grids)
@@ -213,8 +215,7 @@ class Draw:
     @property
     def outlined(self) -> bool:
         """Whether all paths are by scatterers with the shadows of their outlines."""
-        vertices = (getattr(pair.family, "vertex", None) for pair in self.tracks.pair_paths)
-        return all(getattr(vertex, "outlined", False) for vertex in vertices)
+        return _outlined(self.tracks)
 
     def probe(self) -> Draw:
         """Return the same with few of the instants, where all paths are taken at each."""
@@ -270,6 +271,11 @@ class Draw:
         return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
 
 
+def _outlined(tracks: SceneTracks) -> bool:
+    vertices = (getattr(pair.family, "vertex", None) for pair in tracks.pair_paths)
+    return all(getattr(vertex, "outlined", False) for vertex in vertices)
+
+
 def picked_paths(
     tracks: SceneTracks, source: int, until: float, count: int, rng: np.random.Generator, whole: bool = False
 ) -> Iterator[Picked]:
@@ -288,7 +294,7 @@ def picked_paths(
             last = until + _BEYOND
             instants = max(few, min(_MOST_TIMES, count // (len(pairs) * max(len(start), 1))))
             if whole:
-                instants = max(_LEAST_WHOLE, min(_MOST_TIMES, count // max(total, 1)))
+                instants = max(_LEAST_WHOLE, count // max(total, 1))
         if len(start) > _MOST_PATHS:
             some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
             paths, start, end = paths.part(some), start[some], end[some]
