@@ -13,6 +13,7 @@ from clsim.acoustics.scattering import SpecularPoint, lit_share
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from clsim.acoustics.outline import Outline
     from clsim.arrays import Complexes, Floats
 
 _STEPS = 40  # of Newton's, at most, where ends are far from where they were
@@ -21,7 +22,7 @@ _FAR, _FOUND = 0.1, 1e-3  # rad, as for ellipsoids
 _SMALL = 1e-100  # in divisors: what is divided by it is squared, too
 _PARALLEL = 1e-20  # squared sine of the angle to the axis below which the middle between both ends is the nearest point
 FLATTEST = 1e-9  # 1/m
-NEAR_JUNCTION = 1e-4  # slope of the way where the side ends below which the bend there is that of the place itself
+NEAR_JUNCTION = 3e-3  # slope of the way where the side ends below which the bend there is that of the place itself
 ASPECTS = 11  # numbers that a field takes, and as many more as `silhouette_field` with the field about the outline
 
 
@@ -109,7 +110,7 @@ def _incidence_curvature(radius: float, half: float, source: Floats, at: tuple[F
 
 
 def capsule_field(
-    wave: Floats, aspects: Floats, outline: silhouette.Outline | None = None, past: Complexes | float = 1.0
+    wave: Floats, aspects: Floats, outline: Outline | None = None, past: Complexes | float = 1.0
 ) -> Complexes:
     """Return the field of a rigid capsule over its strength.
 

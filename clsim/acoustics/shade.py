@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.acoustics.outline import counts_of_points
 from clsim.acoustics.silhouette import faded, outline_field
 
 if TYPE_CHECKING:
-    from clsim.acoustics.silhouette import Outline
+    from clsim.acoustics.outline import Outline
     from clsim.arrays import Complexes, Floats
 
 # Radii of the first Fresnel zone by which a line of sight passes a body: up to here its shade counts, beyond twice not.
@@ -39,8 +40,10 @@ def shade(outline: Outline, wave: Floats, source: Floats, receiver: Floats) -> C
         outline.clearance(source[rows], receiver[rows])[:, None] / zone, (WITHIN, 2.0 * WITHIN)
     )
     some = np.flatnonzero(weight.any(axis=1))
+    if not len(some):
+        return found
     rows, weight = rows[some], weight[some]
-    counts = outline.requested(float(wave.max(initial=0.0))).counts(source[rows], receiver[rows])
+    counts = counts_of_points(outline, float(wave.max(initial=0.0)), source[rows], receiver[rows])
     for count in np.unique(counts).tolist():
         alike = np.flatnonzero(counts == count)
         here = rows[alike]

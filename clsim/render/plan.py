@@ -351,6 +351,7 @@ class Allocation:
     # Pairs with receivers whose channels differ over frequency, by the sound at each one's centre; one part at most.
     ears: tuple[PairPart, ...] = ()
     shadows: tuple[PairPart, ...] = ()  # pairs by scatterers with shadows of outlines; one part at most
+    scattered: tuple[PairPart, ...] = ()  # by other scatterers whose field varies over frequency; likewise
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
@@ -358,12 +359,16 @@ class Allocation:
     @property
     def plans(self) -> list[Plan]:
         """Plans of the parts that have one of their own."""
-        return [part.plan for parts in (self.narrow, self.channels, self.ears, self.shadows) for part in parts]
+        return [
+            part.plan
+            for parts in (self.narrow, self.channels, self.ears, self.shadows, self.scattered)
+            for part in parts
+        ]
 
     @property
     def claimed(self) -> frozenset[int]:
         """Indices of the pairs that are not rendered path by path."""
-        parts: tuple[PairPart, ...] = (*self.channels, *self.ears, *self.shadows)
+        parts: tuple[PairPart, ...] = (*self.channels, *self.ears, *self.shadows, *self.scattered)
         return self.convolved.union(*(part.pairs for part in parts))
 
     def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:

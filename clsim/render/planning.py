@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import methodcaller
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import NarrowFilters, design_envelope, design_split
-from clsim.render.interpolator import Bandlimited
 from clsim.render.methods import ears, narrow_part, per_sample, sampled_channel, static
 from clsim.render.options import RenderOptions
 from clsim.render.plan import (
@@ -241,32 +241,21 @@ def allocate(
     convolved = Allocation(static.pairs_at_rest(tracks, options))
     parts, rest = ears.parts_of(emissions, tracks, options, samples, convolved.convolved)
     convolved = replace(convolved, ears=parts)
-    shaded = _shaded(tracks, convolved, options)
-    if not shaded:
+    groups = per_sample.scattered_groups(tracks, convolved, options)
+    if not groups or tracks.of_scene is None:
         return _allocated(emissions, tracks, options, samples, convolved, rest)
     # Their responses need many more functions of frequency than others, which these would all have to take.
-    all_of_it, allowed_db = frozenset(range(len(tracks.pairs))), options.shadow_error_db or 0.0
-    of_ears = convolved.claimed - convolved.convolved
-    assert tracks.of_scene is not None, "shadows are those of scenes"
-    within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
-    own, rest = (tracks.of_scene.among(sorted(some)) for some in (shaded, all_of_it - shaded - of_ears))
-    filters, alone = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - shaded), own, costly=True)
-    others = replace(convolved, convolved=convolved.convolved | shaded)
+    all_of_it, alone = frozenset(range(len(tracks.pairs))), frozenset[int]().union(*(g.pairs for g in groups))
+    others = replace(convolved, convolved=convolved.convolved | alone)
+    rest = tracks.of_scene.among(sorted(all_of_it - alone - convolved.claimed | convolved.convolved))
     made, others = _allocated(emissions, tracks, options, samples, others, rest)
-    plan = plan_of_part(within, tracks, replace(alone, narrow=()), filters, samples, BLOCKS[1:], [PER_SAMPLE])
-    return made, replace(
-        others, convolved=convolved.convolved, shadows=(PairPart(plan, shaded),), narrow=others.narrow + alone.narrow,
-        notes=tuple(dict.fromkeys(others.notes + alone.notes)),
-    )  # fmt: skip
-
-
-def _shaded(tracks: Tracks, convolved: Allocation, options: RenderOptions) -> frozenset[int]:
-    """Return the pairs by scatterers of which any has an outline's shadow, where these have filters of their own."""
-    usable = options.engine == "opencl" and options.baseband is None and isinstance(options.interpolator, Bandlimited)
-    if tracks.of_scene is None or options.shadow_error_db is None or not usable:
-        return frozenset()
-    vertices = (getattr(pair.family, "vertex", None) for pair in tracks.of_scene.pair_paths)
-    return frozenset(i for i, v in enumerate(vertices) if getattr(v, "outlined", False)) - convolved.claimed
+    for name, within, pairs, blocks in groups:
+        own = tracks.of_scene.among(sorted(pairs))
+        filters, part = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - pairs), own, costly=True)
+        plan = plan_of_part(within, tracks, replace(part, narrow=()), filters, samples, blocks, [PER_SAMPLE])
+        more: dict[str, Any] = {name: (PairPart(plan, pairs),), "narrow": others.narrow + part.narrow}
+        others = replace(others, notes=tuple(dict.fromkeys(others.notes + part.notes)), **more)
+    return made, replace(others, convolved=convolved.convolved)
 
 
 def _allocated(
@@ -368,7 +357,7 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 
     return replace(
         allocation, narrow=moved(allocation.narrow), channels=moved(allocation.channels), ears=moved(allocation.ears),
-        shadows=moved(allocation.shadows),
+        shadows=moved(allocation.shadows), scattered=moved(allocation.scattered),
     )  # fmt: skip
 
 
@@ -376,7 +365,8 @@ PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,
-    methodcaller("where_claimed", "shadows", per_sample.of_shadows),
+    methodcaller("where_claimed", "shadows", partial(per_sample.of_pairs, "shadows")),
+    methodcaller("where_claimed", "scattered", partial(per_sample.of_pairs, "scattered")),
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
     methodcaller("where_claimed", "channels", sampled_channel.build),

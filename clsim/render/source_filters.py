@@ -103,7 +103,9 @@ class Emission:
         if not at_centre:
             requested_db = min(floor_db, options.response_error_db)
             drawn = self.drawn()
-            return scene_basis(drawn, band_at, rate, requested_db, envelope and drawn.tracks.paths.turns_phases)
+            of_shadows = drawn.outlined and options.response_error_db == options.shadow_error_db
+            option = "shadow_error_db" if of_shadows else "response_error_db"
+            return scene_basis(drawn, band_at, rate, requested_db, envelope and drawn.tracks.paths.turns_phases, option)
         if of_scene.paths.is_complex:
             return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)
         return flat

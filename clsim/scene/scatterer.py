@@ -9,7 +9,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsim.acoustics import silhouette, sphere
+from clsim.acoustics import outline, silhouette, sphere
 from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_specular_point
 from clsim.acoustics.scattering import SpecularPoint, ellipsoid_mirror, ellipsoid_specular_point, ellipsoid_strength
 from clsim.arrays import FARTHEST, Complexes, Floats, as_choice, as_flag, as_floats, as_number, read_only, short_repr
@@ -136,8 +136,8 @@ class EllipsoidShape:
         return self.outlined
 
     @property
-    def outline(self) -> silhouette.Outline:
-        return silhouette.EllipsoidOutline(self.semi_axes)
+    def outline(self) -> outline.Outline:
+        return outline.EllipsoidOutline(self.semi_axes)
 
     @property
     def aspects(self) -> int:
@@ -231,8 +231,8 @@ class CapsuleShape:
         return self.outlined
 
     @property
-    def outline(self) -> silhouette.Outline:
-        return silhouette.CapsuleOutline(self.cylinder_radius, 0.5 * self.length)
+    def outline(self) -> outline.Outline:
+        return outline.CapsuleOutline(self.cylinder_radius, 0.5 * self.length)
 
     @property
     def aspects(self) -> int:

@@ -53,6 +53,7 @@ class Basis:
     # Whether the second of every two functions is the first one times j, so that envelopes have complex gains.
     paired: bool = False
     tilt: Tilt = NO_TILT  # what is left out of responses
+    option: str = "response_error_db"  # option that asks for the bound
 
     def __len__(self) -> int:
         return len(self.projection)

@@ -27,6 +27,8 @@ MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 s
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held
 _EMPHASES = 5  # times that instants which are held badly are given more weight
 _HOPELESS = 4.0  # times the bound, from which on another weight does not help
+_WIDE = 4.0  # times the lower end of a band, from which on its upper end asks for a grid that is looked for by few
+_OF_FEW = 0.3  # times the bound, up to which few instants tell of all
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 
@@ -46,8 +48,9 @@ def turning_basis(source: int, frequency: float, band: Band, sampling_rate: floa
 
 
 def scene_basis(
-    drawn: Draw, band_at: Callable[[int], Band], sampling_rate: float, error_db: float, paired: bool = False
-) -> Basis:
+    drawn: Draw, band_at: Callable[[int], Band], sampling_rate: float, error_db: float, paired: bool = False,
+    option: str = "response_error_db",
+) -> Basis:  # fmt: skip
     """Return the fewest functions that hold the responses of a source's paths within an error.
 
     Phases of paths are as good as random, so that what a receiver hears, and the error of it, are the roots of sums of
@@ -62,15 +65,22 @@ def scene_basis(
     late = drawn.common_delay(band_at(drawn.grids[0]), sampling_rate)
     for count in drawn.grids:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
-        sampled = drawn.responses(fine)
+        few = drawn.probe() if drawn.whole and band.high > _WIDE * band.low else drawn
+        sampled = few.responses(fine)
         unresolved = float(sampled.relative(_unresolved(sampled.responses)).max())
-        if unresolved <= allowed:
+        if unresolved <= (allowed if few is drawn else _OF_FEW * allowed):
             break
-    held = Held(drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved))
+    held = Held(
+        drawn.source, band.low, band.high, sampling_rate, len(band.frequencies), _in_db(unresolved), option=option
+    )
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    sampled = Sample(band, sampled.responses[:, 1::3].copy(), sampled.first, sampled.beyond)
-    held_out = drawn.responses(band, held_out=True)
+    coarse = replace(sampled, band=band, responses=sampled.responses[:, 1::3].copy())
+    if drawn.whole:
+        every = coarse if few is drawn else drawn.responses(band)
+        sampled, held_out = (every.frames(np.s_[i::2] if len(every.first) > 1 else np.s_[:]) for i in (0, 1))
+    else:
+        sampled, held_out = coarse, drawn.responses(band, held_out=True)
     rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):
@@ -136,7 +146,7 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, pa
     requested_db = max(error_db, reached)  # what is told already needs no other warning
     return Basis(
         band.frequencies[nodes], projection, functions, weight, filters.taps, sizes, strengths, loudness, requested_db,
-        reached, paired, band.tilt,
+        reached, paired, band.tilt, held.option,
     )  # fmt: skip
 
 
@@ -285,6 +295,7 @@ class Held:
     functions: int = 0  # functions of frequency
     functions_db: float = -math.inf  # error of responses as sums of them
     at_centre: bool = False  # responses are those at one frequency: no error was asked for, so that none is refused
+    option: str = "response_error_db"  # option that asks for the error
 
     def within(self, requested_db: float, filters: BandFilters | None = None) -> float:
         """Return the error that is reached, dB, with filters if they are there already."""
@@ -297,12 +308,12 @@ class Held:
         where = f"from {self.low:.0f} to {self.high:.0f} Hz"
         if reached > WORST_DB and not self.at_centre:
             raise InputError(
-                "response_error_db",
+                self.option,
                 f"must be reached {where}, but for source {self.source} {requested_db:g} dB is not: {cause}; "
                 f"{reached:.0f} dB is the best; {remedy}, or ask for less",
             )
         requested = f", not the {requested_db:g} dB asked for" if not self.at_centre else ""
-        less = f", or ask for response_error_db={math.ceil(reached)}" if not self.at_centre else ""
+        less = f", or ask for {self.option}={math.ceil(reached)}" if not self.at_centre else ""
         warn(
             f"source {self.source}: air, walls and directivities are approximated to {reached:.0f} dB {where}"
             f"{requested}: {cause}; {remedy}{less}"

@@ -39,6 +39,8 @@ SEED = 20_160_914
 _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
 _COSTLY, _FEWER = (192, 256), 33  # the same, and frequencies, of costly responses
+_CHEAPER = 2  # times as many of those without outlines
+_LEAST_WHOLE = 5  # instants at which at least all paths are taken, where responses are costly
 _TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 _FRAMES = 48  # of all pairs, about
 _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at least
@@ -53,6 +55,7 @@ _FAINTEST = 1e-4  # energy of what is heard of a window, relative to its centre 
 _LATEST = 0.012  # s between the earliest and the latest of responses that can be told
 _MOST_DELAYS = 512  # samples of them
 _LATE_ROWS = 64  # responses that tell it
+_PROBED = 7  # instants from one at which a delay and a grid are looked for to the next, where all paths are taken
 _LATE_SHARE = 1e-4  # of their energy may lie earlier than the time of which the middle is taken, and later
 _LEAST_LATE = 32  # samples; less is not worth being taken out
 _SILENT = 1e-150  # gain, whose square is still a number; what air leaves of 40 kHz after some 2 km
@@ -159,6 +162,14 @@ class Sample:
         weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
         return np.asarray(np.maximum(weight, _QUIETEST))
 
+    def frames(self, which: slice) -> Sample:
+        """Return some of the frames."""
+        ends = np.append(self.first, len(self.responses))[1:]
+        chosen = list(zip(self.first[which].tolist(), ends[which].tolist(), strict=True))
+        firsts = np.cumsum([0, *(end - begin for begin, end in chosen)])[:-1]
+        rows = np.concatenate([np.arange(begin, end) for begin, end in chosen])
+        return Sample(self.band, self.responses[rows], firsts, self.beyond[rows])
+
     def with_frames(self, other: Sample, which: NDArray[np.int64]) -> Sample:
         """Return the sample with some frames of another one."""
         rows, first, ends = [self.responses], [self.first], [*other.first[1:].tolist(), len(other.responses)]
@@ -182,6 +193,21 @@ class Picked:
     times: Floats  # (P, 1) the instants, s, or (T,) of all paths
     scale: Floats  # (T P, 1) root of how many paths each stands for, over the level of all of the pair
     first: tuple[int, ...]  # where the paths of each instant begin, and P at the end
+    whole: bool = False  # all paths of each instant, whose level is that of the responses
+
+    def thinned(self, every: int) -> Picked:
+        """Return some of the instants."""
+        spans = list(pairwise(self.first))[::every]
+        rows = np.concatenate([np.arange(begin, end) for begin, end in spans])
+        first = tuple(np.cumsum([0, *(end - begin for begin, end in spans)]).tolist())
+        scale, times = self.scale[rows], self.times
+        if times.ndim == 1 and len(times) > 1:
+            at = np.arange(len(times))[::every]
+            found = self.found.part(np.arange(len(self.found.through))[:, None], at)
+            return replace(self, found=found, times=times[at], scale=scale, first=first)
+        found = self.found.part(rows[:, None], np.zeros((len(rows), 1), dtype=np.int64))
+        times = times[rows] if times.ndim == 2 else times
+        return replace(self, paths=self.paths.part(rows), found=found, times=times, scale=scale, first=first)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,6 +220,7 @@ class Draw:
     rows: tuple[Picked, ...]  # of which functions are made, and at which they are checked
     held_out: tuple[Picked, ...] = ()  # likewise
     grids: tuple[int, ...] = GRIDS  # frequencies of the band, the first number that resolves the responses
+    whole: bool = False  # costly responses of few paths: all at each instant, of which every other one is held out
 
     @classmethod
     def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False) -> Draw:
@@ -201,22 +228,44 @@ class Draw:
         counts, grids = (_COSTLY, (_FEWER, *GRIDS)) if costly else ((_ROWS, _HELD_OUT), GRIDS)
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
+        total = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source)
+        if costly and _LEAST_WHOLE * total <= min(counts):
+            together = sum(counts) * (1 if _outlined(of_scene) else _CHEAPER)
+            rows = tuple(picked_paths(of_scene, source, until, together, rng, whole=True))
+            return cls(of_scene, source, until, rows, (), grids, whole=True)
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in counts)
         return cls(of_scene, source, until, rows, held_out, grids)
+
+    @property
+    def outlined(self) -> bool:
+        """Whether all paths are by scatterers with the shadows of their outlines."""
+        return _outlined(self.tracks)
+
+    def probe(self) -> Draw:
+        """Return the same with few of the instants, where all paths are taken at each."""
+        several = [some for some in self.rows if len(some.first) > 2]
+        rows = tuple(some.thinned(_PROBED) for some in several) or self.rows[::_PROBED]
+        return replace(self, rows=rows) if self.whole else self
 
     def responses(self, band: Band, *, held_out: bool = False) -> Sample:
         """Responses over a band of the paths of which functions are made, or of those at which they are checked."""
         made: list[Any] = []
         beyond: list[Floats] = []
-        at = SceneResponse(self.tracks.paths.scene, self.source, band.frequencies, band.tilt.at(band.frequencies))
+        scene = self.tracks.paths.scene
+        at = SceneResponse(scene, self.source, band.frequencies, band.tilt.at(band.frequencies))
+        middle = int(np.abs(band.frequencies - scene.sources[self.source].emitted.centre_frequency).argmin())
         for some in self.held_out if held_out else self.rows:
             shapes = some.paths.shapes(some.found, some.times, at)
             along = np.swapaxes(shapes, 1, 2).reshape(len(shapes), -1, shapes.shape[3])
             if band.late != 0.0:
                 along = along * np.conj(band.turn)
             along = along * some.scale
+            if some.whole:
+                level = np.sqrt(np.add.reduceat(np.mean(np.abs(along[:, :, middle]) ** 2, axis=0), some.first[:-1]))
+                along /= np.maximum(level, _SILENT).repeat(np.diff(some.first))[:, None]
             made += [channel[begin:end] for begin, end in pairwise(some.first) for channel in along]
-            beyond += [some.found.through[b:e, 0] - 1.0 for b, e in pairwise(some.first) for _ in along]
+            further = some.found.through.T.reshape(-1) - 1.0
+            beyond += [further[begin:end] for begin, end in pairwise(some.first) for _ in along]
         if not made:  # paths that are silent all the time
             return Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64), np.zeros(1))
         first = np.cumsum([0, *(len(rows) for rows in made[:-1])])
@@ -234,9 +283,12 @@ class Draw:
         even = np.linspace(band.low, band.high, count)
         level = np.sqrt(band.energy.max(axis=0))
         level = np.interp(even, band.frequencies[::-1], np.maximum(level / level.max(), _FAINT)[::-1])
-        picked = picked_paths(self.tracks, self.source, self.until, _LATE_ROWS, np.random.default_rng(SEED))
+        few = self.probe()
+        if not self.whole:
+            rng = np.random.default_rng(SEED)
+            few = replace(self, rows=tuple(picked_paths(self.tracks, self.source, self.until, _LATE_ROWS, rng)))
         spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
-        rows = replace(self, rows=tuple(picked)).responses(spread).responses
+        rows = few.responses(spread).responses
         energy = np.sum(np.abs(np.fft.ifft(rows * (level * np.hanning(count)), axis=1)) ** 2, axis=0)
         # The transform goes round: time begins opposite to where most of the energy is, which is late rather than
         # early.
@@ -248,13 +300,19 @@ class Draw:
         return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
 
 
+def _outlined(tracks: SceneTracks) -> bool:
+    vertices = (getattr(pair.family, "vertex", None) for pair in tracks.pair_paths)
+    return all(getattr(vertex, "outlined", False) for vertex in vertices)
+
+
 def picked_paths(
-    tracks: SceneTracks, source: int, until: float, count: int, rng: np.random.Generator
+    tracks: SceneTracks, source: int, until: float, count: int, rng: np.random.Generator, whole: bool = False
 ) -> Iterator[Picked]:
-    """Yield about `count` of a source's paths altogether, at instants of the run."""
+    """Yield about `count` of a source's paths altogether, at instants of the run; `whole`: all at each."""
     pairs = [i for i, g in enumerate(tracks.pairs) if g.source == source]
     if len(pairs) > _MOST_PAIRS:
         pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
+    total = sum(len(tracks.pairs[i].start) for i in pairs)
     few = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
     centre = np.array([tracks.paths.scene.sources[source].emitted.centre_frequency])
     at_centre = SceneResponse(tracks.paths.scene, source, centre)
@@ -264,24 +322,27 @@ def picked_paths(
         if paths.family.varies:
             last = until + _BEYOND
             instants = max(few, min(_MOST_TIMES, count // (len(pairs) * max(len(start), 1))))
+            if whole:
+                instants = max(_LEAST_WHOLE, count // max(total, 1))
         if len(start) > _MOST_PATHS:
             some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
             paths, start, end = paths.part(some), start[some], end[some]
         times = np.sort(rng.uniform(0.0, last, instants))
         times[[0, -1]] = 0.0, last
-        share = -(-count // (len(pairs) * instants))
+        share = max(-(-count // (len(pairs) * instants)), len(start) * whole)
         together = instants if paths.family.one_by_one else max(_IN_CACHE // max(len(start), 1), 1)
         for part in (times[i : i + together] for i in range(0, instants, together)):
             found = paths.arrivals(part, tracks.kinematics)
             received = (part >= start[:, None]) & (part < end[:, None])
-            level = np.where(received, np.abs(paths.response(found, part, at_centre)[..., 0]), 0.0)
+            level = np.ones(received.shape) if whole else np.abs(paths.response(found, part, at_centre)[..., 0])
+            level = np.where(received, level, 0.0)
             level[level < _SILENT] = 0.0
             if paths.family.varies and not paths.family.one_by_one and len(start) <= share and level.all():
                 each = np.repeat(1.0 / np.linalg.norm(level, axis=0), len(start))[:, None]
-                yield Picked(paths, found, part, each, tuple(range(0, level.size + 1, len(start))))
+                yield Picked(paths, found, part, each, tuple(range(0, level.size + 1, len(start))), whole)
                 continue
             for rows, at, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
-                yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first)
+                yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first, whole)
 
 
 def _drawn(

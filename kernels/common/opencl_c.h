@@ -21,6 +21,8 @@ double BUILTIN cbrt(double);
 double BUILTIN fmin(double, double);
 double BUILTIN fmax(double, double);
 double4 BUILTIN fmax(double4, double4);
+double4 BUILTIN convert_double4(long4);
+long4 BUILTIN convert_long4(double4);
 int __attribute__((overloadable)) atomic_inc(volatile __global int*);
 uint __attribute__((overloadable)) atomic_add(volatile __global uint*, uint);
 void __attribute__((overloadable, convergent)) barrier(cl_mem_fence_flags);

@@ -14,7 +14,8 @@ from exhaustive import exhaustive
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
-from clsim.acoustics.silhouette import ASPECTS, CapsuleOutline, EllipsoidOutline, forward_share, outline_field
+from clsim.acoustics.outline import CapsuleOutline, EllipsoidOutline, counts_of_points
+from clsim.acoustics.silhouette import ASPECTS, forward_share, outline_field
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.scene.shaded import hidden_by_several
@@ -222,7 +223,7 @@ def test_outlines_have_enough_points() -> None:
         wave, head.shape.strength(*(np.ascontiguousarray(end.T) for end in ends), None)[1][:, -ASPECTS:]
     )[0]
     outline = head.shape.outline
-    for i, count in enumerate(outline.requested(float(wave[0])).counts(*ends)):
+    for i, count in enumerate(counts_of_points(outline, float(wave[0]), *ends)):
         few, many = (outline_field(outline, wave, *(end[[i]] for end in ends), n)[0] for n in (int(count), 4096))
         assert abs(share[i, 0] * (few - many)) < 1e-3
 

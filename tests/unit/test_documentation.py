@@ -34,6 +34,8 @@ SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
 # Functions that no publication holds, and why; what is derived is derived in their Notes.
 OWN = {
     "advanced": "a delay of transforms",
+    "most_points": "a bound of cost",
+    "steps_of_points": "rounding",
     "blas_threads": "no formula",
     "with_blas_threads": "likewise",
     "harmonic_norm": "a factor of `real_harmonics`",

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from clsim.render.contributions import Stateless
+from clsim.render.interpolator import Bandlimited
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
+from clsim.render.plan import BLOCKS
 from clsim.tracks.splines import audible
 
 if TYPE_CHECKING:
@@ -21,8 +23,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Complexes, Floats
-    from clsim.render.plan import Plan
+    from clsim.render.options import RenderOptions
+    from clsim.render.plan import Allocation, Plan
     from clsim.render.source_filters import SourceFilters
+    from clsim.tracks.tracks import Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,9 +70,37 @@ class PathSum:
         return _Sum(self.plan)
 
 
-def of_shadows(plan: Plan) -> PathSum:
-    """Make the sum over paths with shadows of outlines."""
-    return PathSum(plan.allocation.shadows[0].plan, "shadows")
+def of_pairs(name: str, plan: Plan) -> PathSum:
+    """Make the sum over the paths of a field of the allocation, with a plan of their own."""
+    return PathSum(getattr(plan.allocation, name)[0].plan, name)
+
+
+class Group(NamedTuple):
+    """Pairs with filters of their own: the field of the allocation, their options, indices and lengths of blocks."""
+
+    name: str
+    options: RenderOptions
+    pairs: frozenset[int]
+    blocks: tuple[int, ...]
+
+
+def scattered_groups(tracks: Tracks, convolved: Allocation, options: RenderOptions) -> list[Group]:
+    """Return pairs by scatterers whose fields vary over frequency: those with shadows of outlines, and others."""
+    usable = options.engine == "opencl" and options.baseband is None and isinstance(options.interpolator, Bandlimited)
+    if tracks.of_scene is None or not usable:
+        return []
+    vertices = [getattr(pair.family, "vertex", None) for pair in tracks.of_scene.pair_paths]
+    varied = {i for i, v in enumerate(vertices) if getattr(v, "varies", False)} - convolved.claimed
+    outlined = frozenset(i for i in varied if getattr(vertices[i], "outlined", False))
+    allowed_db, found = options.shadow_error_db, []
+    if allowed_db is None:
+        outlined = frozenset()
+    elif outlined:
+        within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
+        found.append(Group("shadows", within, outlined, BLOCKS[1:]))
+    if varied - outlined:
+        found.append(Group("scattered", replace(options, channels=False), frozenset(varied - outlined), BLOCKS))
+    return found
 
 
 class _Sum(Stateless):

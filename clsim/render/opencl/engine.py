@@ -91,7 +91,7 @@ class OpenclEngine:
             if reached > filters.residual_db > -math.inf:
                 warn(
                     f"source {i}: air, walls and directivities are approximated to {reached:.1f} dB, not the "
-                    f"{filters.basis.requested_db:g} dB asked for; ask for a smaller response_error_db"
+                    f"{filters.basis.requested_db:g} dB asked for; ask for a smaller {filters.basis.option}"
                 )
             wrong, time = self._coarse[i]
             wrong_db = 20.0 * math.log10(max(wrong, 1e-15))

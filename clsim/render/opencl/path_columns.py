@@ -11,6 +11,7 @@ import numpy as np
 from clsim.acoustics import fock, shade, silhouette
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE, adjacent_reflections
+from clsim.acoustics.outline import NEAREST_END, Outline, most_points, steps_of_points
 from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.errors import InputError
@@ -60,6 +61,7 @@ OF_GAINS = {
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
+    "NEAREST_END": NEAREST_END,
     "WITHIN": shade.WITHIN,
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
@@ -246,17 +248,17 @@ class ScattererColumns(StaticColumns):
         found = self._of.uploaded(field_tables=field_tables(waves, table))
         return found | {"middle": middle, "modes": self._of.put(known) if known.size else None}
 
-    def _points(self, outline: silhouette.Outline, waves: Floats, start: int) -> Floats:
+    def _points(self, outline: Outline, waves: Floats, start: int) -> Floats:
         """Numbers and places of an outline's points, in a table that starts at `start`, see ``outline.h``.
 
         Points that are worked on side by side have their numbers beside each other.
         """
-        requested = outline.requested(2.0 * math.pi * float(waves.max()))
-        steps, together = requested.steps(), self._of.together
+        wave, together = 2.0 * math.pi * float(waves.max()), self._of.together
+        steps, most = steps_of_points(outline, wave), most_points(outline, wave)
         tables = [outline.table(count).reshape(6, -1, together).swapaxes(0, 1).ravel() for _, count in steps]
         places = start + 5 + 3 * len(steps) + np.cumsum([0, *(table.size for table in tables)])
         rows = [(limit, count, place) for (limit, count), place in zip(steps, places[:-1], strict=True)]
-        head = [len(steps), requested.fewest, requested.slope, requested.most, requested.largest]
+        head = [len(steps), outline.fewest, wave, most, outline.largest]
         return np.concatenate([head, np.ravel(rows), *tables])
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:

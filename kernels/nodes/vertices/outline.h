@@ -1,5 +1,5 @@
-// Points of the outlines of ellipsoids and capsules as seen along the line of sight, several side by side: twin of `points` in
-// acoustics/silhouette.py.
+// Points of the outlines of ellipsoids and capsules as seen along the line of sight, several side by side: twin of
+// acoustics/outline.py.
 
 #if VERTEX == SCATTERER && PARTS == 2
 #define POINT_COLUMNS 6  // of the table of points: cosine, sine, sign, whether on a side, place there from -1 to 1, share of the length
@@ -57,16 +57,35 @@ static void look_along(outline* o)
     }
 }
 
-// Numbers and place of the points that an outline needs as its ends are now, `RequestedPoints`. Its table has how many steps there are,
-// fewest points, how many more by `x`, most, largest radius; of each step most points asked, points, place.
+// Bound of the largest rate of the phase along the table of points, over the wave number, m: `turning`.
+static double turning_of(const outline* o, double largest)
+{
+    const double* u = o->sight;
+    const double along = fabs(dot_of(o->source, o->one)), aside = fabs(dot_of(o->source, o->other));
+    double most, reach;
+    if (o->is_capsule) {
+        const double side = o->both * (0.4625 * o->both + 2.0 * along), off = along + 0.5 * o->both;
+        most = (2.0 / HALF_TURN) * fmax(side, 2.0 * o->last * sqrt(aside * aside + off * off));
+        reach = (o->axes[2] - o->axes[0]) * fabs(u[2]);
+    } else {
+        const double middle = 0.5 * (o->first + o->last), apart_by = 0.5 * (o->first - o->last);
+        const double parted = sqrt(apart_by * apart_by + o->both * o->both);  // of the difference of the outline's semi-axes
+        double squared = 0.0, inverse = 0.0;
+        for (int i = 0; i < 3; i++) squared += u[i] * u[i] * o->axes[i] * o->axes[i], inverse += u[i] * u[i] / (o->axes[i] * o->axes[i]);
+        most = 2.0 * middle * parted + sqrt(along * along + aside * aside) * (middle + parted);
+        reach = sqrt(fmax(squared - 1.0 / inverse, 0.0));
+    }
+    const double behind = -dot_of(o->source, u) - reach, ahead = dot_of(o->receiver, u) - reach, least = NEAREST_END * largest;
+    return most * (1.0 / fmax(behind, least) + 1.0 / fmax(ahead, least));
+}
+
+// Numbers and place of the points that an outline needs as its ends are now, `counts_of_points`. Its table has how many steps there are,
+// fewest points, largest wave number, most points, largest radius; of each step most points asked, points, place.
 static __global const double* points_asked(const outline* o, __global const double* tables, int first, int* count)
 {
     __global const double* head = tables + first;
     const int steps = (int)head[0];
-    double foot[3];
-    cross_of(o->source, o->sight, foot);
-    const double behind = fmax(-dot_of(o->source, o->sight), head[4]), ahead = fmax(dot_of(o->receiver, o->sight), head[4]);
-    const double asked = fmin(head[1] + head[2] * (head[4] + sqrt(dot_of(foot, foot))) * (1.0 / behind + 1.0 / ahead), head[3]);
+    const double asked = fmin(head[1] + head[2] * turning_of(o, head[4]), head[3]);
     int step = 0;
     while (step + 1 < steps && asked > head[5 + 3 * step]) step++;
     *count = (int)head[6 + 3 * step];

@@ -12,15 +12,15 @@ static void from_table(__global const double* table, double clamped, double* rea
     *imaginary = at[1] + part * (at[3] - at[1]);
 }
 
-// Fock's function of a hard surface, `fock_hard`.
-static void fock_hard(__global const double* table, double xi, float* real, float* imaginary)
+// Fock's function of a hard surface, `fock_hard`, side by side.
+static void fock_hard(__global const double* table, reals xi, reals* real, reals* imaginary)
 {
-    const double clamped = fmin(fmax(xi, FOCK_FIRST), FOCK_LAST), pole = 0.5 / sqrt(HALF_TURN);
-    double x, y;
-    from_table(table, clamped, &x, &y);
-    const int beyond = xi > FOCK_LAST;
-    *real = beyond ? (float)(pole / xi) : (float)(x + pole * clamped / (1.0 + clamped * clamped));
-    *imaginary = beyond ? 0.0f : (float)y;
+    const reals clamped = smaller(larger(xi, (reals)FOCK_FIRST), (reals)FOCK_LAST);
+    const double pole = 0.5 / sqrt(HALF_TURN);
+    for (int i = 0; i < NODES_AT_ONCE; i++) from_table(table, OF_NODE(clamped, i), (double*)real + i, (double*)imaginary + i);
+    const choices beyond = xi > FOCK_LAST;
+    *real = beyond ? pole / xi : *real + pole * clamped / (1.0 + clamped * clamped);
+    *imaginary = beyond ? (reals)0.0 : *imaginary;
 }
 
 // Reflection near grazing incidence over the mirror's, `lit_reflection`.
@@ -61,37 +61,38 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
     const strings of_points = strings_over(p);
     const reals beside = p->beside * p->beside, once = p->step / (2.0 * HALF_TURN);
     const reals inside = p->source < 0.0 && p->receiver > 0.0 ? -p->depth : (reals)0.0;
-    const reals detour = root(of_points.source * of_points.source + beside) + root(of_points.receiver * of_points.receiver + beside) - sight;
+    const reals detour = quick_root(of_points.source * of_points.source + beside) + quick_root(of_points.receiver * of_points.receiver + beside) - sight;
     const reals screens = once * inside / (inside * inside + beside + TINY), offset = of_points.offset;
     const reals edges = once * of_points.width * offset / (offset * offset + beside + TINY);
     const reals curves = p->step * of_points.width * of_points.curve / (of_points.apart * sqrt(HALF_TURN));
+    reals real[KNOWN_AT], imaginary[KNOWN_AT];
+    for (int m = 0; m < KNOWN_AT; m++) {
+        const double root_of_wave = roots->middle + roots->reach * OF_CHEBYSHEV[m];
+        const reals fock = root_of_wave * of_points.fock, near = faded_by(fock, NEAR_WHOLE, NEAR_NONE), smooth = root_of_wave * curves;
+        reals x, y;
+        fock_hard(t->modes, fock, &x, &y);
+        real[m] = near * (edges - smooth * x);
+        imaginary[m] = -near * smooth * y;
+    }
+    for (int order = 1; order < KNOWN_AT; order++) {  // divided differences
+        for (int m = KNOWN_AT - 1; m >= order; m--) {
+            const double apart_by = 1.0 / (OF_CHEBYSHEV[m] - OF_CHEBYSHEV[m - order]);
+            real[m] = (real[m] - real[m - 1]) * apart_by;
+            imaginary[m] = (imaginary[m] - imaginary[m - 1]) * apart_by;
+        }
+    }
     float screen = 0.0f;
     for (int i = 0; i < NODES_AT_ONCE; i++) {
         screen += (float)OF_NODE(screens, i);
         if (OF_NODE(of_points.width, i) <= 0.0 || roots->most * OF_NODE(of_points.fock, i) <= NEAR_NONE) continue;
-        const float edge = (float)OF_NODE(edges, i), smooth = (float)OF_NODE(curves, i), late = (float)-OF_NODE(detour, i);
-        float real[KNOWN_AT], imaginary[KNOWN_AT];
-        for (int m = 0; m < KNOWN_AT; m++) {
-            const double root_of_wave = roots->middle + roots->reach * OF_CHEBYSHEV[m], fock = root_of_wave * OF_NODE(of_points.fock, i);
-            const float near = (float)faded(fock, NEAR_WHOLE, NEAR_NONE);
-            fock_hard(t->modes, fock, real + m, imaginary + m);
-            real[m] = near * (edge - smooth * (float)root_of_wave * real[m]);
-            imaginary[m] *= -near * smooth * (float)root_of_wave;
-        }
-        for (int order = 1; order < KNOWN_AT; order++) {  // divided differences
-            for (int m = KNOWN_AT - 1; m >= order; m--) {
-                const float apart_by = (float)(1.0 / (OF_CHEBYSHEV[m] - OF_CHEBYSHEV[m - order]));
-                real[m] = (real[m] - real[m - 1]) * apart_by;
-                imaginary[m] = (imaginary[m] - imaginary[m - 1]) * apart_by;
-            }
-        }
+        const float late = (float)-OF_NODE(detour, i);
         response one;
         for (int b = 0; b < BIN_VECTORS; b++) {
-            bins u = real[KNOWN_AT - 1], v = imaginary[KNOWN_AT - 1];
+            bins u = (float)OF_NODE(real[KNOWN_AT - 1], i), v = (float)OF_NODE(imaginary[KNOWN_AT - 1], i);
             for (int m = KNOWN_AT - 2; m >= 0; m--) {
                 const bins from = roots->place[b] - (float)OF_CHEBYSHEV[m];
-                u = u * from + real[m];
-                v = v * from + imaginary[m];
+                u = u * from + (float)OF_NODE(real[m], i);
+                v = v * from + (float)OF_NODE(imaginary[m], i);
             }
             one.part[0][b] = u, one.part[1][b] = v;
             turn(&one, b, t->waves[b] * late);
