@@ -129,8 +129,8 @@ class NodeMaker:
         plan, scene = self._plan, self._tracks.paths.scene
         env, pairs = self._environments[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
-        walls = self._columns.met(rows)
-        reflection = np.where(batch.padding[:, None, None], 0.0, env.reflection(walls)).astype(np.float32)
+        reflection = self._columns.reflection(source, rows)
+        reflection = np.where(batch.padding[:, None, None], 0.0, reflection).astype(np.float32)
         receiver_of = np.repeat(np.arange(len(batch.pairs), dtype=np.int32), np.diff(batch.first_slot))
         rate = plan.sampling_rate
         longest, shortest = batch.longest, min(0.0, batch.shortest)  # below 0 s by a receiver's own clock

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.family import Rows
+    from clsim.paths.links import Links
     from clsim.render.opencl.environment import Environment, Walls
     from clsim.render.plan import Plan
     from clsim.tracks.basis import Basis
@@ -128,6 +129,10 @@ class StaticColumns:
         matrix, offset = image.matrix, image.offset
         return self._of.uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
 
+    def reflection(self, source: int, rows: NDArray[np.int64]) -> Floats:
+        """Factors (slots, parts, nodes) of walls that are the same at every angle."""
+        return self._of.environments[source].reflection(self.met(rows))
+
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
         """Walls of paths (slots,) whose factor depends on the angle."""
         return self._of.environments[source].bounces(self.met(rows))
@@ -144,7 +149,54 @@ class StaticColumns:
         """Refuse delays that report that a path was not found between two times, s."""
 
 
-class EdgeColumns(StaticColumns):
+class VertexColumns(StaticColumns):
+    """Columns of paths by one vertex between static legs.
+
+    Those of all paths of a source are made once, since every chunk takes some of them.
+    """
+
+    def __init__(self, of: Rendered) -> None:
+        super().__init__(of)
+        self._known: dict[int, tuple[NDArray[np.int64], dict[str, NDArray[Any]]]] = {}
+
+    def _seen(self, source: int, links: Links) -> NDArray[Any]:
+        """Vertices as both ends are seen from them, without walls that depend on the angle."""
+        raise NotImplementedError
+
+    def _made(self, source: int, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Make the columns of paths (P, ...)."""
+        env, links = self._of.environments[source], self._family.links(rows)
+        wall_of, normal = env.bounces_of_sides(*links.surfaces)
+        views = self._seen(source, links)
+        return {
+            "views": views, "wall_of": wall_of.T, "normal": np.moveaxis(normal, 2, 0),
+            "reflection": super().reflection(source, rows),
+        }  # fmt: skip
+
+    def _column(self, name: str, source: int, rows: NDArray[np.int64]) -> NDArray[Any]:
+        """Take a column of some of a source's paths."""
+        if source not in self._known:
+            mine = np.flatnonzero(self._family.source == source)
+            self._known[source] = mine, self._made(source, mine)
+        mine, made = self._known[source]
+        return made[name][np.searchsorted(mine, rows)]
+
+    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Vertices as both ends are seen from them."""
+        views = self._column("views", source, rows)
+        return self._of.uploaded(views=views) | {"image_matrix": None, "image_offset": None}
+
+    def reflection(self, source: int, rows: NDArray[np.int64]) -> Floats:
+        """Factors (slots, parts, nodes) of walls that are the same at every angle."""
+        return self._column("reflection", source, rows)
+
+    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
+        """Walls of both sides whose factor depends on the angle."""
+        wall_of, normal = (self._column(name, source, rows) for name in ("wall_of", "normal"))
+        return wall_of.T, np.moveaxis(normal, 0, 2)
+
+
+class EdgeColumns(VertexColumns):
     """Columns of paths over one edge: both sides' isometries and the edge's axes."""
 
     vertex = EDGE
@@ -161,10 +213,9 @@ class EdgeColumns(StaticColumns):
             table = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
         return self._of.uploaded(field_tables=field_tables(waves, table)) | {"middle": middle, "modes": None}
 
-    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+    def _seen(self, source: int, links: Links) -> NDArray[Any]:
         """Edges as both ends are seen from them."""
-        links = self._family.links(rows)
-        vertex, edges = links.vertex, np.zeros(len(rows), dtype=EDGE_VIEW)
+        vertex, edges = links.vertex, np.zeros(len(links.vertex), dtype=EDGE_VIEW)
         for end, view in zip(("source", "receiver"), vertex.views(links), strict=True):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
         for name in ("n", "lit", "end_side", "corner"):
@@ -177,19 +228,20 @@ class EdgeColumns(StaticColumns):
         edges["low"] = np.stack([least_angle(vertex.n, beside) for beside in vertex.beside.T], axis=1)
         edges["end"] = np.nan_to_num(vertex.end_place)
         edges["face"] = self._of.environments[source].tables_of(vertex.faces)
-        return self._of.uploaded(views=edges) | {"image_matrix": None, "image_offset": None}
+        return edges
 
-    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
-        """Walls of both sides whose factor depends on the angle."""
-        return self._of.environments[source].bounces_of_sides(*self._family.links(rows).surfaces)
+    def _made(self, source: int, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Make the columns of paths, with the factors of faces that are the same at every angle."""
+        walls = self._family.vertex.part(rows).faces.reshape(-1, 1)
+        factors = self._of.environments[source].reflection(walls).astype(np.float32)
+        return super()._made(source, rows) | {"faces": factors.reshape(len(rows), 2, *factors.shape[1:])}
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Transition functions, and factors of faces that are the same at every angle."""
-        factors = self._of.environments[source].reflection(self._family.vertex.part(rows).faces.reshape(-1, 1))
-        return self._transitions[source] | self._of.uploaded(faces=factors.astype(np.float32))
+        """Transition functions, and factors of faces."""
+        return self._transitions[source] | self._of.uploaded(faces=self._column("faces", source, rows))
 
 
-class ScattererColumns(StaticColumns):
+class ScattererColumns(VertexColumns):
     """Columns of paths by a scatterer: both sides' isometries, and poses and shapes of scatterers."""
 
     vertex, state_numbers = SCATTERER, 6
@@ -259,17 +311,12 @@ class ScattererColumns(StaticColumns):
         head = [len(steps), requested.fewest, requested.slope, requested.most, requested.largest]
         return np.concatenate([head, np.ravel(rows), *tables])
 
-    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+    def _seen(self, source: int, links: Links) -> NDArray[Any]:
         """Scatterers as both ends are seen from them."""
-        links = self._family.links(rows)
         views = self._shapes[source][links.vertex.scatterer]
         for end, leg in zip(("source", "receiver"), links.legs, strict=True):
             views[f"{end}_turn"], views[f"{end}_shift"] = leg.matrix.reshape(-1, 9), leg.offset
-        return self._of.uploaded(views=views) | {"image_matrix": None, "image_offset": None}
-
-    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
-        """Walls of both sides whose factor depends on the angle."""
-        return self._of.environments[source].bounces_of_sides(*self._family.links(rows).surfaces)
+        return np.asarray(views)
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Transition functions and modes."""
