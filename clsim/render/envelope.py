@@ -111,12 +111,12 @@ class EnvelopeFilters(SourceFilters):
 
     carrier: float  # hz
     half: float  # frequencies off the carrier that are held, Hz
-    mixer: Mixer  # applies the functions of the basis
+    mixer: Mixer  # applies the functions of the basis that have branches of their own
     plain: Mixer  # applies none
 
     @property
     def counts(self) -> int:
-        """Branches of each function, four bits each from the lowest; 0 where they are too many for that."""
+        """Branches of each function that has some, four bits each from the lowest; 0 if they are too many for that."""
         counts = [len(bank.taps) for bank in self.banks]
         return sum(n << 4 * k for k, n in enumerate(counts)) if len(counts) < 8 and max(counts) < 16 else 0
 
@@ -137,11 +137,12 @@ class EnvelopeFilters(SourceFilters):
 
     def streams(self, first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last` of the envelope through each function of the basis, (K, n) complex."""
-        return self.mixer(self.signal.read, first, last)
+        mixed = self.mixer(self.signal.read, first, last)
+        return np.stack([mixed, 1j * mixed], axis=1).reshape(-1, last - first) if self.basis.paired else mixed
 
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
-        """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n)."""
-        streams = self.streams(first, last)
+        """Return the non-zero samples of streams with branches from `first` to `last`: offsets (n,), values (K, n)."""
+        streams = self.mixer(self.signal.read, first, last)
         places = np.flatnonzero(np.any(streams != 0.0, axis=0))
         return places, streams[:, places]
 
@@ -206,15 +207,15 @@ def envelope_filters(emission: Emission, half: float, low_pass: Floats, removed_
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
     mu_max = math.ceil((0.52 + 0.5 * WIDEST_SUBBLOCK * max_rate) * 32) / 32
-    banks = []
-    for size in basis.sizes.tolist():
+    banks, step = [], 1 + int(basis.paired)
+    for size in basis.sizes[::step].tolist():
         importance = interpolator.rounded((min(size, 1.0),))
         taps, reached = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
         banks.append(Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, reached))
     every = round(sampling_rate / rate)
     mixer, plain = (
         _mixer(sampling_rate, every, baseband.carrier, low_pass, filters)
-        for filters in (basis.filters, np.ones((1, 1)))
+        for filters in (basis.filters[::step], np.ones((1, 1)))
     )
     highest = baseband.carrier + 0.5 * baseband.bandwidth
     return EnvelopeFilters(

@@ -38,12 +38,12 @@
         ADD_TURNED(k)                                                        \
     }
 
-// The same where counts are constants, four bits each; `x` goes on to the next function.
-#define COUNT(k) (COUNTS >> 4 * ((k) & 7) & 15)
-#define ADD_NEXT(k)                                                                                          \
-    if (FUNCTIONS > k && !(PAIRED & k)) {                                                                    \
-        ADD(k, COUNT(k))                                                                                     \
-        x += (COUNT(k) + (PAIRED ? 2 * COUNT(k + 1) + COUNT(k + 2) : COUNT(k + 1))) * (long)stride;          \
+// The same where counts are constants, four bits each; `x` goes on to the next function with branches of its own.
+#define COUNT(i) (COUNTS >> 4 * ((i) & 7) & 15)
+#define ADD_NEXT(i)                                        \
+    if (FUNCTIONS > (i) << PAIRED) {                       \
+        ADD((i) << PAIRED, COUNT(i))                       \
+        x += (COUNT(i) + COUNT((i) + 1)) * (long)stride;   \
     }
 
 // Add path p of a batch at samples `t` of its block, or from the group's middle; `branches` points at the first of these without delay.

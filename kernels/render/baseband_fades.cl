@@ -29,7 +29,7 @@ __kernel void baseband_fades(
         for (int i = DELAY_TERMS - 1; i >= 0; i--) delayed = delayed * t + c[i * BESIDE];
         const float rest = rounded(delayed), mu = delayed - rest;
         const int whole = delay[node * (long)slots + slot] + (int)rest;
-        for (int k = 0; k < FUNCTIONS; k++) {
+        for (int k = 0; k < FUNCTIONS; k += 1 + PAIRED) {
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
@@ -43,6 +43,12 @@ __kernel void baseband_fades(
             }
             real += gain * a;
             imaginary += gain * b;
+#if PAIRED  // see baseband.cl
+            g += CHANNELS * BESIDE;
+            const float turned = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
+            real -= turned * b;
+            imaginary += turned * a;
+#endif
         }
         half_turns(mu * half_turns_per_sample + whole_turn(whole, turn_per_sample), &cosine, &sine);
         real_sum += both * (real * cosine + imaginary * sine);

@@ -104,11 +104,8 @@ class _BasebandRun(Run):
             "FINE": int(not (on_cpu and self._plan.left_out_over(self._source, block))),
             "COUNTS": filters.counts,
             "SUBBLOCK": filters.bank.subblock,
-            "FUNCTIONS": self._functions,
-            "CHANNELS": self._channels,
-            "PAIRED": int(filters.basis.paired),
         }
-        kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
+        kernel = engine._compiler.kernel("baseband", constants | self._constants(nodes))
         kernel(
             engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),
             **self._envelope_arguments(begin), first_row=filters.rows, first_slot=self._first_slot,
@@ -122,14 +119,18 @@ class _BasebandRun(Run):
         if fades is None:
             return
         slot = engine._upload(fades.slot)
-        constants = {"LANES": 1, "FUNCTIONS": self._functions, "CHANNELS": self._channels}
-        kernel = engine._compiler.kernel("baseband_fades", constants | self._polynomial_constants(nodes))
+        kernel = engine._compiler.kernel("baseband_fades", self._constants(nodes) | {"LANES": 1})
         kernel(
             engine._queue, self._fade_work(fades, block), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
             **self._envelope_arguments(begin), first_row=self._filters.rows,
         )  # fmt: skip
         self._clear_gains(nodes, slot, engine._upload(fades.block + np.int32(first_block)))
+
+    def _constants(self, nodes: Any) -> dict[str, int]:
+        """Return the constants of programs that sum envelopes."""
+        of_functions = {"FUNCTIONS": self._functions, "PAIRED": int(self._filters.basis.paired)}
+        return self._polynomial_constants(nodes) | of_functions | {"CHANNELS": self._channels}
 
     @property
     def _filters(self) -> EnvelopeFilters:

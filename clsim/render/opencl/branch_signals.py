@@ -214,13 +214,14 @@ class BranchSignals:
         channel = _VECTORS * self._lanes
         constants = {"LANES": self._lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
         kernel = self._compiler.kernel("branches", constants)
+        first_rows = filters.rows[:: 1 + int(filters.basis.paired)]
         for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
             rows, taps = bank.taps.shape
             kernel(
                 self._queue, work(feed.width // channel, rows), emitted=emitted,
                 first_emitted=(k * self._parts + part) * samples + feed.before - bank.before,
                 taps=bank.taps, tap_count=taps, width=feed.width, stride=stride,
-                first_row=self._parts * filters.rows[k] + part * rows, rows=out,
+                first_row=self._parts * first_rows[k] + part * rows, rows=out,
                 sparse=found is not None, following=following,
             )  # fmt: skip
         return Branches(out, stride, feed.first, feed.least, feed.most, found)
