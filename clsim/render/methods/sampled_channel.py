@@ -304,7 +304,7 @@ class ChannelEngine(OpenclEngine):
         most = round((max(float(pair.high.max()) for pair in active) + begin) * rate)
         branches = Branches(None, 0, start - most, least - _MARGIN, most + _MARGIN, None)
         received = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
-        for batch in in_batches(plan, received, self.kind, self.limits.node_budget, plan.blocks[0], apart=_APART):
+        for batch in in_batches(plan, received, self.kind, self.budget, plan.blocks[0], apart=_APART):
             task = ChannelTask(source, batch, branches, None, length, start, 0, -(-length // plan.segment), frames)
             _ChannelRun(self, task).render()
 

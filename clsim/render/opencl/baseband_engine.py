@@ -55,11 +55,12 @@ class _BasebandRun(Run):
 
     _engine: BasebandEngine
 
-    def render(self) -> None:
+    def render(self, level: int = 0) -> None:
         """Add the batch's paths to the envelopes, and remember the longest blocks in which it was rendered."""
         self._rendered = len(self._plan.blocks)
-        super().render()
-        self._engine.levels[self._source] = self._rendered
+        super().render(level)
+        if level == 0:
+            self._engine.levels[self._source] = self._rendered
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level or below, beginning with those that may do."""
@@ -79,7 +80,9 @@ class _BasebandRun(Run):
                 begin = at * plan.segment
                 few = min(_FEW, (self._length - begin) // block)
                 nodes = self._maker.nodes(self._state, self._start + begin, block, few)
-                errors.append(float(nodes.error.max()))
+                number = self._start // plan.segment + at
+                error, few = self._errors(nodes, number, divides=self._beside)
+                errors.append(0.0 if few.any() else float(error.max()))
             # Where they are too long, shorter ones are made as well: one after the other 1 + share * block / shorter.
             if np.mean(np.array(errors) > self._tolerance) <= 1.0 - shorter / block:
                 return level
@@ -101,7 +104,7 @@ class _BasebandRun(Run):
             "LANES": lanes,
             "GROUPS": together,
             "BATCH": BATCH if on_cpu else 1,
-            "FINE": int(not (on_cpu and self._plan.left_out_over(self._source, block))),
+            "FINE": int(not (on_cpu and self._plan.left_out_over(self._source, block, few=self._batch.few))),
             "COUNTS": filters.counts,
             "SUBBLOCK": filters.bank.subblock,
         }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -109,6 +109,7 @@ class PathBatch:
     shortest: float  # bounds of all delays over the chunk, s
     longest: float  # likewise
     bounds: Boundaries  # active intervals of the slots
+    few: bool = False  # of a batch, which need shorter blocks
 
     @property
     def count(self) -> int:
@@ -118,6 +119,20 @@ class PathBatch:
     def of_pair(self, i: int) -> slice:
         """Return the slots of the batch's i-th pair."""
         return slice(int(self.first_slot[i]), int(self.first_slot[i + 1]))
+
+    def part(self, chosen: NDArray[np.bool_]) -> PathBatch:
+        """Return some slots, at least one, of the pairs that have any, each filled up to whole batches."""
+        found = [np.flatnonzero(chosen[self.of_pair(i)]) + self.first_slot[i] for i in range(len(self.pairs))]
+        pairs = [i for i, slots in enumerate(found) if len(slots)]
+        filled = [np.append(found[i], np.full(-len(found[i]) % BATCH, found[i][-1])) for i in pairs]
+        padding = np.concatenate([np.arange(len(slots)) >= len(found[i]) for i, slots in zip(pairs, filled, strict=True)])
+        slots, bounds = np.concatenate(filled), self.bounds
+        first, last = (np.where(padding, far, x[slots]) for far, x in ((_NEVER, bounds.first), (-_NEVER, bounds.last)))
+        return replace(
+            self, few=True, pairs=tuple(self.pairs[i] for i in pairs), receiver=self.receiver[pairs], row=self.row[pairs],
+            first_slot=np.cumsum([0, *map(len, filled)], dtype=np.int32), path=self.path[slots], padding=padding,
+            bounds=replace(bounds, start=bounds.start[slots], end=bounds.end[slots], first=first, last=last),
+        )  # fmt: skip
 
     def fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
@@ -174,11 +189,11 @@ def in_batches(
     plan: Plan,
     active: list[ActivePaths],
     kind: Callable[[int], object],
-    budget: float,
+    budget: Callable[[Any], float],
     block: int,
     apart: int = 1,
 ) -> list[PathBatch]:
-    """Cut a source's pairs into batches of slots: as many as fit the budget of nodes in blocks of a length, bytes.
+    """Cut a source's pairs into batches of slots: as many as fit the budget of their kind in blocks of a length, bytes.
 
     All pairs of a batch have their nodes made by the same maker, which the kind stands for, and as many channels. No
     receiver is in it twice, with paths of two kinds or too many for a launch: work-groups that add to the same samples
@@ -189,9 +204,10 @@ def in_batches(
     for pair in active:
         member, row = plan.tracks.pairs[pair.index], plan.rows_of_pair(pair.index).start
         channels, slots = len(member.channels), -(-len(pair.rows) // BATCH) * BATCH
-        alike = kind(pair.index), channels
+        family = kind(pair.index)
+        alike = family, channels
         a_segment = plan.bytes_per_node(member.source, channels) * (plan.segment // block)
-        if count + slots > max(BATCH, budget // a_segment) or alike != last or row in there:
+        if count + slots > max(BATCH, budget(family) // a_segment) or alike != last or row in there:
             batches.append([])
             count, last, there = 0, alike, set()
         batches[-1].append(pair)

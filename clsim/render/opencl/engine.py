@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,12 +13,13 @@ from clsim.errors import ClsimError, DeviceError, warn
 from clsim.opencl.device import check_group, find_device
 from clsim.opencl.launch import Scratch, compiler_of, upload, work
 from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT, Layout, PathBatch, equal_runs, in_batches
-from clsim.render.opencl.block_polynomials import Residual, promising
+from clsim.render.opencl.block_polynomials import Residual, promising, worst
 from clsim.render.opencl.branch_signals import Branches, BranchSignals, Limits
 from clsim.render.opencl.environment import has_directivity
 from clsim.render.opencl.host_nodes import HostNodeMaker, PairNodeMaker
 from clsim.render.opencl.nodes import NodeMaker
 from clsim.render.opencl.path_columns import COLUMNS
+from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
 _CHANNELS = 16  # of a receiver that are summed at a time
+_FEW = 4  # times fewer paths than in a batch take shorter blocks without the others
+_TURN = 4  # segments at a time in which they do
 
 
 class OpenclEngine:
@@ -132,6 +136,10 @@ class OpenclEngine:
             )  # fmt: skip
         return self._makers[kind]
 
+    def budget(self, family: PathFamily | None) -> float:
+        """Return the bytes of nodes of a batch of some kind in the shortest blocks, which few of its paths may need."""
+        return self.limits.node_budget * (_FEW if is_divided(family) else 1)
+
     @property
     def run(self) -> type[Run]:
         """Class that renders a batch of receivers."""
@@ -161,7 +169,7 @@ class OpenclEngine:
                 ramp = 0.5 * plan.tracks.transition
                 here = [pair.during(plan.tracks.pairs[pair.index], ramp, begin, end) for pair in active]
                 parts = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
-                for batch in in_batches(plan, parts, self.kind, self.limits.node_budget, plan.shortest_block):
+                for batch in in_batches(plan, parts, self.kind, self.budget, plan.shortest_block):
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         for residuals in self.residuals:
             residuals.settle((start + length) // plan.segment)
@@ -179,6 +187,12 @@ class OpenclEngine:
         return upload(self._context, array)
 
 
+def is_divided(family: PathFamily | None) -> bool:
+    """Test whether a few paths of a kind may need shorter blocks than others: at edges, by scatterers and by bodies."""
+    at_vertex = getattr(family, "vertex", None) is not None
+    return family is not None and (at_vertex or (family.moves and not family.is_specular))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
     """The paths of a batch of receivers from one source, over some segments of a chunk."""
@@ -191,12 +205,14 @@ class Task:
     start: int  # likewise
     first: int  # segments of the chunk, the last one not among them
     last: int  # likewise
+    share: float = field(default=1.0, kw_only=True)  # of the square of the allowed error
 
 
 class Run:
     """Carries out a task, choosing the block length for each segment."""
 
     _apart = False  # whether each path has a row of its own
+    _divides = True  # whether a few paths can be taken out of a batch
 
     def __init__(self, engine: OpenclEngine, task: Task) -> None:
         self._engine, self._plan, self._task = engine, engine._plan, task
@@ -213,16 +229,14 @@ class Run:
             task.source, task.batch, self._bounds, task.start + begin, end - begin, task.branches.activity,
             task.branches.first,
         )  # fmt: skip
-        family = engine.kind(task.batch.pairs[0])
-        self._skips_levels = getattr(family, "vertex", None) is not None
-        self._beside = family is not None and (self._skips_levels or (family.moves and not family.is_specular))
-        self._tolerance = 10 ** (self._plan.motion_error_db / 20)
+        self._beside = is_divided(engine.kind(task.batch.pairs[0]))
+        self._tolerance = 10 ** (self._plan.motion_error_db / 20) * math.sqrt(task.share)
         self._functions = len(self._plan.source_filters[task.source].basis)
         self._gains = self._functions * self._channels  # of a path
 
-    def render(self) -> None:
-        """Add the batch's paths to the pressure on the device."""
-        self._cover(self._task.first, self._task.last, 0)
+    def render(self, level: int = 0) -> None:
+        """Add the batch's paths to the pressure on the device, in blocks of a level or shorter ones."""
+        self._cover(self._task.first, self._task.last, level)
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
@@ -240,9 +254,11 @@ class Run:
                 lambda: self._engine.branch_signals.prefetch(self._source, self._start),
             )  # fmt: skip
             self._check(nodes.shortest, nodes.longest)
-            error = nodes.error * self._beside_others(nodes, self._start // segment + at)
-            wanted = self._levels(error, level)
-            if level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1]):
+            number = self._start // segment + at
+            is_last = level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1])
+            error, few = self._errors(nodes, number, divides=self._beside and self._divides and not is_last)
+            wanted = self._levels(np.where(few.any(axis=1), 0.0, error), level)
+            if is_last:
                 for i in np.flatnonzero(wanted > level).tolist():
                     middle = self._start + (at + i + 0.5) * segment
                     self._engine.note_coarse(self._source, float(error[i]), middle / plan.sampling_rate)
@@ -250,33 +266,62 @@ class Run:
             for a, b in equal_runs(wanted):
                 if wanted[a] > level:
                     self._cover(at + a, at + b, int(wanted[a]))
-                else:
-                    number = self._start // segment + at + a
-                    self._engine.residuals[self._source].add(number, self._batch.receiver, nodes.residual[:, a:b])
-                    self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
+                    continue
+                for c, d in equal_runs(few[a:b].any(axis=1) * (1 + np.arange(b - a) // _TURN)):
+                    shorter = int(self._promising_levels(error[a + c : a + d], level).min())
+                    self._take(nodes, (at, a + c, a + d), (level, shorter), few[a + c : a + d].any(axis=0))
 
-    def _beside_others(self, nodes: Any, first: int) -> Floats:
-        """Ratios (segments,) of the level of these paths to that with all that were rendered before.
+    def _take(
+        self, nodes: Any, segments: tuple[int, int, int], levels: tuple[int, int], few: NDArray[np.bool_]
+    ) -> None:
+        """Render nodes of some segments, counted from the first one, and in shorter blocks the paths of a few slots."""
+        (at, a, b), (level, shorter) = segments, levels
+        squares, block, segment = nodes.squares[:, a:b], self._plan.blocks[level], self._plan.segment
+        first_block, number = a * segment // block, self._start // segment + at + a
+        if few.any():
+            blocks = np.arange(first_block, b * segment // block, dtype=np.int32)
+            slots = np.flatnonzero(few).astype(np.int32)
+            upload = self._engine._upload
+            self._clear_gains(nodes, upload(np.repeat(slots, len(blocks))), upload(np.tile(blocks, len(slots))))
+            squares = np.where(few, 0.0, squares)
+        of_receivers = np.add.reduceat(squares[2:0:-1], self._batch.first_slot[:-1], axis=2, dtype=np.float64)
+        self._engine.residuals[self._source].add(number, self._batch.receiver, of_receivers)
+        self._render(nodes, at + a, min((at + b) * segment, self._length), block, first_block)
+        if few.any():
+            share, batch = 0.5 * self._task.share, self._batch.part(few)
+            task = replace(self._task, batch=batch, first=at + a, last=at + b, share=share)
+            type(self)(self._engine, task).render(shorter)
 
-        Reflections come first. At edges, by scatterers and by bodies errors are relative to all of it, of the receiver
-        where they are most.
+    def _errors(self, nodes: Any, first: int, *, divides: bool) -> tuple[Floats, NDArray[np.bool_]]:
+        """Errors (segments,) relative to what is heard, of the receiver where they are most, and few paths apart.
+
+        Errors of paths add up like the paths themselves: as the root of the sum of squares. At edges, by scatterers and
+        by bodies they are relative to all that was rendered before, too: reflections come first. The mask (segments,
+        slots) is that of the few paths, where others need shorter blocks for these alone: their errors are left out.
         """
-        own = nodes.residual[1]
-        if not self._beside:
-            return np.ones(len(own))
-        level = self._engine.residuals[self._source].level
-        before = np.stack([level(first + i, self._batch.receiver) for i in range(len(own))])
-        return np.asarray(np.sqrt(own / np.maximum(own + before, 1e-30)).max(axis=1))
+        wrong, heard, _ = np.add.reduceat(nodes.squares, self._batch.first_slot[:-1], axis=2)
+        if self._beside:
+            level = self._engine.residuals[self._source].level
+            heard = heard + np.stack([level(first + i, self._batch.receiver) for i in range(len(heard))])
+        heard = np.maximum(np.sqrt(heard, dtype=np.float64), self._plan.tracks.faint)
+        error, few = (np.sqrt(wrong, dtype=np.float64) / heard).max(axis=1), np.zeros(nodes.squares.shape[1:], np.bool_)
+        for i in np.flatnonzero(error > self._tolerance).tolist() if divides else []:
+            for allowed, (a, b) in zip(heard[i], pairwise(self._batch.first_slot.tolist()), strict=True):
+                few[i, a:b] = worst(nodes.squares[0, i, a:b], 0.5 * (self._tolerance * float(allowed)) ** 2)
+            few[i] &= _FEW * self._batch.part(few[i]).count <= self._batch.count
+        return error, few
 
     def _levels(self, error: Floats, level: int) -> NDArray[np.int64]:
         """Return the levels of blocks to try next for segments with errors (segments,): the same where they will do."""
-        wanted = level + (error > self._tolerance)
-        if self._skips_levels:
-            blocks = np.array([b for b in self._plan.blocks if self._fits(b)])
-            wanted = np.where(
-                wanted > level, np.maximum(wanted, promising(blocks, level, error / self._tolerance)), level
-            )
-        return np.asarray(wanted)
+        too_long, wanted = error > self._tolerance, np.full(len(error), level + 1)
+        if self._beside and (self._batch.few or self._batch.count < _FEW * BATCH):  # too few for a part of them
+            wanted = self._promising_levels(error, level)
+        return np.where(too_long, wanted, level)
+
+    def _promising_levels(self, error: Floats, level: int) -> NDArray[np.int64]:
+        """Return the levels of shorter blocks that may do for segments with errors (segments,) at a level."""
+        blocks = np.array([b for b in self._plan.blocks if self._fits(b)])
+        return np.maximum(promising(blocks, level, error / self._tolerance), level + 1)
 
     def _fits(self, block: int) -> bool:
         """Test whether the polynomials of one segment in blocks of a length fit into memory."""
