@@ -28,9 +28,9 @@ from clsim.render.contributions import Stateless
 from clsim.render.interpolator import Bandlimited
 from clsim.render.methods.costs import is_passed, measured_costs, on_gpu, passes
 from clsim.render.methods.per_sample import PathSum
-from clsim.render.opencl.batches import ActivePaths, in_batches
+from clsim.render.opencl.batches import ActivePaths, Task, in_batches
 from clsim.render.opencl.branch_signals import Branches
-from clsim.render.opencl.engine import OpenclEngine, Run, Task
+from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.opencl.host_nodes import side_by_side, thread_count
 from clsim.render.plan import LONG_BLOCKS
 from clsim.scene.directivity.directivity import ChannelDirectivity
@@ -304,7 +304,7 @@ class ChannelEngine(OpenclEngine):
         most = round((max(float(pair.high.max()) for pair in active) + begin) * rate)
         branches = Branches(None, 0, start - most, least - _MARGIN, most + _MARGIN, None)
         received = [part for pair in active for part in pair.parts(self.limits.paths_in_launch)]
-        for batch in in_batches(plan, received, self.kind, self.budget, plan.blocks[0], apart=_APART):
+        for batch in in_batches(plan, received, self.kind, self.limits.node_budget, plan.blocks[0], apart=_APART):
             task = ChannelTask(source, batch, branches, None, length, start, 0, -(-length // plan.segment), frames)
             _ChannelRun(self, task).render()
 

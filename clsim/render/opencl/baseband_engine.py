@@ -75,11 +75,11 @@ class _BasebandRun(Run):
         places = [first + (last - first) * (2 * i + 1) // (2 * _PLACES) for i in range(_PLACES)]
         while level < len(plan.blocks) - 1:
             block, shorter = plan.blocks[level : level + 2]
-            errors = []
+            errors: list[float] = []
             for at in places:
                 begin = at * plan.segment
-                few = min(_FEW, (self._length - begin) // block)
-                nodes = self._maker.nodes(self._state, self._start + begin, block, few)
+                blocks = min(_FEW, (self._length - begin) // block)
+                nodes = self._maker.nodes(self._state, self._start + begin, block, blocks)
                 number = self._start // plan.segment + at
                 error, few = self._errors(nodes, number, divides=self._beside)
                 errors.append(0.0 if few.any() else float(error.max()))
@@ -128,7 +128,7 @@ class _BasebandRun(Run):
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
             **self._envelope_arguments(begin), first_row=self._filters.rows,
         )  # fmt: skip
-        self._clear_gains(nodes, slot, engine._upload(fades.block + np.int32(first_block)))
+        self._clear_gains(nodes, slot, fades.block + np.int32(first_block), len(fades.slot))
 
     def _constants(self, nodes: Any) -> dict[str, int]:
         """Return the constants of programs that sum envelopes."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.family import PathFamily
+    from clsim.render.opencl.branch_signals import Branches
     from clsim.render.plan import Plan
     from clsim.tracks.tracks import PairTracks
 
@@ -125,12 +127,13 @@ class PathBatch:
         found = [np.flatnonzero(chosen[self.of_pair(i)]) + self.first_slot[i] for i in range(len(self.pairs))]
         pairs = [i for i, slots in enumerate(found) if len(slots)]
         filled = [np.append(found[i], np.full(-len(found[i]) % BATCH, found[i][-1])) for i in pairs]
-        padding = np.concatenate([np.arange(len(slots)) >= len(found[i]) for i, slots in zip(pairs, filled, strict=True)])
         slots, bounds = np.concatenate(filled), self.bounds
+        padding = np.append(False, slots[1:] == slots[:-1])
         first, last = (np.where(padding, far, x[slots]) for far, x in ((_NEVER, bounds.first), (-_NEVER, bounds.last)))
         return replace(
-            self, few=True, pairs=tuple(self.pairs[i] for i in pairs), receiver=self.receiver[pairs], row=self.row[pairs],
-            first_slot=np.cumsum([0, *map(len, filled)], dtype=np.int32), path=self.path[slots], padding=padding,
+            self, few=True, pairs=tuple(self.pairs[i] for i in pairs), receiver=self.receiver[pairs],
+            row=self.row[pairs], path=self.path[slots], padding=padding,
+            first_slot=np.cumsum([0, *map(len, filled)], dtype=np.int32),
             bounds=replace(bounds, start=bounds.start[slots], end=bounds.end[slots], first=first, last=last),
         )  # fmt: skip
 
@@ -185,15 +188,39 @@ class Fades:
     at: NDArray[np.int32]  # (places,) its block
 
 
+FEW = 4  # times fewer paths than in a batch take shorter blocks without the others
+
+
+def is_divided(family: PathFamily | None) -> bool:
+    """Test whether a few paths of a kind may need shorter blocks than others: at edges, by scatterers and by bodies."""
+    at_vertex = getattr(family, "vertex", None) is not None
+    return family is not None and (at_vertex or (family.moves and not family.is_specular))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """The paths of a batch of receivers from one source, over some segments of a chunk."""
+
+    source: int  # index
+    batch: PathBatch  # the paths
+    branches: Branches  # the source's branch signals for this chunk
+    pressure: Any  # (rows, length) to which it is added
+    length: int  # samples of the chunk, whole blocks, and the first of them
+    start: int  # likewise
+    first: int  # segments of the chunk, the last one not among them
+    last: int  # likewise
+    share: float = field(default=1.0, kw_only=True)  # of the square of the allowed error
+
+
 def in_batches(
     plan: Plan,
     active: list[ActivePaths],
-    kind: Callable[[int], object],
-    budget: Callable[[Any], float],
+    kind: Callable[[int], PathFamily | None],
+    budget: float,
     block: int,
     apart: int = 1,
 ) -> list[PathBatch]:
-    """Cut a source's pairs into batches of slots: as many as fit the budget of their kind in blocks of a length, bytes.
+    """Cut a source's pairs into batches of slots: as many as fit the budget of nodes in blocks of a length, bytes.
 
     All pairs of a batch have their nodes made by the same maker, which the kind stands for, and as many channels. No
     receiver is in it twice, with paths of two kinds or too many for a launch: work-groups that add to the same samples
@@ -207,7 +234,8 @@ def in_batches(
         family = kind(pair.index)
         alike = family, channels
         a_segment = plan.bytes_per_node(member.source, channels) * (plan.segment // block)
-        if count + slots > max(BATCH, budget(family) // a_segment) or alike != last or row in there:
+        most = budget * (FEW if is_divided(family) else 1) // a_segment
+        if count + slots > max(BATCH, most) or alike != last or row in there:
             batches.append([])
             count, last, there = 0, alike, set()
         batches[-1].append(pair)

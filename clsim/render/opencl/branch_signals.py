@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import InputError
+from clsim.errors import ClsimError, InputError
 from clsim.opencl.device import FLOAT64, MOST_INDEX, SHARE, check_buffers, operations_in_launch
 from clsim.opencl.launch import upload, work
 from clsim.render.opencl.batches import CELL, ActivePaths, Activity, find_activity
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clsim.opencl.device import DeviceInfo
     from clsim.opencl.launch import Compiler, Scratch
     from clsim.render.plan import Plan
+    from clsim.render.source_filters import SourceFilters
 
 _LEVELS = 3  # block lengths whose polynomials are kept at the same time
 _OPERATIONS_PER_SAMPLE = 10.0  # of a path, beside two for every branch
@@ -127,6 +128,15 @@ class Branches:
     least: int  # of these
     most: int
     activity: Activity | None  # where it is worth leaving out what is silent
+
+    def check(self, shortest: float, longest: float, filters: SourceFilters) -> None:
+        """Refuse delays (s) beyond these signals: it would mean that the bounds of the delays are wrong."""
+        low, high = ((delay + filters.start) * filters.rate for delay in (shortest, longest))
+        if not (low > self.least + 1 and high < self.most - 1):
+            raise ClsimError(
+                f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
+                "please report this scene as a defect"
+            )
 
 
 class BranchSignals:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimError, DeviceError, warn
+from clsim.errors import DeviceError, warn
 from clsim.opencl.device import check_group, find_device
 from clsim.opencl.launch import Scratch, compiler_of, upload, work
-from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT, Layout, PathBatch, equal_runs, in_batches
-from clsim.render.opencl.block_polynomials import Residual, promising, worst
-from clsim.render.opencl.branch_signals import Branches, BranchSignals, Limits
+from clsim.render.opencl.batches import CPU_LAYOUT, FEW, GPU_LAYOUT, Layout, Task, equal_runs, in_batches, is_divided
+from clsim.render.opencl.block_polynomials import Residual, block_errors, few_paths, promising
+from clsim.render.opencl.branch_signals import BranchSignals, Limits
 from clsim.render.opencl.environment import has_directivity
 from clsim.render.opencl.host_nodes import HostNodeMaker, PairNodeMaker
 from clsim.render.opencl.nodes import NodeMaker
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
 _CHANNELS = 16  # of a receiver that are summed at a time
-_FEW = 4  # times fewer paths than in a batch take shorter blocks without the others
 _TURN = 4  # segments at a time in which they do
 
 
@@ -136,10 +134,6 @@ class OpenclEngine:
             )  # fmt: skip
         return self._makers[kind]
 
-    def budget(self, family: PathFamily | None) -> float:
-        """Return the bytes of nodes of a batch of some kind in the shortest blocks, which few of its paths may need."""
-        return self.limits.node_budget * (_FEW if is_divided(family) else 1)
-
     @property
     def run(self) -> type[Run]:
         """Class that renders a batch of receivers."""
@@ -169,7 +163,7 @@ class OpenclEngine:
                 ramp = 0.5 * plan.tracks.transition
                 here = [pair.during(plan.tracks.pairs[pair.index], ramp, begin, end) for pair in active]
                 parts = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
-                for batch in in_batches(plan, parts, self.kind, self.budget, plan.shortest_block):
+                for batch in in_batches(plan, parts, self.kind, self.limits.node_budget, plan.shortest_block):
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
         for residuals in self.residuals:
             residuals.settle((start + length) // plan.segment)
@@ -185,27 +179,6 @@ class OpenclEngine:
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._context, array)
-
-
-def is_divided(family: PathFamily | None) -> bool:
-    """Test whether a few paths of a kind may need shorter blocks than others: at edges, by scatterers and by bodies."""
-    at_vertex = getattr(family, "vertex", None) is not None
-    return family is not None and (at_vertex or (family.moves and not family.is_specular))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Task:
-    """The paths of a batch of receivers from one source, over some segments of a chunk."""
-
-    source: int  # index
-    batch: PathBatch  # the paths
-    branches: Branches  # the source's branch signals for this chunk
-    pressure: Any  # (rows, length) to which it is added
-    length: int  # samples of the chunk, whole blocks, and the first of them
-    start: int  # likewise
-    first: int  # segments of the chunk, the last one not among them
-    last: int  # likewise
-    share: float = field(default=1.0, kw_only=True)  # of the square of the allowed error
 
 
 class Run:
@@ -253,7 +226,7 @@ class Run:
                 self._state, self._start + begin, block, (end - begin) // block,
                 lambda: self._engine.branch_signals.prefetch(self._source, self._start),
             )  # fmt: skip
-            self._check(nodes.shortest, nodes.longest)
+            self._branches.check(nodes.shortest, nodes.longest, plan.source_filters[self._source])
             number = self._start // segment + at
             is_last = level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1])
             error, few = self._errors(nodes, number, divides=self._beside and self._divides and not is_last)
@@ -268,77 +241,58 @@ class Run:
                     self._cover(at + a, at + b, int(wanted[a]))
                     continue
                 for c, d in equal_runs(few[a:b].any(axis=1) * (1 + np.arange(b - a) // _TURN)):
-                    shorter = int(self._promising_levels(error[a + c : a + d], level).min())
-                    self._take(nodes, (at, a + c, a + d), (level, shorter), few[a + c : a + d].any(axis=0))
+                    self._take(nodes, at, slice(a + c, a + d), level, (error, few))
 
-    def _take(
-        self, nodes: Any, segments: tuple[int, int, int], levels: tuple[int, int], few: NDArray[np.bool_]
-    ) -> None:
-        """Render nodes of some segments, counted from the first one, and in shorter blocks the paths of a few slots."""
-        (at, a, b), (level, shorter) = segments, levels
-        squares, block, segment = nodes.squares[:, a:b], self._plan.blocks[level], self._plan.segment
+    def _take(self, nodes: Any, at: int, some: slice, level: int, judged: tuple[Floats, NDArray[Any]]) -> None:
+        """Render nodes of some segments, counted from one on, and the few paths among them in shorter blocks."""
+        a, b, (error, few), segment = some.start, some.stop, (each[some] for each in judged), self._plan.segment
+        squares, block, out = nodes.squares[:, some], self._plan.blocks[level], few.any(axis=0)
         first_block, number = a * segment // block, self._start // segment + at + a
-        if few.any():
+        if out.any():
             blocks = np.arange(first_block, b * segment // block, dtype=np.int32)
-            slots = np.flatnonzero(few).astype(np.int32)
-            upload = self._engine._upload
-            self._clear_gains(nodes, upload(np.repeat(slots, len(blocks))), upload(np.tile(blocks, len(slots))))
-            squares = np.where(few, 0.0, squares)
+            slots = np.flatnonzero(out).astype(np.int32).repeat(len(blocks))
+            self._clear_gains(nodes, slots, np.resize(blocks, len(slots)), len(slots))
+            squares = np.where(out, 0.0, squares)
         of_receivers = np.add.reduceat(squares[2:0:-1], self._batch.first_slot[:-1], axis=2, dtype=np.float64)
         self._engine.residuals[self._source].add(number, self._batch.receiver, of_receivers)
         self._render(nodes, at + a, min((at + b) * segment, self._length), block, first_block)
-        if few.any():
-            share, batch = 0.5 * self._task.share, self._batch.part(few)
+        if out.any():
+            batch, share = self._batch.part(np.asarray(out)), 0.5 * self._task.share
             task = replace(self._task, batch=batch, first=at + a, last=at + b, share=share)
-            type(self)(self._engine, task).render(shorter)
+            type(self)(self._engine, task).render(int(self._promising_levels(error, level).min()))
 
     def _errors(self, nodes: Any, first: int, *, divides: bool) -> tuple[Floats, NDArray[np.bool_]]:
-        """Errors (segments,) relative to what is heard, of the receiver where they are most, and few paths apart.
+        """Errors (segments,) of blocks relative to what is heard, of the receiver where they are most, and few paths.
 
-        Errors of paths add up like the paths themselves: as the root of the sum of squares. At edges, by scatterers and
-        by bodies they are relative to all that was rendered before, too: reflections come first. The mask (segments,
-        slots) is that of the few paths, where others need shorter blocks for these alone: their errors are left out.
+        At edges, by scatterers and by bodies it is all that was rendered before, too: reflections come first. The mask
+        (segments, slots) is that of the few paths for which alone others would need shorter blocks.
         """
-        wrong, heard, _ = np.add.reduceat(nodes.squares, self._batch.first_slot[:-1], axis=2)
-        if self._beside:
-            level = self._engine.residuals[self._source].level
-            heard = heard + np.stack([level(first + i, self._batch.receiver) for i in range(len(heard))])
-        heard = np.maximum(np.sqrt(heard, dtype=np.float64), self._plan.tracks.faint)
-        error, few = (np.sqrt(wrong, dtype=np.float64) / heard).max(axis=1), np.zeros(nodes.squares.shape[1:], np.bool_)
+        level, begins = self._engine.residuals[self._source].level, self._batch.first_slot
+        few = np.zeros(nodes.squares.shape[1:], dtype=np.bool_)
+        before = np.stack([level(first + i, self._batch.receiver) for i in range(len(few))]) if self._beside else 0.0
+        error, heard = block_errors(nodes.squares, begins, before, self._plan.tracks.faint)
         for i in np.flatnonzero(error > self._tolerance).tolist() if divides else []:
-            for allowed, (a, b) in zip(heard[i], pairwise(self._batch.first_slot.tolist()), strict=True):
-                few[i, a:b] = worst(nodes.squares[0, i, a:b], 0.5 * (self._tolerance * float(allowed)) ** 2)
-            few[i] &= _FEW * self._batch.part(few[i]).count <= self._batch.count
+            few[i] = few_paths(nodes.squares[0, i], begins, 0.5 * (self._tolerance * heard[i]) ** 2)
+            few[i] &= FEW * self._batch.part(few[i]).count <= self._batch.count
         return error, few
 
     def _levels(self, error: Floats, level: int) -> NDArray[np.int64]:
         """Return the levels of blocks to try next for segments with errors (segments,): the same where they will do."""
-        too_long, wanted = error > self._tolerance, np.full(len(error), level + 1)
-        if self._beside and (self._batch.few or self._batch.count < _FEW * BATCH):  # too few for a part of them
+        wanted = np.full(len(error), level + 1)
+        if self._beside and (self._batch.few or self._batch.count < FEW * BATCH):  # too few for a part of them
             wanted = self._promising_levels(error, level)
-        return np.where(too_long, wanted, level)
+        return np.where(error > self._tolerance, wanted, level)
 
     def _promising_levels(self, error: Floats, level: int) -> NDArray[np.int64]:
         """Return the levels of shorter blocks that may do for segments with errors (segments,) at a level."""
         blocks = np.array([b for b in self._plan.blocks if self._fits(b)])
-        return np.maximum(promising(blocks, level, error / self._tolerance), level + 1)
+        return promising(blocks, level, error / self._tolerance)
 
     def _fits(self, block: int) -> bool:
         """Test whether the polynomials of one segment in blocks of a length fit into memory."""
         node = self._plan.bytes_per_node(self._source, self._channels)
         needed = node * self._batch.count * (self._plan.segment // block)
         return not self._plan.is_fine(block) or needed <= 4 * self._engine.limits.node_budget
-
-    def _check(self, shortest: float, longest: float) -> None:
-        """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
-        filters = self._plan.source_filters[self._source]
-        rate = filters.oversampling * self._plan.sampling_rate
-        low, high = ((delay + filters.start) * rate for delay in (shortest, longest))
-        if not (low > self._branches.least + 1 and high < self._branches.most - 1):
-            raise ClsimError(
-                f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
-                "please report this scene as a defect"
-            )
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, filters = self._engine, self._plan.source_filters[self._source]
@@ -354,8 +308,7 @@ class Run:
         for first in range(0, self._channels, _CHANNELS):
             channels = min(_CHANNELS, self._channels - first)
             constants = {"FUNCTIONS": together * channels, "CHANNELS": channels, "DELAY_TERMS": self._plan.delay_terms}
-            constants["APART"] = int(self._apart)
-            kernel = engine._compiler.kernel("render", layout | constants)
+            kernel = engine._compiler.kernel("render", layout | constants | {"APART": int(self._apart)})
             for k in range(0, self._functions, together):
                 kernel(
                     engine._queue, (size, (layout["WORKERS"], 1)), **arguments, first_row=filters.rows,
@@ -381,7 +334,7 @@ class Run:
             functions=self._functions, channels=self._channels, first_row=filters.rows, pressure=self._pressure,
             pressure_stride=self._stride, first_sample=begin - self._origin,
         )  # fmt: skip
-        self._clear_gains(nodes, slot, at)
+        self._clear_gains(nodes, slot, at, len(fades.slot))
 
     def _fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths within some blocks from a sample on."""
@@ -419,10 +372,9 @@ class Run:
         """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
         return self._start + begin - self._branches.first // self._plan.source_filters[self._source].oversampling
 
-    def _clear_gains(self, nodes: Any, slot: Any, at: Any) -> None:
+    def _clear_gains(self, nodes: Any, slot: Any, at: Any, count: int) -> None:
         """Clear the gains of paths, by slot and block."""
         kernel = self._engine._compiler.kernel("clear_gains", self._polynomial_constants(nodes))
-        count = slot.size // 4
         kernel(
             self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._gains,
             polynomials=nodes.polynomials, slots=self._batch.count,

@@ -159,32 +159,25 @@ class VertexColumns(StaticColumns):
         super().__init__(of)
         self._known: dict[int, tuple[NDArray[np.int64], dict[str, NDArray[Any]]]] = {}
 
-    def _seen(self, source: int, links: Links) -> NDArray[Any]:
-        """Vertices as both ends are seen from them, without walls that depend on the angle."""
+    def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
+        """Make the vertices of paths as both ends are seen from them, "views", and what else vertices have (P, ...)."""
         raise NotImplementedError
-
-    def _made(self, source: int, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Make the columns of paths (P, ...)."""
-        env, links = self._of.environments[source], self._family.links(rows)
-        wall_of, normal = env.bounces_of_sides(*links.surfaces)
-        views = self._seen(source, links)
-        return {
-            "views": views, "wall_of": wall_of.T, "normal": np.moveaxis(normal, 2, 0),
-            "reflection": super().reflection(source, rows),
-        }  # fmt: skip
 
     def _column(self, name: str, source: int, rows: NDArray[np.int64]) -> NDArray[Any]:
         """Take a column of some of a source's paths."""
         if source not in self._known:
             mine = np.flatnonzero(self._family.source == source)
-            self._known[source] = mine, self._made(source, mine)
+            links, reflection = self._family.links(mine), super().reflection(source, mine)
+            wall_of, normal = self._of.environments[source].bounces_of_sides(*links.surfaces)
+            columns = self._made(source, links) | {"wall_of": wall_of.T, "normal": np.moveaxis(normal, 2, 0)}
+            self._known[source] = mine, columns | {"reflection": reflection}
         mine, made = self._known[source]
         return made[name][np.searchsorted(mine, rows)]
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Vertices as both ends are seen from them."""
-        views = self._column("views", source, rows)
-        return self._of.uploaded(views=views) | {"image_matrix": None, "image_offset": None}
+        image = {"image_matrix": None, "image_offset": None}
+        return self._of.uploaded(views=self._column("views", source, rows)) | image
 
     def reflection(self, source: int, rows: NDArray[np.int64]) -> Floats:
         """Factors (slots, parts, nodes) of walls that are the same at every angle."""
@@ -213,8 +206,8 @@ class EdgeColumns(VertexColumns):
             table = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
         return self._of.uploaded(field_tables=field_tables(waves, table)) | {"middle": middle, "modes": None}
 
-    def _seen(self, source: int, links: Links) -> NDArray[Any]:
-        """Edges as both ends are seen from them."""
+    def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
+        """Make edges as both ends are seen from them, and factors of faces that are the same at every angle."""
         vertex, edges = links.vertex, np.zeros(len(links.vertex), dtype=EDGE_VIEW)
         for end, view in zip(("source", "receiver"), vertex.views(links), strict=True):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
@@ -227,14 +220,10 @@ class EdgeColumns(VertexColumns):
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         edges["low"] = np.stack([least_angle(vertex.n, beside) for beside in vertex.beside.T], axis=1)
         edges["end"] = np.nan_to_num(vertex.end_place)
-        edges["face"] = self._of.environments[source].tables_of(vertex.faces)
-        return edges
-
-    def _made(self, source: int, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Make the columns of paths, with the factors of faces that are the same at every angle."""
-        walls = self._family.vertex.part(rows).faces.reshape(-1, 1)
-        factors = self._of.environments[source].reflection(walls).astype(np.float32)
-        return super()._made(source, rows) | {"faces": factors.reshape(len(rows), 2, *factors.shape[1:])}
+        env = self._of.environments[source]
+        edges["face"] = env.tables_of(vertex.faces)
+        factors = env.reflection(vertex.faces.reshape(-1, 1)).astype(np.float32)
+        return {"views": edges, "faces": factors.reshape(len(edges), 2, *factors.shape[1:])}
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Transition functions, and factors of faces."""
@@ -256,10 +245,9 @@ class ScattererColumns(VertexColumns):
         self._pose_rate = pose_rate(self._motions, radii, of.plan.duration, tolerance)
         of_shape = np.zeros(len(scatterers), dtype=SCATTERER_VIEW)
         for row, scatterer in zip(of_shape, scatterers, strict=True):
-            shape = scatterer.shape
-            row["shape"] = _SHAPES[shape.kind]
-            row["strength"], row["semi_axes"] = getattr(shape, "strongest", 0.0), shape.semi_axes
-            row["turned"] = scatterer.trajectory.has_orientation and shape.radius > 0.0
+            shape, way = scatterer.shape, scatterer.trajectory
+            row["shape"], row["strength"] = _SHAPES[shape.kind], getattr(shape, "strongest", 0.0)
+            row["semi_axes"], row["turned"] = shape.semi_axes, way.has_orientation and shape.radius > 0.0
         of_shape["thing"] = np.arange(len(scatterers))
         self._shapes = [of_shape.copy() for _ in of.plan.source_filters]
         self._fields = [self._tables(v, f.basis) for v, f in zip(self._shapes, of.plan.source_filters, strict=True)]
@@ -311,12 +299,12 @@ class ScattererColumns(VertexColumns):
         head = [len(steps), requested.fewest, requested.slope, requested.most, requested.largest]
         return np.concatenate([head, np.ravel(rows), *tables])
 
-    def _seen(self, source: int, links: Links) -> NDArray[Any]:
-        """Scatterers as both ends are seen from them."""
+    def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
+        """Make scatterers as both ends are seen from them."""
         views = self._shapes[source][links.vertex.scatterer]
         for end, leg in zip(("source", "receiver"), links.legs, strict=True):
             views[f"{end}_turn"], views[f"{end}_shift"] = leg.matrix.reshape(-1, 9), leg.offset
-        return np.asarray(views)
+        return {"views": views}
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Transition functions and modes."""
