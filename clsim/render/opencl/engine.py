@@ -247,15 +247,15 @@ class Run:
         """Render nodes of some segments, counted from one on, and the few paths among them in shorter blocks."""
         a, b, (error, few), segment = some.start, some.stop, (each[some] for each in judged), self._plan.segment
         squares, block, out = nodes.squares[:, some], self._plan.blocks[level], few.any(axis=0)
-        first_block, number = a * segment // block, self._start // segment + at + a
+        first_block, end = a * segment // block, min((at + b) * segment, self._length)
         if out.any():
-            blocks = np.arange(first_block, b * segment // block, dtype=np.int32)
+            blocks = np.arange(first_block, (end - at * segment) // block, dtype=np.int32)
             slots = np.flatnonzero(out).astype(np.int32).repeat(len(blocks))
             self._clear_gains(nodes, slots, np.resize(blocks, len(slots)), len(slots))
             squares = np.where(out, 0.0, squares)
         of_receivers = np.add.reduceat(squares[2:0:-1], self._batch.first_slot[:-1], axis=2, dtype=np.float64)
-        self._engine.residuals[self._source].add(number, self._batch.receiver, of_receivers)
-        self._render(nodes, at + a, min((at + b) * segment, self._length), block, first_block)
+        self._engine.residuals[self._source].add(self._start // segment + at + a, self._batch.receiver, of_receivers)
+        self._render(nodes, at + a, end, block, first_block)
         if out.any():
             batch, share = self._batch.part(np.asarray(out)), 0.5 * self._task.share
             task = replace(self._task, batch=batch, first=at + a, last=at + b, share=share)
