@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.family import PathFamily
-    from clsim.render.opencl.branch_signals import Branches
     from clsim.render.plan import Plan
     from clsim.tracks.tracks import PairTracks
 
@@ -195,21 +194,6 @@ def is_divided(family: PathFamily | None) -> bool:
     """Test whether a few paths of a kind may need shorter blocks than others: at edges, by scatterers and by bodies."""
     at_vertex = getattr(family, "vertex", None) is not None
     return family is not None and (at_vertex or (family.moves and not family.is_specular))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Task:
-    """The paths of a batch of receivers from one source, over some segments of a chunk."""
-
-    source: int  # index
-    batch: PathBatch  # the paths
-    branches: Branches  # the source's branch signals for this chunk
-    pressure: Any  # (rows, length) to which it is added
-    length: int  # samples of the chunk, whole blocks, and the first of them
-    start: int  # likewise
-    first: int  # segments of the chunk, the last one not among them
-    last: int  # likewise
-    share: float = field(default=1.0, kw_only=True)  # of the square of the allowed error
 
 
 def in_batches(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from clsim.errors import ClsimError, InputError
 from clsim.opencl.device import FLOAT64, MOST_INDEX, SHARE, check_buffers, operations_in_launch
 from clsim.opencl.launch import upload, work
-from clsim.render.opencl.batches import CELL, ActivePaths, Activity, find_activity
+from clsim.render.opencl.batches import CELL, ActivePaths, Activity, PathBatch, find_activity
 from clsim.render.plan import BATCH, NODE_BUDGET, Plan
 
 if TYPE_CHECKING:
@@ -137,6 +137,21 @@ class Branches:
                 f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
                 "please report this scene as a defect"
             )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """The paths of a batch of receivers from one source, over some segments of a chunk."""
+
+    source: int  # index
+    batch: PathBatch  # the paths
+    branches: Branches  # the source's branch signals for this chunk
+    pressure: Any  # (rows, length) to which it is added
+    length: int  # samples of the chunk, whole blocks, and the first of them
+    start: int  # likewise
+    first: int  # segments of the chunk, the last one not among them
+    last: int  # likewise
+    share: float = field(default=1.0, kw_only=True)  # of the square of the allowed error
 
 
 class BranchSignals:

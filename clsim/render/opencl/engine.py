@@ -11,9 +11,9 @@ import numpy as np
 from clsim.errors import DeviceError, warn
 from clsim.opencl.device import check_group, find_device
 from clsim.opencl.launch import Scratch, compiler_of, upload, work
-from clsim.render.opencl.batches import CPU_LAYOUT, FEW, GPU_LAYOUT, Layout, Task, equal_runs, in_batches, is_divided
+from clsim.render.opencl.batches import CPU_LAYOUT, FEW, GPU_LAYOUT, Layout, equal_runs, in_batches, is_divided
 from clsim.render.opencl.block_polynomials import Residual, block_errors, few_paths, promising
-from clsim.render.opencl.branch_signals import BranchSignals, Limits
+from clsim.render.opencl.branch_signals import BranchSignals, Limits, Task
 from clsim.render.opencl.environment import has_directivity
 from clsim.render.opencl.host_nodes import HostNodeMaker, PairNodeMaker
 from clsim.render.opencl.nodes import NodeMaker
