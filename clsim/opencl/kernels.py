@@ -287,7 +287,7 @@ PROGRAMS = {
             **FADES,
             **ENVELOPE,
         },
-        frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS"}),
+        frozenset({"LANES", "SPARSE", "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "PAIRED"}),
     ),
 }  # fmt: skip
 

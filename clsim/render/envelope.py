@@ -117,14 +117,14 @@ class EnvelopeFilters(SourceFilters):
 
     carrier: float  # hz
     half: float  # frequencies off the carrier that are held, Hz
-    mixer: Mixer  # applies the functions of the basis
+    mixer: Mixer  # applies the functions of the basis that have branches of their own
     plain: Mixer  # applies none
     stretches: Stretches = WHOLE  # of delays: each has banks and streams of all functions, side by side
 
     @property
     def counts(self) -> int:
-        """Branches of each function, four bits each from the lowest; 0 where they are too many for that."""
-        counts = [len(bank.taps) for bank in self.banks[: len(self.basis)]]
+        """Branches of each function that has some, four bits each from the lowest; 0 if they are too many for that."""
+        counts = [len(bank.taps) for bank in self.banks[: len(self.banks) // self.stretches.count]]
         return sum(n << 4 * k for k, n in enumerate(counts)) if len(counts) < 8 and max(counts) < 16 else 0
 
     @property
@@ -144,10 +144,11 @@ class EnvelopeFilters(SourceFilters):
 
     def streams(self, first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last` of the envelope through each function of the basis, (K, n) complex."""
-        return self.mixer(self.signal.read, first, last)
+        mixed = self.mixer(self.signal.read, first, last)
+        return np.stack([mixed, 1j * mixed], axis=1).reshape(-1, last - first) if self.basis.paired else mixed
 
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
-        """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n)."""
+        """Return the non-zero samples of streams with branches from `first` to `last`: offsets (n,), values (K, n)."""
         streams = self.mixer(self.signal.read, first, last, single=True)
         places = np.flatnonzero(np.any(streams != 0.0, axis=0))
         return places, streams[:, places]
@@ -221,7 +222,7 @@ def envelope_filters(
     def designed(stretches: Stretches) -> tuple[Basis, tuple[Bank, ...], Stretches]:
         """Return functions of frequency beside a tilt, their banks, and its stretches."""
         basis, banks = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt), []
-        for size in basis.sizes.tolist():
+        for size in basis.sizes[:: 1 + int(basis.paired)].tolist():
             importance = interpolator.rounded((min(size, 1.0),))
             if stretches.per_sample:
                 with with_blas_threads(1):  # of small matrices
@@ -232,8 +233,8 @@ def envelope_filters(
         return basis, tuple(banks), stretches
 
     basis, banks, stretches = cheapest(emission, stretches_of(emission, held, rate, edge, tilted), designed)
-    every = round(sampling_rate / rate)
-    mixed, plain = (_mixed(sampling_rate, baseband.carrier, low_pass, f) for f in (basis.filters, np.ones((1, 1))))
+    every, own = round(sampling_rate / rate), basis.filters[:: 1 + int(basis.paired)]
+    mixed, plain = (_mixed(sampling_rate, baseband.carrier, low_pass, f) for f in (own, np.ones((1, 1))))
     mixed = stretches.filters(mixed, sampling_rate, baseband.carrier, half, every)
     mixer, plain_mixer = (
         Mixer.of(taps, every, Fraction(baseband.carrier) / Fraction(sampling_rate)) for taps in (mixed, plain)

@@ -128,7 +128,7 @@ class Plan:
         subblock = self.source_filters[source].bank.subblock
         return min(subblock, SMALL_SUBBLOCK) if self.is_fine(block) else subblock
 
-    def left_out_over(self, source: int, block: int) -> float:
+    def left_out_over(self, source: int, block: int, *, few: bool = False) -> float:
         """Return the share of a block of the samples that take few terms of its polynomials; 0 where they take all.
 
         Parameters
@@ -137,15 +137,19 @@ class Plan:
             Index of the source.
         block : int
             Samples in a block.
+        few : bool
+            Whether the paths are a few that need shorter blocks than others.
 
         Returns
         -------
         float
             Of the source's subblocks; of envelopes' widest vectors, if blocks are long and motion is slow for these.
+            Few paths by envelopes take all terms: a costlier sum, but longer blocks.
         """
         if self.baseband is not None:
             change = WIDEST_SUBBLOCK / self.sampling_rate * self.tracks.max_rate(source)
-            return WIDEST_SUBBLOCK / block if block >= LONG_ENVELOPE_BLOCK and change <= SLOW_CHANGE else 0.0
+            suits = block >= LONG_ENVELOPE_BLOCK and change <= SLOW_CHANGE and not few
+            return WIDEST_SUBBLOCK / block if suits else 0.0
         return 0.0 if self.is_fine(block) else self.subblock(source, block) / block
 
     def where_claimed(self, claim: str, build: Callable[[Plan], Contribution]) -> Contribution | None:

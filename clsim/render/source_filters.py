@@ -199,7 +199,9 @@ class SourceFilters:
 
     signal: Signal  # at the sampling rate of the recording
     start: float  # time at which it begins, s
-    banks: tuple[Bank, ...]  # branch filters, for each function of the basis; fewer for those that add little
+    # Branch filters for each function of the basis, of `Basis.paired` ones for the first of two; fewer for those that
+    # add little.
+    banks: tuple[Bank, ...]
     basis: Basis  # functions of frequency that carry the responses of its paths
     # (K, L) the functions of the basis behind the band limit, as filters of odd length about their middle tap.
     filters: Floats
@@ -249,7 +251,10 @@ class SourceFilters:
     @property
     def rows(self) -> NDArray[Any]:
         """First branch of every function, and the number of all branches at the end, (K + 1,) int."""
-        return np.cumsum([0, *(len(bank.taps) for bank in self.banks)])
+        step = 1 + int(self.basis.paired)
+        counts = np.zeros(step * len(self.banks), dtype=np.int64)
+        counts[::step] = [len(bank.taps) for bank in self.banks]
+        return np.append(0, np.cumsum(counts))
 
     def digest(self) -> str:
         """Return a text that changes with any tap."""

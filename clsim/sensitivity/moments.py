@@ -76,6 +76,7 @@ class _MomentRun(Run):
     """Takes the moments of a batch of paths, in blocks as they would be rendered."""
 
     _engine: MomentEngine
+    _divides = False
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         import pyopencl as cl

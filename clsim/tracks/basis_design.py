@@ -217,8 +217,9 @@ class _Functions:
     def of(rows: _Rows, count: int, allowed: float) -> _Functions:
         """Return the functions that hold responses best."""
         frequencies, weight, first = len(rows.weight), rows.weight, rows.sample.first
-        # Devices take them eight at a time.
-        nodes = _spread(min(-(-2 * count // 8), frequencies // 8) * 8, frequencies)
+        # Devices take them eight at a time. Of paired functions, complex responses at as many determine both.
+        own = count // (1 + int(rows.paired))
+        nodes = _spread(min(-(-2 * own // 8), frequencies // 8) * 8, frequencies)
         # A tone is next to all there is: a node must lie on it.
         loudest = int(np.median(np.flatnonzero(weight >= weight.max())))
         nodes[np.argmin(np.abs(nodes - loudest))] = loudest

@@ -5,10 +5,13 @@
 // one times j: both are one complex gain of the same envelope.
 
 #if FINE
+#define SILENT(p) (c[AT(0)] == 0.0f && c[AT(0) + POWER] == 0.0f && c[AT(0) + 2 * POWER] == 0.0f && \
+                   c[AT(0) + 3 * POWER] == 0.0f)  // or fills up the batch
 #define GAIN(k) CUBIC(c[AT(k)], c[AT(k) + POWER], c[AT(k) + 2 * POWER], c[AT(k) + 3 * POWER], t)
 #define AT(k) ((DELAY_TERMS + (k) * CHANNELS + channel) * BESIDE)
 #define POWER (FUNCTIONS * CHANNELS * BESIDE)
 #else
+#define SILENT(p) (paths->gain[0][0][p] == 0.0f && paths->gain[0][1][p] == 0.0f)
 #define GAIN(k) (paths->gain[k][1][p] * t + paths->gain[k][0][p])
 #endif
 
@@ -33,12 +36,12 @@
         ADD_TURNED(k)                                            \
     }
 
-// The same where counts are constants, four bits each; `x` goes on to the next function.
-#define COUNT(k) (COUNTS >> 4 * ((k) & 7) & 15)
-#define ADD_NEXT(k)                                                                                          \
-    if (FUNCTIONS > k && !(PAIRED & k)) {                                                                    \
-        ADD(k, COUNT(k))                                                                                     \
-        x += (COUNT(k) + (PAIRED ? 2 * COUNT(k + 1) + COUNT(k + 2) : COUNT(k + 1))) * (long)stride;          \
+// The same where counts are constants, four bits each; `x` goes on to the next function with branches of its own.
+#define COUNT(i) (COUNTS >> 4 * ((i) & 7) & 15)
+#define ADD_NEXT(i)                                        \
+    if (FUNCTIONS > (i) << PAIRED) {                       \
+        ADD((i) << PAIRED, COUNT(i))                       \
+        x += (COUNT(i) + COUNT((i) + 1)) * (long)stride;   \
     }
 
 // Add path p of a batch at samples `t` of its block, or from the group's middle; `branches` points at the first of these without delay.
@@ -46,6 +49,7 @@ static void add_path(__global const float* branches, int stride, __constant int*
                      __global const float* c, int channel, vec t, ulong turn_per_sample, float half_turns_per_sample,
                      float tilt_per_sample, vec* real_sum, vec* imaginary_sum)
 {
+    if (SILENT(p)) return;
     const int whole = paths->whole[p];
     vec mu = paths->delay[TERMS - 1][p], real = 0.0f, imaginary = 0.0f, cosine, sine;
 #pragma unroll

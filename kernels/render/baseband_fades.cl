@@ -34,7 +34,7 @@ __kernel void baseband_fades(
         const int stretch = stretch_of((float)(whole - tilt.first_stretch), tilt.stretches, tilt.stretch, tilt.per_stretch, &from_middle);
         const int from = 2 * first_row[FUNCTIONS] * stretch;
         const float nu = (mu + from_middle) * tilt.tilt_per_sample;
-        for (int k = 0; k < FUNCTIONS; k++) {
+        for (int k = 0; k < FUNCTIONS; k += 1 + PAIRED) {
             const int count = first_row[k + 1] - first_row[k];
             __global const float* x = branches + (from + 2 * first_row[k + 1] - count - 1) * (long)stride + lead + at - whole;
             __global const float* y = x + count * (long)stride;
@@ -49,6 +49,12 @@ __kernel void baseband_fades(
             }
             real += gain * a;
             imaginary += gain * b;
+#if PAIRED  // see baseband.cl
+            g += CHANNELS * BESIDE;
+            const float turned = CUBIC(g[0], g[power], g[2 * power], g[3 * power], t);
+            real -= turned * b;
+            imaginary += turned * a;
+#endif
         }
         half_turns(mu * half_turns_per_sample + whole_turn(whole, turn_per_sample), &cosine, &sine);
         real_sum += both * (real * cosine + imaginary * sine);

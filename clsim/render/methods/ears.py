@@ -197,7 +197,7 @@ class _EarRun(Run):
     """Renders the paths of a batch one by one."""
 
     _engine: EarEngine
-    _apart = True
+    _apart, _divides = True, False
 
     def _fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths, each slot with a row of its own."""

@@ -29,8 +29,8 @@ from clsim.render.interpolator import Bandlimited
 from clsim.render.methods.costs import is_passed, measured_costs, on_gpu, passes
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.batches import ActivePaths, in_batches
-from clsim.render.opencl.branch_signals import Branches
-from clsim.render.opencl.engine import OpenclEngine, Run, Task
+from clsim.render.opencl.branch_signals import Branches, Task
+from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.opencl.host_nodes import side_by_side, thread_count
 from clsim.render.plan import LONG_BLOCKS
 from clsim.scene.directivity.directivity import ChannelDirectivity

@@ -55,11 +55,12 @@ class _BasebandRun(Run):
 
     _engine: BasebandEngine
 
-    def render(self) -> None:
+    def render(self, level: int = 0) -> None:
         """Add the batch's paths to the envelopes, and remember the longest blocks in which it was rendered."""
         self._rendered = len(self._plan.blocks)
-        super().render()
-        self._engine.levels[self._source] = self._rendered
+        super().render(level)
+        if level == 0:
+            self._engine.levels[self._source] = self._rendered
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level or below, beginning with those that may do."""
@@ -74,12 +75,14 @@ class _BasebandRun(Run):
         places = [first + (last - first) * (2 * i + 1) // (2 * _PLACES) for i in range(_PLACES)]
         while level < len(plan.blocks) - 1:
             block, shorter = plan.blocks[level : level + 2]
-            errors = []
+            errors: list[float] = []
             for at in places:
                 begin = at * plan.segment
-                few = min(_FEW, (self._length - begin) // block)
-                nodes = self._maker.nodes(self._state, self._start + begin, block, few)
-                errors.append(float(nodes.error.max()))
+                blocks = min(_FEW, (self._length - begin) // block)
+                nodes = self._maker.nodes(self._state, self._start + begin, block, blocks)
+                number = self._start // plan.segment + at
+                error, few = self._errors(nodes, number, divides=self._beside)
+                errors.append(0.0 if few.any() else float(error.max()))
             # Where they are too long, shorter ones are made as well: one after the other 1 + share * block / shorter.
             if np.mean(np.array(errors) > self._tolerance) <= 1.0 - shorter / block:
                 return level
@@ -101,15 +104,12 @@ class _BasebandRun(Run):
             "LANES": lanes,
             "GROUPS": together,
             "BATCH": BATCH if on_cpu else 1,
-            "FINE": int(not (on_cpu and self._plan.left_out_over(self._source, block))),
+            "FINE": int(not (on_cpu and self._plan.left_out_over(self._source, block, few=self._batch.few))),
             "COUNTS": filters.counts,
             "SUBBLOCK": filters.bank.subblock,
-            "FUNCTIONS": self._functions,
-            "CHANNELS": self._channels,
-            "PAIRED": int(filters.basis.paired),
             "TILTED": int(filters.stretches.per_sample != 0.0),
         }
-        kernel = engine._compiler.kernel("baseband", constants | self._polynomial_constants(nodes))
+        kernel = engine._compiler.kernel("baseband", constants | self._constants(nodes))
         kernel(
             engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),
             **self._envelope_arguments(begin), first_slot=self._first_slot, block_samples=block, groups=groups,
@@ -123,14 +123,18 @@ class _BasebandRun(Run):
         if fades is None:
             return
         slot = engine._upload(fades.slot)
-        constants = {"LANES": 1, "FUNCTIONS": self._functions, "CHANNELS": self._channels}
-        kernel = engine._compiler.kernel("baseband_fades", constants | self._polynomial_constants(nodes))
+        kernel = engine._compiler.kernel("baseband_fades", self._constants(nodes) | {"LANES": 1})
         kernel(
             engine._queue, self._fade_work(fades, block), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
             **self._envelope_arguments(begin),
         )  # fmt: skip
-        self._clear_gains(nodes, slot, engine._upload(fades.block + np.int32(first_block)))
+        self._clear_gains(nodes, slot, fades.block + np.int32(first_block), len(fades.slot))
+
+    def _constants(self, nodes: Any) -> dict[str, int]:
+        """Return the constants of programs that sum envelopes."""
+        of_functions = {"FUNCTIONS": self._functions, "PAIRED": int(self._filters.basis.paired)}
+        return self._polynomial_constants(nodes) | of_functions | {"CHANNELS": self._channels}
 
     @property
     def _filters(self) -> EnvelopeFilters:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from clsim.arrays import Floats
+    from clsim.paths.family import PathFamily
     from clsim.render.plan import Plan
     from clsim.tracks.tracks import PairTracks
 
@@ -109,6 +110,7 @@ class PathBatch:
     shortest: float  # bounds of all delays over the chunk, s
     longest: float  # likewise
     bounds: Boundaries  # active intervals of the slots
+    few: bool = False  # of a batch, which need shorter blocks
 
     @property
     def count(self) -> int:
@@ -118,6 +120,21 @@ class PathBatch:
     def of_pair(self, i: int) -> slice:
         """Return the slots of the batch's i-th pair."""
         return slice(int(self.first_slot[i]), int(self.first_slot[i + 1]))
+
+    def part(self, chosen: NDArray[np.bool_]) -> PathBatch:
+        """Return some slots, at least one, of the pairs that have any, each filled up to whole batches."""
+        found = [np.flatnonzero(chosen[self.of_pair(i)]) + self.first_slot[i] for i in range(len(self.pairs))]
+        pairs = [i for i, slots in enumerate(found) if len(slots)]
+        filled = [np.append(found[i], np.full(-len(found[i]) % BATCH, found[i][-1])) for i in pairs]
+        slots, bounds = np.concatenate(filled), self.bounds
+        padding = np.append(False, slots[1:] == slots[:-1])
+        first, last = (np.where(padding, far, x[slots]) for far, x in ((_NEVER, bounds.first), (-_NEVER, bounds.last)))
+        return replace(
+            self, few=True, pairs=tuple(self.pairs[i] for i in pairs), receiver=self.receiver[pairs],
+            row=self.row[pairs], path=self.path[slots], padding=padding,
+            first_slot=np.cumsum([0, *map(len, filled)], dtype=np.int32),
+            bounds=replace(bounds, start=bounds.start[slots], end=bounds.end[slots], first=first, last=last),
+        )  # fmt: skip
 
     def fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
@@ -170,10 +187,19 @@ class Fades:
     at: NDArray[np.int32]  # (places,) its block
 
 
+FEW = 4  # times fewer paths than in a batch take shorter blocks without the others
+
+
+def is_divided(family: PathFamily | None) -> bool:
+    """Test whether a few paths of a kind may need shorter blocks than others: at edges, by scatterers and by bodies."""
+    at_vertex = getattr(family, "vertex", None) is not None
+    return family is not None and (at_vertex or (family.moves and not family.is_specular))
+
+
 def in_batches(
     plan: Plan,
     active: list[ActivePaths],
-    kind: Callable[[int], object],
+    kind: Callable[[int], PathFamily | None],
     budget: float,
     block: int,
     apart: int = 1,
@@ -189,9 +215,11 @@ def in_batches(
     for pair in active:
         member, row = plan.tracks.pairs[pair.index], plan.rows_of_pair(pair.index).start
         channels, slots = len(member.channels), -(-len(pair.rows) // BATCH) * BATCH
-        alike = kind(pair.index), channels
+        family = kind(pair.index)
+        alike = family, channels
         a_segment = plan.bytes_per_node(member.source, channels) * (plan.segment // block)
-        if count + slots > max(BATCH, budget // a_segment) or alike != last or row in there:
+        most = budget * (FEW if is_divided(family) else 1) // a_segment
+        if count + slots > max(BATCH, most) or alike != last or row in there:
             batches.append([])
             count, last, there = 0, alike, set()
         batches[-1].append(pair)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import InputError
+from clsim.errors import ClsimError, InputError
 from clsim.opencl.device import FLOAT64, MOST_INDEX, SHARE, check_buffers, operations_in_launch
 from clsim.opencl.launch import upload, work
-from clsim.render.opencl.batches import CELL, ActivePaths, Activity, find_activity
+from clsim.render.opencl.batches import CELL, ActivePaths, Activity, PathBatch, find_activity
 from clsim.render.plan import BATCH, NODE_BUDGET, Plan
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clsim.opencl.device import DeviceInfo
     from clsim.opencl.launch import Compiler, Scratch
     from clsim.render.plan import Plan
+    from clsim.render.source_filters import SourceFilters
 
 _LEVELS = 3  # block lengths whose polynomials are kept at the same time
 _OPERATIONS_PER_SAMPLE = 10.0  # of a path, beside two for every branch
@@ -128,6 +129,30 @@ class Branches:
     most: int
     activity: Activity | None  # where it is worth leaving out what is silent
 
+    def check(self, shortest: float, longest: float, filters: SourceFilters) -> None:
+        """Refuse delays (s) beyond these signals: it would mean that the bounds of the delays are wrong."""
+        low, high = ((delay + filters.start) * filters.rate for delay in (shortest, longest))
+        if not (low > self.least + 1 and high < self.most - 1):
+            raise ClsimError(
+                f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
+                "please report this scene as a defect"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """The paths of a batch of receivers from one source, over some segments of a chunk."""
+
+    source: int  # index
+    batch: PathBatch  # the paths
+    branches: Branches  # the source's branch signals for this chunk
+    pressure: Any  # (rows, length) to which it is added
+    length: int  # samples of the chunk, whole blocks, and the first of them
+    start: int  # likewise
+    first: int  # segments of the chunk, the last one not among them
+    last: int  # likewise
+    share: float = field(default=1.0, kw_only=True)  # of the square of the allowed error
+
 
 class BranchSignals:
     """Makes the branch signals of one chunk and source after the other, and looks ahead to the next."""
@@ -215,13 +240,14 @@ class BranchSignals:
         channel = _VECTORS * lanes
         constants = {"LANES": lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
         kernel = self._compiler.kernel("branches", constants)
+        first_rows = filters.rows[:: 1 + int(filters.basis.paired)]
         for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
             rows, taps = bank.taps.shape
             kernel(
                 self._queue, work(feed.width // channel, rows), emitted=emitted,
                 first_emitted=(k * self._parts + part) * samples + feed.before - bank.before,
                 taps=bank.taps, tap_count=taps, width=feed.width, stride=stride,
-                first_row=self._parts * filters.rows[k] + part * rows, rows=out,
+                first_row=self._parts * first_rows[k] + part * rows, rows=out,
                 sparse=found is not None, following=following,
             )  # fmt: skip
         return Branches(out, stride, feed.first, feed.least, feed.most, found)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.errors import ClsimError, DeviceError, warn
+from clsim.errors import DeviceError, warn
 from clsim.opencl.device import check_group, find_device
 from clsim.opencl.launch import Scratch, compiler_of, upload, work
-from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT, Layout, PathBatch, equal_runs, in_batches
-from clsim.render.opencl.block_polynomials import Residual, promising
-from clsim.render.opencl.branch_signals import Branches, BranchSignals, Limits
+from clsim.render.opencl.batches import CPU_LAYOUT, FEW, GPU_LAYOUT, Layout, equal_runs, in_batches, is_divided
+from clsim.render.opencl.block_polynomials import Residual, block_errors, few_paths, promising
+from clsim.render.opencl.branch_signals import BranchSignals, Limits, Task
 from clsim.render.opencl.environment import has_directivity
 from clsim.render.opencl.host_nodes import HostNodeMaker, PairNodeMaker
 from clsim.render.opencl.nodes import NodeMaker
 from clsim.render.opencl.path_columns import COLUMNS
+from clsim.render.plan import BATCH
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
 _CHANNELS = 16  # of a receiver that are summed at a time
+_TURN = 4  # segments at a time in which they do
 
 
 class OpenclEngine:
@@ -179,24 +181,11 @@ class OpenclEngine:
         return upload(self._context, array)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Task:
-    """The paths of a batch of receivers from one source, over some segments of a chunk."""
-
-    source: int  # index
-    batch: PathBatch  # the paths
-    branches: Branches  # the source's branch signals for this chunk
-    pressure: Any  # (rows, length) to which it is added
-    length: int  # samples of the chunk, whole blocks, and the first of them
-    start: int  # likewise
-    first: int  # segments of the chunk, the last one not among them
-    last: int  # likewise
-
-
 class Run:
     """Carries out a task, choosing the block length for each segment."""
 
     _apart = False  # whether each path has a row of its own
+    _divides = True  # whether a few paths can be taken out of a batch
 
     def __init__(self, engine: OpenclEngine, task: Task) -> None:
         self._engine, self._plan, self._task = engine, engine._plan, task
@@ -213,16 +202,14 @@ class Run:
             task.source, task.batch, self._bounds, task.start + begin, end - begin, task.branches.activity,
             task.branches.first,
         )  # fmt: skip
-        family = engine.kind(task.batch.pairs[0])
-        self._skips_levels = getattr(family, "vertex", None) is not None
-        self._beside = family is not None and (self._skips_levels or (family.moves and not family.is_specular))
-        self._tolerance = 10 ** (self._plan.motion_error_db / 20)
+        self._beside = is_divided(engine.kind(task.batch.pairs[0]))
+        self._tolerance = 10 ** (self._plan.motion_error_db / 20) * math.sqrt(task.share)
         self._functions = len(self._plan.source_filters[task.source].basis)
         self._gains = self._functions * self._channels  # of a path
 
-    def render(self) -> None:
-        """Add the batch's paths to the pressure on the device."""
-        self._cover(self._task.first, self._task.last, 0)
+    def render(self, level: int = 0) -> None:
+        """Add the batch's paths to the pressure on the device, in blocks of a level or shorter ones."""
+        self._cover(self._task.first, self._task.last, level)
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
@@ -239,10 +226,12 @@ class Run:
                 self._state, self._start + begin, block, (end - begin) // block,
                 lambda: self._engine.branch_signals.prefetch(self._source, self._start),
             )  # fmt: skip
-            self._check(nodes.shortest, nodes.longest)
-            error = nodes.error * self._beside_others(nodes, self._start // segment + at)
-            wanted = self._levels(error, level)
-            if level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1]):
+            self._branches.check(nodes.shortest, nodes.longest, plan.source_filters[self._source])
+            number = self._start // segment + at
+            is_last = level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1])
+            error, few = self._errors(nodes, number, divides=self._beside and self._divides and not is_last)
+            wanted = self._levels(np.where(few.any(axis=1), 0.0, error), level)
+            if is_last:
                 for i in np.flatnonzero(wanted > level).tolist():
                     middle = self._start + (at + i + 0.5) * segment
                     self._engine.note_coarse(self._source, float(error[i]), middle / plan.sampling_rate)
@@ -250,50 +239,60 @@ class Run:
             for a, b in equal_runs(wanted):
                 if wanted[a] > level:
                     self._cover(at + a, at + b, int(wanted[a]))
-                else:
-                    number = self._start // segment + at + a
-                    self._engine.residuals[self._source].add(number, self._batch.receiver, nodes.residual[:, a:b])
-                    self._render(nodes, at + a, min((at + b) * segment, self._length), block, a * segment // block)
+                    continue
+                for c, d in equal_runs(few[a:b].any(axis=1) * (1 + np.arange(b - a) // _TURN)):
+                    self._take(nodes, at, slice(a + c, a + d), level, (error, few))
 
-    def _beside_others(self, nodes: Any, first: int) -> Floats:
-        """Ratios (segments,) of the level of these paths to that with all that were rendered before.
+    def _take(self, nodes: Any, at: int, some: slice, level: int, judged: tuple[Floats, NDArray[Any]]) -> None:
+        """Render nodes of some segments, counted from one on, and the few paths among them in shorter blocks."""
+        a, b, (error, few), segment = some.start, some.stop, (each[some] for each in judged), self._plan.segment
+        squares, block, out = nodes.squares[:, some], self._plan.blocks[level], few.any(axis=0)
+        first_block, end = a * segment // block, min((at + b) * segment, self._length)
+        if out.any():
+            blocks = np.arange(first_block, (end - at * segment) // block, dtype=np.int32)
+            slots = np.flatnonzero(out).astype(np.int32).repeat(len(blocks))
+            self._clear_gains(nodes, slots, np.resize(blocks, len(slots)), len(slots))
+            squares = np.where(out, 0.0, squares)
+        of_receivers = np.add.reduceat(squares[2:0:-1], self._batch.first_slot[:-1], axis=2, dtype=np.float64)
+        self._engine.residuals[self._source].add(self._start // segment + at + a, self._batch.receiver, of_receivers)
+        self._render(nodes, at + a, end, block, first_block)
+        if out.any():
+            batch, share = self._batch.part(np.asarray(out)), 0.5 * self._task.share
+            task = replace(self._task, batch=batch, first=at + a, last=at + b, share=share)
+            type(self)(self._engine, task).render(int(self._promising_levels(error, level).min()))
 
-        Reflections come first. At edges, by scatterers and by bodies errors are relative to all of it, of the receiver
-        where they are most.
+    def _errors(self, nodes: Any, first: int, *, divides: bool) -> tuple[Floats, NDArray[np.bool_]]:
+        """Errors (segments,) of blocks relative to what is heard, of the receiver where they are most, and few paths.
+
+        At edges, by scatterers and by bodies it is all that was rendered before, too: reflections come first. The mask
+        (segments, slots) is that of the few paths for which alone others would need shorter blocks.
         """
-        own = nodes.residual[1]
-        if not self._beside:
-            return np.ones(len(own))
-        level = self._engine.residuals[self._source].level
-        before = np.stack([level(first + i, self._batch.receiver) for i in range(len(own))])
-        return np.asarray(np.sqrt(own / np.maximum(own + before, 1e-30)).max(axis=1))
+        level, begins = self._engine.residuals[self._source].level, self._batch.first_slot
+        few = np.zeros(nodes.squares.shape[1:], dtype=np.bool_)
+        before = np.stack([level(first + i, self._batch.receiver) for i in range(len(few))]) if self._beside else 0.0
+        error, heard = block_errors(nodes.squares, begins, before, self._plan.tracks.faint)
+        for i in np.flatnonzero(error > self._tolerance).tolist() if divides else []:
+            few[i] = few_paths(nodes.squares[0, i], begins, 0.5 * (self._tolerance * heard[i]) ** 2)
+            few[i] &= FEW * self._batch.part(few[i]).count <= self._batch.count
+        return error, few
 
     def _levels(self, error: Floats, level: int) -> NDArray[np.int64]:
         """Return the levels of blocks to try next for segments with errors (segments,): the same where they will do."""
-        wanted = level + (error > self._tolerance)
-        if self._skips_levels:
-            blocks = np.array([b for b in self._plan.blocks if self._fits(b)])
-            wanted = np.where(
-                wanted > level, np.maximum(wanted, promising(blocks, level, error / self._tolerance)), level
-            )
-        return np.asarray(wanted)
+        wanted = np.full(len(error), level + 1)
+        if self._beside and (self._batch.few or self._batch.count < FEW * BATCH):  # too few for a part of them
+            wanted = self._promising_levels(error, level)
+        return np.where(error > self._tolerance, wanted, level)
+
+    def _promising_levels(self, error: Floats, level: int) -> NDArray[np.int64]:
+        """Return the levels of shorter blocks that may do for segments with errors (segments,) at a level."""
+        blocks = np.array([b for b in self._plan.blocks if self._fits(b)])
+        return promising(blocks, level, error / self._tolerance)
 
     def _fits(self, block: int) -> bool:
         """Test whether the polynomials of one segment in blocks of a length fit into memory."""
         node = self._plan.bytes_per_node(self._source, self._channels)
         needed = node * self._batch.count * (self._plan.segment // block)
         return not self._plan.is_fine(block) or needed <= 4 * self._engine.limits.node_budget
-
-    def _check(self, shortest: float, longest: float) -> None:
-        """Refuse to read beyond the branch signals: it would mean that the bounds of the delays are wrong."""
-        filters = self._plan.source_filters[self._source]
-        rate = filters.oversampling * self._plan.sampling_rate
-        low, high = ((delay + filters.start) * rate for delay in (shortest, longest))
-        if not (low > self._branches.least + 1 and high < self._branches.most - 1):
-            raise ClsimError(
-                f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "
-                "please report this scene as a defect"
-            )
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
         engine, filters = self._engine, self._plan.source_filters[self._source]
@@ -309,8 +308,7 @@ class Run:
         for first in range(0, self._channels, _CHANNELS):
             channels = min(_CHANNELS, self._channels - first)
             constants = {"FUNCTIONS": together * channels, "CHANNELS": channels, "DELAY_TERMS": self._plan.delay_terms}
-            constants["APART"] = int(self._apart)
-            kernel = engine._compiler.kernel("render", layout | constants)
+            kernel = engine._compiler.kernel("render", layout | constants | {"APART": int(self._apart)})
             for k in range(0, self._functions, together):
                 kernel(
                     engine._queue, (size, (layout["WORKERS"], 1)), **arguments, first_row=filters.rows,
@@ -336,7 +334,7 @@ class Run:
             functions=self._functions, channels=self._channels, first_row=filters.rows, pressure=self._pressure,
             pressure_stride=self._stride, first_sample=begin - self._origin,
         )  # fmt: skip
-        self._clear_gains(nodes, slot, at)
+        self._clear_gains(nodes, slot, at, len(fades.slot))
 
     def _fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths within some blocks from a sample on."""
@@ -374,10 +372,9 @@ class Run:
         """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
         return self._start + begin - self._branches.first // self._plan.source_filters[self._source].oversampling
 
-    def _clear_gains(self, nodes: Any, slot: Any, at: Any) -> None:
+    def _clear_gains(self, nodes: Any, slot: Any, at: Any, count: int) -> None:
         """Clear the gains of paths, by slot and block."""
         kernel = self._engine._compiler.kernel("clear_gains", self._polynomial_constants(nodes))
-        count = slot.size // 4
         kernel(
             self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._gains,
             polynomials=nodes.polynomials, slots=self._batch.count,

@@ -49,7 +49,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """Results of some paths: squares (2, segments) of errors and levels, and bounds of delays, s."""
+    """Results of some paths: squares (2, segments, P) of errors and levels, and bounds of delays, s."""
 
     squares: Floats
     shortest: float
@@ -99,15 +99,17 @@ class HostNodeMaker:
         channels = len(plan.tracks.pairs[batch.pairs[0]].channels)  # the same of all of a batch
         terms = plan.delay_terms + 4 * len(filters.basis) * channels
         cubics = np.empty((blocks, terms, batch.count), dtype=np.float32)
+        squares = np.zeros((3, -(-blocks * block // plan.segment), batch.count))
 
-        def make(part: _Part) -> list[tuple[int, _Found]]:
+        def make(part: _Part) -> list[_Found]:
             found = self._evaluated(
                 part, node_times(run.start, run.block, run.blocks, plan.sampling_rate), filters.basis
             )
             here = []
-            for (pair, slots), tracks in zip(part.pairs, found, strict=True):
+            for (_, slots), tracks in zip(part.pairs, found, strict=True):
                 whole[:, slots], cubics[:, :, slots], result = self._part(run, tracks, slots)
-                here.append((pair, result))
+                squares[:2, :, slots] = result.squares
+                here.append(result)
             return here
 
         parts, padding = _parts(plan, batch)
@@ -115,16 +117,9 @@ class HostNodeMaker:
             made = [result for several in side_by_side(make, parts, meanwhile) for result in several]
         for first, silent in padding:
             whole[:, silent], cubics[:, :, silent] = whole[:, [first]], 0.0
-        error = np.zeros(-(-blocks * block // plan.segment))
-        residual = np.zeros((2, len(error), len(batch.pairs)))
-        for i, index in enumerate(batch.pairs):
-            squares = np.sum([found.squares for pair, found in made if pair == index], axis=0)
-            residual[1, :, i] = squares[1]
-            wrong, audible = np.sqrt(squares)
-            np.maximum(error, wrong / np.maximum(audible, plan.tracks.faint), out=error)
         laid_out = cubics.reshape(*cubics.shape[:2], -1, _BESIDE[plan.delay_terms]).swapaxes(1, 2)
-        shortest, longest = min(found.shortest for _, found in made), max(found.longest for _, found in made)
-        return Nodes(self._upload(whole), self._upload(laid_out), None, error, residual, shortest, longest)
+        shortest, longest = min(found.shortest for found in made), max(found.longest for found in made)
+        return Nodes(self._upload(whole), self._upload(laid_out), None, squares, shortest, longest)
 
     def _part(
         self, run: _Run, tracks: tuple[Floats, Floats, Floats], slots: NDArray[np.int64]
@@ -205,10 +200,10 @@ def _sounds(filters: SourceFilters, times: Floats, delay: Floats, rate: float) -
 
 
 def _by_segment(wrong: Floats, gain: Floats, step: int) -> Floats:
-    """Return the squared largest error and level of each segment, (2, segments), of paths (paths, blocks)."""
+    """Return the squared largest error and level of each segment, (2, segments, paths), of paths (paths, blocks)."""
     first = np.arange(0, wrong.shape[1], step)
     largest = [np.maximum.reduceat(values, first, axis=1) for values in (wrong, np.abs(gain))]
-    return np.stack([np.sum(values**2, axis=0) for values in largest])
+    return np.stack([values.T**2 for values in largest])
 
 
 def _parts(plan: Plan, batch: PathBatch) -> tuple[list[_Part], list[tuple[int, NDArray[np.int64]]]]:

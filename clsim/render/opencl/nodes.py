@@ -40,13 +40,12 @@ _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster ar
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """Block polynomials of a run on the device, and the errors, levels and delays of their nodes."""
+    """Block polynomials of a run on the device, and the errors, levels and delays of their paths."""
 
     delay: Any
     polynomials: Any
     activity: Any  # subblocks of each block and path in which something sounds; None if all are looked at
-    error: Floats  # (segments,), of all paths together, relative to what is heard, of the receiver where it is most
-    residual: Floats  # (2, segments, receivers), squares of what no function of frequency represents, and of the level
+    squares: Floats  # (3, segments, slots): of errors, of levels, and of what no function of frequency represents
     shortest: float  # s
     longest: float
 
@@ -129,8 +128,8 @@ class NodeMaker:
         plan, scene = self._plan, self._tracks.paths.scene
         env, pairs = self._environments[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
-        walls = self._columns.met(rows)
-        reflection = np.where(batch.padding[:, None, None], 0.0, env.reflection(walls)).astype(np.float32)
+        reflection = self._columns.reflection(source, rows)
+        reflection = np.where(batch.padding[:, None, None], 0.0, reflection).astype(np.float32)
         receiver_of = np.repeat(np.arange(len(batch.pairs), dtype=np.int32), np.diff(batch.first_slot))
         rate = plan.sampling_rate
         longest, shortest = batch.longest, min(0.0, batch.shortest)  # below 0 s by a receiver's own clock
@@ -232,15 +231,16 @@ class NodeMaker:
             "angular_frequency": 2.0 * math.pi * filters.swiftness, "max_rate": self._max_rates[chunk.source],
             "origin": start - chunk.first, "air_and_functions": env.air,
         }  # fmt: skip
-        shape = self._shape(chunk.source, block, channels)
+        shape = self._shape(chunk.source, block, batch)
         self._launch(chunk, start, segments, receivers, made | env.tables | cells | shape)
         if meanwhile is not None:
             meanwhile()
         cl.enqueue_copy(self._queue, found, there[0])
         cl.enqueue_copy(self._queue, residual, there[1])
-        nodes = _nodes_made(batch.first_slot[:-1], (delay, polynomials, activity), found, residual)
-        self._columns.check(nodes.shortest, start / rate, (start + block * blocks) / rate)
-        return nodes
+        shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
+        self._columns.check(shortest, start / rate, (start + block * blocks) / rate)
+        squares = np.stack([found[..., 0], found[..., 1], residual])
+        return Nodes(delay, polynomials, activity, squares, shortest, longest)
 
     def _launch(
         self, chunk: DeviceChunk, start: int, segments: int, receivers: NDArray[Any], more: dict[str, Any]
@@ -299,15 +299,15 @@ class NodeMaker:
         """Return the number of channels that the receivers of a batch have, all as many."""
         return len(self._tracks.pairs[batch.pairs[0]].channels)
 
-    def _shape(self, source: int, block: int, channels: int) -> dict[str, float]:
+    def _shape(self, source: int, block: int, batch: PathBatch) -> dict[str, float]:
         """Return values that differ between blocks and scenes: as arguments they need no new build."""
         subblock = self._plan.subblock(source, block)
         return {
             "block_samples": block,
             "segment_blocks": self._plan.segment // block,
             "subblock_samples": subblock,
-            "subblock_share": self._plan.left_out_over(source, block),
-            "function_count": len(self._plan.source_filters[source].basis) * channels,
+            "subblock_share": self._plan.left_out_over(source, block, few=batch.few),
+            "function_count": len(self._plan.source_filters[source].basis) * self._channels(batch),
             "angular": self._environments[source].angular,
         }
 
@@ -351,17 +351,6 @@ class NodeMaker:
 
     def _uploaded(self, **columns: NDArray[Any]) -> dict[str, Any]:
         return {name: self._upload(column) for name, column in columns.items()}
-
-
-def _nodes_made(
-    first: NDArray[np.int32], on_device: tuple[Any, Any, Any], found: NDArray[np.float32], residual: NDArray[np.float32]
-) -> Nodes:
-    """Return nodes with what was found of each walk and path, by receivers that begin at given paths."""
-    # Errors of paths add up like the paths themselves: as the root of the sum of squares.
-    wrong, total, left = (np.add.reduceat(square, first, axis=1) for square in (found[..., 0], found[..., 1], residual))
-    error = np.sqrt(wrong, dtype=np.float64) / np.maximum(np.sqrt(total, dtype=np.float64), 1e-30)
-    shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
-    return Nodes(*on_device, error.max(axis=1), np.stack([left, total], dtype=np.float64), shortest, longest)
 
 
 def _largest_turn(axes: Floats) -> float:

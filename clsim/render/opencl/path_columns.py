@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Floats
     from clsim.paths.family import Rows
+    from clsim.paths.links import Links
     from clsim.render.opencl.environment import Environment, Walls
     from clsim.render.plan import Plan
     from clsim.tracks.basis import Basis
@@ -130,6 +131,10 @@ class StaticColumns:
         matrix, offset = image.matrix, image.offset
         return self._of.uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
 
+    def reflection(self, source: int, rows: NDArray[np.int64]) -> Floats:
+        """Factors (slots, parts, nodes) of walls that are the same at every angle."""
+        return self._of.environments[source].reflection(self.met(rows))
+
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
         """Walls of paths (slots,) whose factor depends on the angle."""
         return self._of.environments[source].bounces(self.met(rows))
@@ -146,7 +151,47 @@ class StaticColumns:
         """Refuse delays that report that a path was not found between two times, s."""
 
 
-class EdgeColumns(StaticColumns):
+class VertexColumns(StaticColumns):
+    """Columns of paths by one vertex between static legs.
+
+    Those of all paths of a source are made once, since every chunk takes some of them.
+    """
+
+    def __init__(self, of: Rendered) -> None:
+        super().__init__(of)
+        self._known: dict[int, tuple[NDArray[np.int64], dict[str, NDArray[Any]]]] = {}
+
+    def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
+        """Make the vertices of paths as both ends are seen from them, "views", and what else vertices have (P, ...)."""
+        raise NotImplementedError
+
+    def _column(self, name: str, source: int, rows: NDArray[np.int64]) -> NDArray[Any]:
+        """Take a column of some of a source's paths."""
+        if source not in self._known:
+            mine = np.flatnonzero(self._family.source == source)
+            links, reflection = self._family.links(mine), super().reflection(source, mine)
+            wall_of, normal = self._of.environments[source].bounces_of_sides(*links.surfaces)
+            columns = self._made(source, links) | {"wall_of": wall_of.T, "normal": np.moveaxis(normal, 2, 0)}
+            self._known[source] = mine, columns | {"reflection": reflection}
+        mine, made = self._known[source]
+        return made[name][np.searchsorted(mine, rows)]
+
+    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """Vertices as both ends are seen from them."""
+        image = {"image_matrix": None, "image_offset": None}
+        return self._of.uploaded(views=self._column("views", source, rows)) | image
+
+    def reflection(self, source: int, rows: NDArray[np.int64]) -> Floats:
+        """Factors (slots, parts, nodes) of walls that are the same at every angle."""
+        return self._column("reflection", source, rows)
+
+    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
+        """Walls of both sides whose factor depends on the angle."""
+        wall_of, normal = (self._column(name, source, rows) for name in ("wall_of", "normal"))
+        return wall_of.T, np.moveaxis(normal, 0, 2)
+
+
+class EdgeColumns(VertexColumns):
     """Columns of paths over one edge: both sides' isometries and the edge's axes."""
 
     vertex = EDGE
@@ -163,10 +208,9 @@ class EdgeColumns(StaticColumns):
             table = np.concatenate([table, end_table(waves, basis.parts, middle, END_CELLS)])
         return self._of.uploaded(field_tables=field_tables(waves, table)) | {"middle": middle, "modes": None}
 
-    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Edges as both ends are seen from them."""
-        links = self._family.links(rows)
-        vertex, edges = links.vertex, np.zeros(len(rows), dtype=EDGE_VIEW)
+    def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
+        """Make edges as both ends are seen from them, and factors of faces that are the same at every angle."""
+        vertex, edges = links.vertex, np.zeros(len(links.vertex), dtype=EDGE_VIEW)
         for end, view in zip(("source", "receiver"), vertex.views(links), strict=True):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
         for name in ("n", "lit", "end_side", "corner"):
@@ -178,20 +222,17 @@ class EdgeColumns(StaticColumns):
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         edges["low"] = np.stack([least_angle(vertex.n, beside) for beside in vertex.beside.T], axis=1)
         edges["end"] = np.nan_to_num(vertex.end_place)
-        edges["face"] = self._of.environments[source].tables_of(vertex.faces)
-        return self._of.uploaded(views=edges) | {"image_matrix": None, "image_offset": None}
-
-    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
-        """Walls of both sides whose factor depends on the angle."""
-        return self._of.environments[source].bounces_of_sides(*self._family.links(rows).surfaces)
+        env = self._of.environments[source]
+        edges["face"] = env.tables_of(vertex.faces)
+        factors = env.reflection(vertex.faces.reshape(-1, 1)).astype(np.float32)
+        return {"views": edges, "faces": factors.reshape(len(edges), 2, *factors.shape[1:])}
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Transition functions, and factors of faces that are the same at every angle."""
-        factors = self._of.environments[source].reflection(self._family.vertex.part(rows).faces.reshape(-1, 1))
-        return self._transitions[source] | self._of.uploaded(faces=factors.astype(np.float32))
+        """Transition functions, and factors of faces."""
+        return self._transitions[source] | self._of.uploaded(faces=self._column("faces", source, rows))
 
 
-class ScattererColumns(StaticColumns):
+class ScattererColumns(VertexColumns):
     """Columns of paths by a scatterer: both sides' isometries, and poses and shapes of scatterers."""
 
     vertex, state_numbers = SCATTERER, 6
@@ -206,10 +247,9 @@ class ScattererColumns(StaticColumns):
         self._pose_rate = pose_rate(self._motions, radii, of.plan.duration, tolerance)
         of_shape = np.zeros(len(scatterers), dtype=SCATTERER_VIEW)
         for row, scatterer in zip(of_shape, scatterers, strict=True):
-            shape = scatterer.shape
-            row["shape"] = _SHAPES[shape.kind]
-            row["strength"], row["semi_axes"] = getattr(shape, "strongest", 0.0), shape.semi_axes
-            row["turned"] = scatterer.trajectory.has_orientation and shape.radius > 0.0
+            shape, way = scatterer.shape, scatterer.trajectory
+            row["shape"], row["strength"] = _SHAPES[shape.kind], getattr(shape, "strongest", 0.0)
+            row["semi_axes"], row["turned"] = shape.semi_axes, way.has_orientation and shape.radius > 0.0
         of_shape["thing"] = np.arange(len(scatterers))
         self._shapes = [of_shape.copy() for _ in of.plan.source_filters]
         self._fields = [self._tables(v, f.basis) for v, f in zip(self._shapes, of.plan.source_filters, strict=True)]
@@ -261,17 +301,12 @@ class ScattererColumns(StaticColumns):
         head = [len(steps), outline.fewest, wave, most, outline.largest]
         return np.concatenate([head, np.ravel(rows), *tables])
 
-    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Scatterers as both ends are seen from them."""
-        links = self._family.links(rows)
+    def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
+        """Make scatterers as both ends are seen from them."""
         views = self._shapes[source][links.vertex.scatterer]
         for end, leg in zip(("source", "receiver"), links.legs, strict=True):
             views[f"{end}_turn"], views[f"{end}_shift"] = leg.matrix.reshape(-1, 9), leg.offset
-        return self._of.uploaded(views=views) | {"image_matrix": None, "image_offset": None}
-
-    def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
-        """Walls of both sides whose factor depends on the angle."""
-        return self._of.environments[source].bounces_of_sides(*self._family.links(rows).surfaces)
+        return {"views": views}
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Transition functions and modes."""
