@@ -17,9 +17,10 @@ from clsim.paths.response import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.render.methods.costs import measured_costs
 from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares, spectra
+from clsim.tracks.band_sample import band_of
 from clsim.tracks.basis import NO_TILT, Basis, Tilt, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
-from clsim.tracks.sampled import Draw, band_of
+from clsim.tracks.sampled import Draw
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,8 +11,8 @@ import numpy as np
 
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import LONGEST, band_filters
+from clsim.tracks.band_sample import Band, Sample
 from clsim.tracks.basis import Basis, in_parts
-from clsim.tracks.sampled import Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from clsim.arrays import Complexes, Floats
     from clsim.numerics.band_filters import BandFilters
-    from clsim.tracks.sampled import Band, Draw
+    from clsim.tracks.sampled import Draw
 
 MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 samples at 44.1 kHz that turn take 240
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held

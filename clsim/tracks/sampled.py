@@ -5,36 +5,32 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.curves import CONTINUATION, onward
 from clsim.scene.room.faces import NEAREST
-from clsim.tracks.basis import NO_TILT, Tilt
+from clsim.tracks.band_sample import GRIDS, IN_CACHE, Band, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from clsim.arrays import Complexes, Floats
+    from clsim.arrays import Floats
     from clsim.paths.arrivals import Arrivals
     from clsim.paths.family import PairPaths
     from clsim.scene.ends import Receiver, Source
     from clsim.scene.motion.trajectory import Trajectory
-    from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
     from clsim.tracks.tracks import SceneTracks, Tracks
 
     End = TypeVar("End", Source, Receiver)
 
-GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
 SEED = 20_160_914
 _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
@@ -47,11 +43,8 @@ _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at leas
 _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
 _TOGETHER = 512  # responses that are worked on together
-_IN_CACHE = 8192  # arrivals that are worked on together: larger arrays are fresh memory at every step
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 4096  # of each
-_QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
-_FAINTEST = 1e-4  # energy of what is heard of a window, relative to its centre frequency, that is asked for
 _LATEST = 0.012  # s between the earliest and the latest of responses that can be told
 _MOST_DELAYS = 512  # samples of them
 _LATE_ROWS = 64  # responses that tell it
@@ -60,128 +53,6 @@ _LATE_SHARE = 1e-4  # of their energy may lie earlier than the time of which the
 _LEAST_LATE = 32  # samples; less is not worth being taken out
 _SILENT = 1e-150  # gain, whose square is still a number; what air leaves of 40 kHz after some 2 km
 _FAINT = 0.01  # weight of frequencies with next to nothing where a delay is looked for
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Band:
-    """Band of a signal."""
-
-    low: float  # ends, Hz
-    high: float  # likewise
-    frequencies: Floats  # (F,) Chebyshev points from high to low, Hz
-    energy: Floats  # (W, F) of short windows of the signal near them, relative to what sounds about the window
-    late: float = 0.0  # delay that is taken out of responses, s
-    tilt: Tilt = NO_TILT  # absorption of the air that is taken out of them
-
-    @property
-    def turn(self) -> Complexes:
-        """Phase factor of the delay at the frequencies, (F,)."""
-        return np.asarray(np.exp(-2j * math.pi * self.late * self.frequencies))
-
-    @property
-    def rest(self) -> Floats:
-        """Energy (W,) about each window, outside it."""
-        return np.asarray(np.maximum(1.0 - self.energy.sum(axis=1), 0.0))
-
-
-def band_of(low: float, high: float, sound: ShortTimeSpectra, tilt: Tilt = NO_TILT, count: int = GRIDS[0]) -> Band:
-    """Return a signal's band from its short-time spectra; `low` and `high` in Hz."""
-    high = max(high, low * (1.0 + 1e-6))
-    grid = chebyshev_points(low, high, count)
-    return Band(low, high, grid, sound.near(grid[::-1], low, high)[:, ::-1], tilt=tilt)
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """Responses (n, F) of paths at instants, relative to the level then, weighted by the number each represents.
-
-    A frame is an instant at one channel of a receiver; `first` is where the responses of each begin. The sum of
-    squares over the rows of a frame is that over all of its paths.
-    """
-
-    band: Band
-    responses: Floats | Complexes
-    first: NDArray[np.int64]
-    beyond: Floats  # (n,) length of each path less 1 m, by which the band's tilt acts on it
-
-    def received_of(self, values: Floats | Complexes, at: slice | NDArray[np.int64] = slice(None)) -> Any:
-        """Return values (n, m) at some of the frequencies with the tilt that was taken out of responses."""
-        of_air = self.band.tilt.at(self.band.frequencies[at])
-        return values * np.exp(-np.outer(self.beyond, of_air)) if self.band.tilt.slope else values
-
-    def by_frame(self, values: Floats | Complexes) -> Floats:
-        """Return the sums of the squares of values (n, m) over each frame's rows, some at a time."""
-        ends, made = np.append(self.first, len(values)), []
-        step = max(1, _IN_CACHE * 8 * len(self.first) // max(values.size, 1))
-        for i in range(0, len(self.first), step):
-            first = ends[i : i + step + 1]
-            some = values[first[0] : first[-1]]
-            squares = some.real**2 + some.imag**2 if np.iscomplexobj(some) else some**2
-            made.append(np.add.reduceat(squares, first[:-1] - first[0], axis=0))
-        return np.concatenate(made)
-
-    @cached_property
-    def received(self) -> Floats:
-        """Return the received energy (frames, W) of each window and of its neighbourhood."""
-        return np.asarray(self.by_frame(self.received_of(self.responses)) @ self.band.energy.T + self.band.rest)
-
-    def loudness(self) -> Floats:
-        """Return the inverse (W,) of the received energy of each window, as a mean over the frames."""
-        return np.asarray(np.mean(1.0 / np.maximum(self.received, _FAINTEST), axis=0))
-
-    def relative(self, left: Floats | Complexes) -> Floats:
-        """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
-        left = self.received_of(left)
-        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.received).max(axis=1)))
-
-    def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
-        """Return the largest share of each function (K, F) in the received energy, of squared gains (frames, K)."""
-        shares = np.abs(shapes) ** 2 @ self.band.energy.T  # (K, W)
-        received = self.received
-        return np.sqrt([(np.outer(g, share) / received).max() for g, share in zip(together.T, shares, strict=True)])
-
-    def left(self, shapes: Floats | Complexes) -> float:
-        """Return the error of functions that are wrong by so much (K, F), each with a gain of 1 at every instant."""
-        return float(np.linalg.norm(self.sizes(shapes, np.ones((len(self.first), len(shapes))))))
-
-    def wrong(self, left: Floats | Complexes, nodes: NDArray[np.int64]) -> Floats:
-        """Largest error over all windows of each frame, (frames,), of errors (n, F) of its rows.
-
-        The error over nodes, by their indices, counts as well: the OpenCL engine measures it as it renders.
-        """
-        weight = self.importance[nodes]
-        at_nodes, received = (
-            self.by_frame(self.received_of(r[:, nodes] * weight, nodes)).sum(axis=1) for r in (left, self.responses)
-        )
-        return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(received, 1e-300))))
-
-    @cached_property
-    def importance(self) -> Floats:
-        """Weight (F,) of errors at each frequency: largest energy in any window, relative to its received energy."""
-        energy, count = self.band.energy, len(self.band.frequencies)
-        weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
-        return np.asarray(np.maximum(weight, _QUIETEST))
-
-    def frames(self, which: slice) -> Sample:
-        """Return some of the frames."""
-        ends = np.append(self.first, len(self.responses))[1:]
-        chosen = list(zip(self.first[which].tolist(), ends[which].tolist(), strict=True))
-        firsts = np.cumsum([0, *(end - begin for begin, end in chosen)])[:-1]
-        rows = np.concatenate([np.arange(begin, end) for begin, end in chosen])
-        return Sample(self.band, self.responses[rows], firsts, self.beyond[rows])
-
-    def with_frames(self, other: Sample, which: NDArray[np.int64]) -> Sample:
-        """Return the sample with some frames of another one."""
-        rows, first, ends = [self.responses], [self.first], [*other.first[1:].tolist(), len(other.responses)]
-        count, beyond = len(self.responses), [self.beyond]
-        for frame in which.tolist():
-            part = other.responses[other.first[frame] : ends[frame]]
-            rows.append(part)
-            beyond.append(other.beyond[other.first[frame] : ends[frame]])
-            first.append(np.array([count]))
-            count += len(part)
-        together: Any = np.concatenate(rows)
-        return Sample(self.band, together, np.concatenate(first), np.concatenate(beyond))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -330,7 +201,7 @@ def picked_paths(
         times = np.sort(rng.uniform(0.0, last, instants))
         times[[0, -1]] = 0.0, last
         share = max(-(-count // (len(pairs) * instants)), len(start) * whole)
-        together = instants if paths.family.one_by_one else max(_IN_CACHE // max(len(start), 1), 1)
+        together = instants if paths.family.one_by_one else max(IN_CACHE // max(len(start), 1), 1)
         for part in (times[i : i + together] for i in range(0, instants, together)):
             found = paths.arrivals(part, tracks.kinematics)
             received = (part >= start[:, None]) & (part < end[:, None])

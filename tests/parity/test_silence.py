@@ -97,8 +97,8 @@ def in_chunks(plan: Plan, skips_silence: bool) -> np.ndarray:
 
 
 def test_memory_that_is_used_again_is_silent_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Two periods are 300 samples less than a chunk: what sounded in the last one lies right behind what sounds in this.
-    plan = box_plan(pulses((2 * SEGMENT - 300) / 2 / RATE, 5), order=2)
+    # Two periods are 260 samples less than a chunk: what sounded in the last one lies right behind what sounds in this.
+    plan = box_plan(pulses((2 * SEGMENT - 260) / 2 / RATE, 5), order=2)
     wanted = in_chunks(plan, False)
     np.testing.assert_allclose(wanted, rendered(plan, False), atol=1e-6 * np.abs(wanted).max())
     np.testing.assert_array_equal(in_chunks(plan, True), wanted)

@@ -54,7 +54,6 @@ OF_DELAYS = {
     "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
 }  # fmt: skip
 OF_GAINS = {
-    "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
     "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION, "LEFT_OUT": LEFT_OUT,
     "END_CELLS": END_CELLS, "END_TERMS": END_TERMS, "BOTH": BOTH, "AT_CORNER": AT_CORNER, "HALF_TURN": math.pi,
     "FOCK_FIRST": fock.FIRST, "FOCK_LAST": fock.LAST, "FOCK_COUNT": fock.COUNT,
@@ -62,8 +61,7 @@ OF_GAINS = {
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
-    "NEAREST_END": NEAREST_END,
-    "WITHIN": shade.WITHIN,
+    "NEAREST_END": NEAREST_END, "WITHIN": shade.WITHIN, "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
 # Structures of kernels/nodes/path.h.
@@ -128,8 +126,8 @@ class StaticColumns:
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Images of paths (slots,) and what their leg and vertex add, as arguments of programs."""
         image = self._family.legs[0].part(rows)
-        matrix, offset = image.matrix, image.offset
-        return self._of.uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T) | {"views": None}
+        columns = {"image_matrix": image.matrix.reshape(-1, 9).T, "image_offset": image.offset.T}
+        return self._of.uploaded(**columns) | {"views": None}
 
     def reflection(self, source: int, rows: NDArray[np.int64]) -> Floats:
         """Factors (slots, parts, nodes) of walls that are the same at every angle."""
