@@ -11,7 +11,7 @@ import numpy as np
 
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.material.material import Material
-from clsim.scene.motion.curves import Static
+from clsim.scene.motion.curves import Static, spline_through
 from clsim.scene.motion.orientation import quaternion_product
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from clsim.scene.room.protocol import Room
 
 T = TypeVar("T")
+
+_NOTHING = 1e-9  # of a curve's largest value, as which rounding counts
 
 
 def varied(thing: T, **changes: Any) -> T:
@@ -104,6 +106,27 @@ class Knot:
         out = np.zeros((*time.shape, 3))
         out[..., self.axis] = own(np.clip(time, polynomial.x[0], polynomial.x[-1]))
         return out
+
+
+def locally(spread: Piecewise) -> tuple[Piecewise, Floats]:
+    """B-splines of the same motions as the curves of points, and their weights (points, points) in each of these."""
+    from scipy.interpolate import BSpline
+
+    times = spread.polynomial.x[1:-1]  # without what it is continued by
+    if not np.any(spread.polynomial.c[:2]) or len(times) < 4:
+        return spread, np.eye(len(times))
+    knots = np.concatenate([np.repeat(times[0], 4), times[2:-2], np.repeat(times[-1], 4)])
+    design = BSpline.design_matrix(times, knots, 3).toarray()
+    return spline_through(times, design, "not-a-knot"), np.asarray(np.linalg.inv(design).T, dtype=np.float64)
+
+
+def moving(spread: Piecewise, first: float, last: float) -> tuple[int, int]:
+    """Range of the curves of a spread that are not zero throughout a time, s."""
+    polynomial = spread.polynomial
+    sizes = polynomial.c * np.diff(polynomial.x)[:, None] ** np.arange(3, -1, -1)[:, None, None]
+    begin, end = np.searchsorted(polynomial.x[1:-1], [first, last], "right")
+    active = np.flatnonzero(np.abs(sizes[:, begin : end + 1]).max(axis=(0, 1)) > _NOTHING)
+    return int(active[0]), int(active[-1]) + 1
 
 
 def displaced(motion: T, shift: Curve, by: float) -> T:

@@ -10,11 +10,12 @@ import numpy as np
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.render.methods.per_sample import PathSum
-from clsim.render.plan import Allocation, Plan, chunk_of
+from clsim.render.plan import BLOCKS, Allocation, Plan, chunk_of
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.sensitivity.displaced import ByFunctions, Knot, varied
+from clsim.sensitivity.displaced import ByFunctions, Knot, locally, moving, varied
+from clsim.sensitivity.parameters import along, trajectories, with_spread
 from clsim.sensitivity.tangents import TangentPaths, Tangents
 from clsim.tracks.sampled import SEED
 from clsim.tracks.tracks import SceneTracks
@@ -34,7 +35,9 @@ if TYPE_CHECKING:
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
 _TOGETHER = 24  # parameters that are rendered at a time
-_FAINT = 0.03  # of the loudest tangent
+_LEAST = 0.03  # of the loudest tangent: errors of fainter ones are relative to it
+_BLOCKS = (768, 576, 384, 288, 256, *BLOCKS[2:])  # samples in a block by points of a trajectory, as in `Plan`
+_CUBIC = 24  # blocks in each cubic of a motion at least
 _SAMPLED = 5  # instants and pairs at which levels of tangents are taken
 _LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
 _PER_SAMPLE: dict[str, Any] = {
@@ -70,32 +73,65 @@ class LinearMap:
 
     def forward(self, out: Floats | Complexes) -> None:
         """Write the derivatives of all rows by all parameters into an array (parameters, rows, samples)."""
-        for first in range(0, len(self.parameters), _TOGETHER):
-            here = slice(first, first + _TOGETHER)
-            self._write(self.parameters[here], out[here])
-
-    def _write(self, parameters: Sequence[Parameter], out: Floats | Complexes) -> None:
-        """Write those by some parameters, which are rendered together."""
-        plan, tracks = self.plan, TangentTracks.among_all(scene_tracks(self.plan), parameters, self.plan.duration)
         out[:] = 0.0
+        others = [j for j, parameter in enumerate(self.parameters) if not isinstance(parameter.shift, Knot)]
+        for first in range(0, len(others), _TOGETHER):
+            here = others[first : first + _TOGETHER]
+            self._write(here, [self.parameters[j] for j in here], out, 0, self.plan.samples)
+        for js in trajectories(self.parameters):
+            self._write_points(js, out)
+        for j in range(len(out)):
+            out[j] = through_ends(self.plan, out[j])
+
+    def _write_points(self, js: NDArray[np.int64], out: Floats | Complexes) -> None:
+        """Write those by the points of a trajectory (points, 3), of which few move it at the same time.
+
+        They are sums of derivatives by B-splines, of which each moves it for four of its cubics.
+        """
+        plan, knot = self.plan, self.parameters[js[0, 0]].shift
+        assert isinstance(knot, Knot)
+        spread, mixed = locally(knot.spread)
+        windows = [(at, min(at + plan.segment, plan.samples)) for at in range(0, plan.samples, plan.segment)]
+        spans = [moving(spread, *self._times(*window)) for window in windows]
+        count = max(last - first for first, last in spans)  # the same in all, for few kernels
+        step = np.diff(spread.polynomial.x[1:-1]).min() * plan.sampling_rate / _CUBIC
+        blocks = plan.blocks if plan.baseband is not None else tuple(b for b in _BLOCKS if b <= max(step, _BLOCKS[-1]))
+        for window, (first, _) in zip(windows, spans, strict=True):
+            here = min(first, len(js) - count) + np.arange(count)
+            for some in np.array_split(here, -(-3 * count // _TOGETHER)):
+                mine = js[some].ravel().tolist()
+                self._write(mine, [with_spread(self.parameters[j], spread) for j in mine], out, *window, blocks)
+        for axis in range(3):
+            out[js[:, axis]] = np.tensordot(mixed, out[js[:, axis]], 1)
+
+    def _times(self, start: int, stop: int) -> tuple[float, float]:
+        """First and last time, s, of emission or reception that samples, and the nodes beside them, depend on."""
+        plan, beside = self.plan, 3 * self.plan.blocks[0]
+        tracks, times = scene_tracks(plan), np.array([start - beside, stop + beside]) / plan.sampling_rate
+        late = np.stack([receiver.clock_error(times) for receiver in tracks.scene.receivers])
+        first = min(times[0] - tracks.longest_delay(*times), float((times + late).min()))
+        return first, float((times + late).max())
+
+    def _write(
+        self, js: Sequence[int], parameters: Sequence[Parameter], out: Floats | Complexes, start: int, stop: int,
+        blocks: tuple[int, ...] | None = None,
+    ) -> None:  # fmt: skip
+        """Write those by some parameters, which are rendered together, from a sample to another."""
+        plan, tracks = self.plan, TangentTracks.among_all(scene_tracks(self.plan), parameters, self.plan.duration)
         if not tracks.pairs:
             return
         rows = sum(map(len, tracks.channels))
-        chunk = chunk_of(plan.options, plan.samples, plan.sampling_rate, plan.segment, rows, tracks.longest_delay)
-        # Points of a motion bend it: the longest blocks would be made in vain.
-        blocks = plan.blocks[any(isinstance(parameter.shift, Knot) for parameter in parameters) :]
+        chunk = chunk_of(plan.options, stop - start, plan.sampling_rate, plan.segment, rows, tracks.longest_delay)
         shared = replace(
-            self.shared, tracks=tracks, allocation=Allocation(), samples=plan.samples, chunk=chunk, blocks=blocks,
-            builders=[PathSum],
+            self.shared, tracks=tracks, allocation=Allocation(), samples=stop, chunk=chunk,
+            blocks=blocks or plan.blocks, builders=[PathSum],
         )  # fmt: skip
         pressure = PressureSum(shared)
-        for start in range(0, plan.samples, chunk):
-            piece = pressure(start)
+        for at in range(start, stop, chunk):
+            piece = pressure(at)
             for mine, j, row in tracks.rows(plan.first_rows):
-                out[j, row, start : start + piece.shape[1]] = tracks.scales[j] * piece[mine]
+                out[js[j], row, at : at + piece.shape[1]] = tracks.scales[j] * piece[mine]
         pressure.warn()
-        for j in range(len(out)):
-            out[j] = through_ends(plan, out[j])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,9 +167,14 @@ class TangentTracks(SceneTracks):
         return replace(made, scales=made.levels(until))
 
     @property
-    def faint(self) -> float:
-        """Level below which errors are relative to it: far from a point of a motion tangents are all but nothing."""
-        return _FAINT
+    def least_level(self) -> float:
+        """Part of the loudest tangent: B-splines begin and end with next to nothing."""
+        return _LEAST
+
+    @property
+    def eased_db(self) -> float:
+        """As much as responses of tangents."""
+        return _LESS_DB
 
     @property
     def on_device(self) -> bool:
@@ -163,7 +204,7 @@ class TangentTracks(SceneTracks):
                 emitted = self.scene.sources[pair.source].emitted.centre_frequency
                 at = SceneResponse(self.scene, pair.source, np.array([emitted]))
                 here = Tangents.of(pair, times, pair.arrivals(times, self.kinematics), at, self.kinematics)
-                loud = [np.linalg.norm(here.by(self.parameters[j]), axis=1).max() for j in js]
+                loud = [np.linalg.norm(here.by(along(self.parameters[j])), axis=1).max() for j in js]
                 found[js] = np.maximum(found[js], loud)
         return np.where(found > 0.0, found, 1.0)
 

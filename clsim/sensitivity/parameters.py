@@ -229,16 +229,36 @@ def _shifted(name: str, shift: Curve, with_thing: Any, acts: str, own: dict[str,
     return Parameter(name, "m", _STEP, change, **own, acts=acts, shift=shift)
 
 
+def trajectories(parameters: Sequence[Parameter]) -> list[NDArray[np.int64]]:
+    """Numbers (points, 3) of the parameters of each trajectory by points."""
+    found: dict[int, list[int]] = {}
+    for j, parameter in enumerate(parameters):
+        if isinstance(parameter.shift, Knot):
+            found.setdefault(id(parameter.shift.spread), []).append(j)
+    return [np.reshape(js, (-1, 3)) for js in found.values()]
+
+
+def with_spread(parameter: Parameter, spread: Piecewise) -> Parameter:
+    """Return the displacement of a trajectory by a curve of another spread in place of that of a point."""
+    assert isinstance(parameter.shift, Knot)
+    return _of_end(parameter, parameter.name, replace(parameter.shift, spread=spread))
+
+
 def along(parameter: Parameter, begin: float | None = None) -> Parameter:
     """Return the displacement of all of a trajectory in place of that of a point, or one that grows from a time, s."""
     if not isinstance(parameter.shift, Knot):
         return parameter
+    axis = np.eye(3)[parameter.shift.axis]
+    shift = Static(axis) if begin is None else Ramp(axis, begin)
+    name = f"{parameter.name.partition('.')[0]}.position.{_AXES[parameter.shift.axis]}"
+    return _of_end(parameter, name, shift)
+
+
+def _of_end(parameter: Parameter, name: str, shift: Curve) -> Parameter:
+    """Return another displacement of the same end."""
     kind = "receivers" if parameter.source is None else "sources"
     index = int(parameter.receiver or 0) if parameter.source is None else parameter.source
     own = {"source": parameter.source, "receiver": parameter.receiver}
-    axis = np.eye(3)[parameter.shift.axis]
-    shift = Static(axis) if begin is None else Ramp(axis, begin)
-    name = f"{kind}[{index}].position.{_AXES[parameter.shift.axis]}"
     return _shifted(name, shift, partial(_with_thing, kind, index), "shift", own)
 
 

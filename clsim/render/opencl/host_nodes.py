@@ -121,7 +121,7 @@ class HostNodeMaker:
             squares = np.sum([found.squares for pair, found in made if pair == index], axis=0)
             residual[1, :, i] = squares[1]
             wrong, audible = np.sqrt(squares)
-            np.maximum(error, wrong / np.maximum(audible, plan.tracks.faint), out=error)
+            np.maximum(error, wrong / np.maximum(audible, plan.tracks.least_level), out=error)
         laid_out = cubics.reshape(*cubics.shape[:2], -1, _BESIDE[plan.delay_terms]).swapaxes(1, 2)
         shortest, longest = min(found.shortest for _, found in made), max(found.longest for _, found in made)
         return Nodes(self._upload(whole), self._upload(laid_out), None, error, residual, shortest, longest)
