@@ -11,8 +11,9 @@ import numpy as np
 from clsim.numerics.blas import with_blas_threads
 from clsim.render.methods.per_sample import delayed_streams
 from clsim.render.plan import Allocation
+from clsim.sensitivity.displaced import Knot
 from clsim.sensitivity.images import has_beams
-from clsim.sensitivity.linear_map import scene_tracks, through_ends
+from clsim.sensitivity.linear_map import blocks_for, scene_tracks, through_ends
 from clsim.sensitivity.moments import MomentEngine
 from clsim.sensitivity.pulled import Pulled
 from clsim.tracks.basis import flat_basis
@@ -40,14 +41,18 @@ def adjoint(linear: LinearMap, weights: Floats | Complexes) -> Floats:
     plan = linear.plan
     weights = through_ends(plan, np.array(weights), transposed=True)
     pulled = Pulled(linear)
+    spreads = [parameter.shift.spread for parameter in linear.parameters if isinstance(parameter.shift, Knot)]
+    fit = min((blocks_for(plan, spread) for spread in spreads), default=plan.blocks)
     if plan.options.engine == "opencl" and plan.baseband is None:
         others = Allocation(frozenset(i for i in range(len(plan.tracks.pairs)) if not pulled.concerned(i)))
-        shared = replace(plan, source_filters=linear.shared.source_filters, allocation=others, builders=[])
+        shared = replace(
+            plan, source_filters=linear.shared.source_filters, allocation=others, blocks=fit, builders=[]
+        )  # fmt: skip
         MomentEngine(shared).taken(weights, partial(_by_moments, pulled))
         return pulled.found
     for pair, member in enumerate(plan.tracks.pairs):
         paths = scene_tracks(plan).pair_paths[pair]
-        block = _SHORT_BLOCK if paths.family.varies or has_beams(paths) else _BLOCK
+        block = min(_SHORT_BLOCK if paths.family.varies or has_beams(paths) else _BLOCK, fit[0])
         if plan.baseband is not None:
             block = max(round(_SHORT * plan.sampling_rate), 2)
         filters, rows = linear.shared.source_filters[member.source], weights[plan.rows_of_pair(pair)]

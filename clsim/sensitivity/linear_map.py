@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from clsim.paths.family import PairPaths, PathFamily
     from clsim.render.options import RenderOptions
     from clsim.scene.ends import Receiver
+    from clsim.scene.motion.curves import Piecewise
     from clsim.sensitivity.parameters import Parameter
     from clsim.tracks.basis import Basis
 
@@ -94,8 +95,7 @@ class LinearMap:
         windows = [(at, min(at + plan.segment, plan.samples)) for at in range(0, plan.samples, plan.segment)]
         spans = [moving(spread, *self._times(*window)) for window in windows]
         count = max(last - first for first, last in spans)  # the same in all, for few kernels
-        step = np.diff(spread.polynomial.x[1:-1]).min() * plan.sampling_rate / _CUBIC
-        blocks = plan.blocks if plan.baseband is not None else tuple(b for b in _BLOCKS if b <= max(step, _BLOCKS[-1]))
+        blocks = blocks_for(plan, spread)
         for window, (first, _) in zip(windows, spans, strict=True):
             here = min(first, len(js) - count) + np.arange(count)
             for some in np.array_split(here, -(-3 * count // _TOGETHER)):
@@ -226,6 +226,12 @@ class TangentTracks(SceneTracks):
                     known[id(response)] = response, np.moveaxis(basis.gains(response), -1, 1)
                 out[:, i] += weight / self.scales[j] * known[id(response)][1]
         return out.reshape(-1, *out.shape[2:])
+
+
+def blocks_for(plan: Plan, spread: Piecewise) -> tuple[int, ...]:
+    """Return the samples in a block of derivatives by the points of a trajectory, which bend in each of its cubics."""
+    step = max(np.diff(spread.polynomial.x[1:-1]).min() * plan.sampling_rate / _CUBIC, _BLOCKS[-1])
+    return plan.blocks if plan.baseband is not None else tuple(b for b in _BLOCKS if b <= step)
 
 
 def plan_of(paths: PathSet, options: RenderOptions) -> Plan:
