@@ -35,6 +35,8 @@ WITHOUT_DERIVATIVE = {
     "there with diffraction only",
     "healing and simplification of meshes": "walls and edges stay those that were found",
     "displacement of walls next to edges": "refused in scenes with diffracted paths",
+    "single corners of meshes": "no parameter: walls are displaced as a whole",
+    "emitted signals in baseband": "refused, as are tensors' renders in baseband: envelopes are those of a band",
     "noise and converters of receivers": "left out: the derivative is that of the signal before noise and rounding",
     "the diffuse tail": "left out, which a note says: the derivative is that of the sound over paths",
     "ends that bodies carry": "they stay where they are as `bodies[i].position` changes",

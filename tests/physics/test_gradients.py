@@ -11,6 +11,7 @@ from moved_scenes import (
     EXACT,
     EYE,
     FIXED,
+    HARD,
     KNOTS,
     LINE,
     LOW,
@@ -24,6 +25,7 @@ from moved_scenes import (
     vector,
     walk,
 )
+from scenes import DATA
 
 import clsim
 from clsim.paths.path_set import PathSet
@@ -147,6 +149,28 @@ def test_receivers_of_several_channels(kind: str, what: str, h: float) -> None:
     lengths = np.linalg.norm(weights) * np.linalg.norm(derivative)
     there = np.ravel(back[vector(name)])[found.parameters.index(name)]
     assert abs(there - np.sum(weights * derivative)) <= 1e-6 * lengths
+
+
+def test_measured_heads() -> None:
+    """A head that turns, at the default errors: differences hold 3e-5, the transpose 1e-6."""
+    file = DATA / "hrtf" / "MIT_KEMAR_normal_pinna.sofa"
+    if not file.exists():
+        pytest.skip(f"{file} is not there")
+    pytest.importorskip("sofar")
+    head, name, options = clsim.HeadRelated.from_sofa(file), "receivers[0].orientation", {"engine": "reference"}
+
+    def turned(h: float) -> PathSet:
+        half = 0.5 * np.radians(30.0 + h)
+        way = FIXED((3.1, 2.3, 1.4), (0.0, 0.0, np.sin(half), np.cos(half)))
+        ends = [clsim.Source("s", LOW, SOURCE)], [clsim.Receiver("r", way, directivity=head)]
+        return clsim.find_paths(clsim.Scene(clsim.Shoebox((4.0, 3.0, 2.5), HARD), clsim.Air(), *ends), 0)
+
+    derivative = clsim.sensitivities(turned(0.0), [name], 24e3, duration=0.016, **options).jacobian[2]
+    sounds = (received(plan_of(turned(h), RenderOptions(24e3, duration=0.016, **options))) for h in (0.01, -0.01))
+    ahead, behind = sounds
+    assert np.linalg.norm((ahead - behind) / 0.02 - derivative) <= 3e-5 * np.linalg.norm(derivative)
+    back = clsim.gradient(turned(0.0), derivative, [name], 24e3, **options)[name][2]
+    assert back == pytest.approx(np.sum(derivative**2), rel=1e-6)
 
 
 def test_elements_of_arrays() -> None:
