@@ -72,7 +72,7 @@ class Tracks(ABC):
 
     @property
     def eased_db(self) -> float:
-        """By how much delays and gains between nodes may be held less well than by default, dB."""
+        """Allowance for the error of delays and gains between nodes, dB above the default bound."""
         return 0.0
 
     @property
