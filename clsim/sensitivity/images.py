@@ -134,7 +134,7 @@ class Images:
         found = self.found
         product = np.asarray(np.conj(weights) * response, dtype=np.complex128)
         on_level = product.real.sum(axis=(0, 3))
-        on_delay = product.imag.sum(axis=0) @ (2.0 * np.pi * at.frequencies)
+        on_delay = product.imag.sum(axis=0) @ (2.0 * np.pi * at.turning)
         on_mach = self.exponent * found.frequency_ratio * on_level
         on_length = -on_level / found.length
         if at.disperses:

@@ -16,7 +16,7 @@ from clsim.render.render import PressureSum, ReceiverEnd
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.sensitivity.displaced import ByFunctions, Knot, locally, moving, varied
 from clsim.sensitivity.parameters import along, trajectories, with_spread
-from clsim.sensitivity.tangents import TangentPaths, Tangents
+from clsim.sensitivity.tangents import TangentPaths, Tangents, responses_at
 from clsim.tracks.sampled import SEED
 from clsim.tracks.tracks import SceneTracks
 
@@ -66,9 +66,9 @@ class LinearMap:
     def of(cls, paths: PathSet, parameters: Sequence[Parameter], options: RenderOptions) -> LinearMap:
         """Design the filters."""
         plan = plan_of(paths, options)
-        few = representatives(scene_tracks(plan), parameters)
+        few = representatives(scene_tracks(plan), parameters, plan.options.responses == "centre")
         allowed = min(plan.options.response_error_db + _LESS_DB, _MOST_DB)
-        own = replace(plan.options, duration=plan.duration, response_error_db=allowed, tail="off")
+        own = replace(plan.options, duration=plan.duration, response_error_db=allowed, tail="off", responses="band")
         shared = plan_paths(few, own) if few is not None else plan
         return cls(plan, tuple(parameters), shared)
 
@@ -117,7 +117,10 @@ class LinearMap:
         blocks: tuple[int, ...] | None = None,
     ) -> None:  # fmt: skip
         """Write those by some parameters, which are rendered together, from a sample to another."""
-        plan, tracks = self.plan, TangentTracks.among_all(scene_tracks(self.plan), parameters, self.plan.duration)
+        plan = self.plan
+        tracks = TangentTracks.among_all(
+            scene_tracks(plan), parameters, plan.duration, plan.options.responses == "centre"
+        )
         if not tracks.pairs:
             return
         rows = sum(map(len, tracks.channels))
@@ -140,10 +143,13 @@ class TangentTracks(SceneTracks):
 
     parameters: tuple[Parameter, ...]
     here: tuple[tuple[int, ...], ...]  # parameters on which the paths to each receiver depend
+    at_centre: bool  # whether responses are those at the centre frequency
     scales: Floats  # (parameters,) by which gains are divided, so that none is held less well than others
 
     @classmethod
-    def among_all(cls, own: SceneTracks, parameters: Sequence[Parameter], until: float) -> TangentTracks:
+    def among_all(
+        cls, own: SceneTracks, parameters: Sequence[Parameter], until: float, at_centre: bool
+    ) -> TangentTracks:
         """Return the tangents of the paths that depend on any of some parameters, in a run that ends at a time, s."""
         touched = {
             (id(family), j): parameter.touched(family)
@@ -163,7 +169,9 @@ class TangentTracks(SceneTracks):
             member, count = own.pairs[i], len(here[own.pairs[i].receiver])
             pairs.append(replace(member, channels=range(count * member.channels.start, count * member.channels.stop)))
         columns |= {"pairs": tuple(pairs), "pair_paths": tuple(own.pair_paths[i] for i in mine)}
-        made = cls(**columns, parameters=tuple(parameters), here=here, scales=np.ones(len(parameters)))
+        made = cls(
+            **columns, parameters=tuple(parameters), here=here, at_centre=at_centre, scales=np.ones(len(parameters))
+        )
         return replace(made, scales=made.levels(until))
 
     @property
@@ -212,7 +220,7 @@ class TangentTracks(SceneTracks):
         self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis
     ) -> list[Floats]:
         """Return the gains (C, K, P, T) of tangents of paths of some pairs."""
-        at = SceneResponse(self.scene, paths[0].source, basis.nodes)
+        at = responses_at(self.scene, paths[0].source, basis.nodes, self.at_centre)
         return [self._gains(Tangents.of(pair, times, found, at, self.kinematics), basis) for pair in paths]
 
     def _gains(self, tangents: Tangents, basis: Basis) -> Floats:
@@ -286,7 +294,7 @@ def _plain(paths: PathSet) -> PathSet:
     return PathSet(scene, tuple(family.in_scene(scene) for family in paths.families))
 
 
-def representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> PathSet | None:
+def representatives(tracks: SceneTracks, parameters: Sequence[Parameter], at_centre: bool) -> PathSet | None:
     """Return tangents of some pairs by parameters of all kinds, of which functions of frequency are designed.
 
     Of every kind of parameter and every kind of path some are drawn: what none stands for would not be held.
@@ -305,5 +313,5 @@ def representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> Pat
         count = max(_MOST_PAIRS // sum(key[0] == source for key in kinds), 2)
         for i in chance.permutation(len(each))[:count].tolist():
             pair, one = each[i]
-            found.append(TangentPaths.of(pair.family.part(pair.index), one, tracks.kinematics))
+            found.append(TangentPaths.of(pair.family.part(pair.index), one, tracks.kinematics, at_centre))
     return PathSet(tracks.paths.scene, tuple(found)) if found else None

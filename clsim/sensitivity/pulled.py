@@ -12,7 +12,7 @@ from clsim.render.plan import node_times
 from clsim.sensitivity.displaced import Knot
 from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
 from clsim.sensitivity.linear_map import scene_tracks
-from clsim.sensitivity.tangents import Tangents, clock_change
+from clsim.sensitivity.tangents import Tangents, clock_change, responses_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -56,7 +56,7 @@ class Pulled:
         basis = self._linear.shared.source_filters[paths.source].basis
         times = node_times(start, block, at_nodes.shape[2] - 3, plan.sampling_rate)
         now = times + self._tracks.scene.receivers[paths.receiver].clock_error(times)
-        at = SceneResponse(self._tracks.scene, paths.source, basis.nodes)
+        at = responses_at(self._tracks.scene, paths.source, basis.nodes, plan.options.responses == "centre")
         found = paths.arrivals(now, self._tracks.kinematics)
         tangents = Tangents.of(paths, now, found, at, self._tracks.kinematics)
         weights, here = _at_frequencies(basis, at_nodes), list(self._parameters(paths))
@@ -181,7 +181,7 @@ class _OfImages:
         images, family = self._images, self._images.family
         source = int(family.source[images.rows][0])
         scenes = [parameter.moved(family.scene, sign * parameter.step) for sign in (1.0, -1.0)]
-        ats = [SceneResponse(scene, source, self._at.frequencies) for scene in scenes]
+        ats = [SceneResponse(scene, source, self._at.frequencies, self._at.turning) for scene in scenes]
         walls = np.arange(len(self._at.angular) - 1)[:, None]
         if is_simple(family, images.rows, self._at) and np.array_equal(
             ats[0].reflection(walls), ats[1].reflection(walls)

@@ -116,7 +116,7 @@ class Tangents:
 
     def _turned(self) -> Complexes:
         """Responses of a delay that grows by a second."""
-        turned: Complexes = self._once("turned", lambda: -2j * np.pi * self.at.frequencies * self.own)
+        turned: Complexes = self._once("turned", lambda: -2j * np.pi * self.at.turning * self.own)
         return turned
 
     def _by_time(self) -> Complexes:
@@ -146,7 +146,7 @@ class Tangents:
         paths = replace(self.paths, family=family, rows=self.paths.rows if rows is None else rows)
         when = self.times + later
         found = paths.arrivals(when, self.kinematics)
-        at = SceneResponse(family.scene, self.paths.source, self.at.frequencies)
+        at = SceneResponse(family.scene, self.paths.source, self.at.frequencies, self.at.turning)
         return paths.responses(found, when, at), delays_of(paths, found, when) - later
 
     def _of_image(self, parameter: Parameter) -> Terms:
@@ -163,7 +163,7 @@ class Tangents:
             if acts == "air":
                 scene = parameter.moved(scene, step)
                 paths = replace(paths, family=paths.family.in_scene(scene))
-            there = SceneResponse(scene, self.paths.source, self.at.frequencies)
+            there = SceneResponse(scene, self.paths.source, self.at.frequencies, self.at.turning)
             when, moved = self.times + step * causes.get("later", 0.0), images.moved(change, step)
             beside.append((paths.responses(moved, when, there), delays_of(paths, moved, when)))
         late = change.delay + (beside[0][1] - beside[1][1]) / steps  # of channels behind the centre
@@ -192,6 +192,15 @@ class Tangents:
         return {"speed": (speeds[0] - speeds[1]) / (2.0 * parameter.step)}
 
 
+def responses_at(scene: Scene, source: int, frequencies: Floats, at_centre: bool) -> SceneResponse:
+    """Responses of a scene at frequencies (F,), Hz, or of all of these those at the centre of what is emitted."""
+    if not at_centre:
+        return SceneResponse(scene, source, frequencies)
+    return SceneResponse(
+        scene, source, np.full_like(frequencies, scene.sources[source].emitted.centre_frequency), frequencies
+    )
+
+
 def delays_of(paths: PairPaths, found: Arrivals, times: Floats) -> Floats:
     """Delays (P, T), s, of channels that have one of their own with it."""
     if paths.reach == 0.0:
@@ -218,12 +227,13 @@ class TangentPaths(PathFamily):
     base: PathFamily  # the paths
     parameter: Parameter
     kinematics: Kinematics  # of the rendering
+    at_centre: bool  # whether it takes responses at the centre frequency
 
     @classmethod
-    def of(cls, base: PathFamily, parameter: Parameter, kinematics: Kinematics) -> Self:
+    def of(cls, base: PathFamily, parameter: Parameter, kinematics: Kinematics, at_centre: bool) -> Self:
         """Return the tangents of paths by a parameter."""
         own: dict[str, Any] = {f.name: getattr(base, f.name) for f in fields(PathFamily)}
-        return cls(**own, base=base, parameter=parameter, kinematics=kinematics)
+        return cls(**own, base=base, parameter=parameter, kinematics=kinematics, at_centre=at_centre)
 
     def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
         """Return the arrivals of the paths themselves."""
@@ -237,6 +247,7 @@ class TangentPaths(PathFamily):
 
     def of_channels(self, paths: PairPaths, found: Arrivals, times: Floats, at: SceneResponse) -> Complexes:
         """Return the same by channel of the receiver, (C, P, T, F)."""
+        at = responses_at(self.scene, paths.source, at.frequencies, self.at_centre)
         return Tangents.of(replace(paths, family=self.base), times, found, at, self.kinematics).by(self.parameter)
 
     def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:

@@ -92,7 +92,7 @@ def test_filters_are_designed_for_every_kind_of_path() -> None:
     """
     paths = balls(0.0, "ball", 2)
     plan = plan_of(paths, RenderOptions(RATE, engine="reference", duration=0.001, responses="centre"))
-    drawn = representatives(scene_tracks(plan), parameters_of(paths, ["scatterers[0].position"]))
+    drawn = representatives(scene_tracks(plan), parameters_of(paths, ["scatterers[0].position"]), False)
     assert drawn is not None
     seen = {(family.interactions.shape[1], family.parameter.name[-1]) for family in drawn.families}  # type: ignore[attr-defined]
     assert seen == {(count, axis) for count in (1, 2) for axis in "xyz"}
