@@ -47,8 +47,6 @@ class SceneResponse:
     ----------
     frequencies : ndarray (F,)
         The same.
-    turning : ndarray (F,)
-        Those of what is emitted: the same, unless all are responses at its centre.
     nepers : ndarray (F,)
         Absorption of the air, of the amplitude, 1/m; half way up where it depends on the height.
     least_nepers, most_nepers : ndarray (F,)
@@ -65,8 +63,7 @@ class SceneResponse:
         Walls that let sound pass.
     """
 
-    def __init__(self, scene: Scene, source: int, frequencies: Floats, turning: Floats | None = None) -> None:
-        self.turning = frequencies if turning is None else turning
+    def __init__(self, scene: Scene, source: int, frequencies: Floats) -> None:
         self._scene, self.frequencies, self.disperses = scene, frequencies, scene.air.dispersion
         self._centre, self._layers = scene.sources[source].emitted.centre_frequency, scene.air.layers
         materials = self._materials = scene.materials

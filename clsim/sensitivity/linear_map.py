@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.path_set import PathSet
-from clsim.paths.response import SceneResponse
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.plan import BLOCKS, Allocation, Plan, chunk_of
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.sensitivity.displaced import ByFunctions, Knot, locally, moving, varied
+from clsim.sensitivity.displaced import ByFunctions, Knot, TangentResponse, locally, moving, varied
 from clsim.sensitivity.parameters import along, trajectories, with_spread
-from clsim.sensitivity.tangents import TangentPaths, Tangents, responses_at
+from clsim.sensitivity.tangents import TangentPaths, Tangents
 from clsim.tracks.sampled import SEED
 from clsim.tracks.tracks import SceneTracks
 
@@ -210,7 +209,7 @@ class TangentTracks(SceneTracks):
             counted[js] += 1
             if js:
                 emitted = self.scene.sources[pair.source].emitted.centre_frequency
-                at = SceneResponse(self.scene, pair.source, np.array([emitted]))
+                at = TangentResponse(self.scene, pair.source, np.array([emitted]))
                 here = Tangents.of(pair, times, pair.arrivals(times, self.kinematics), at, self.kinematics)
                 loud = [np.linalg.norm(here.by(along(self.parameters[j])), axis=1).max() for j in js]
                 found[js] = np.maximum(found[js], loud)
@@ -220,7 +219,7 @@ class TangentTracks(SceneTracks):
         self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis
     ) -> list[Floats]:
         """Return the gains (C, K, P, T) of tangents of paths of some pairs."""
-        at = responses_at(self.scene, paths[0].source, basis.nodes, self.at_centre)
+        at = TangentResponse(self.scene, paths[0].source, basis.nodes, self.at_centre)
         return [self._gains(Tangents.of(pair, times, found, at, self.kinematics), basis) for pair in paths]
 
     def _gains(self, tangents: Tangents, basis: Basis) -> Floats:
@@ -244,7 +243,8 @@ def blocks_for(plan: Plan, spread: Piecewise) -> tuple[int, ...]:
 
 def plan_of(paths: PathSet, options: RenderOptions) -> Plan:
     """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay."""
-    return plan_paths(_plain(paths), replace(options, **_PER_SAMPLE))
+    arriving = options.baseband is None and options.responses == "band"
+    return plan_paths(_plain(paths, arriving), replace(options, **_PER_SAMPLE))
 
 
 def scene_tracks(plan: Plan) -> SceneTracks:
@@ -278,8 +278,11 @@ def through_ends(plan: Plan, rows: Floats, transposed: bool = False) -> Floats:
     return rows
 
 
-def _plain(paths: PathSet) -> PathSet:
-    """Return the paths in a scene whose receivers neither add noise nor round, nor filter the sound of each path."""
+def _plain(paths: PathSet, arriving: bool) -> PathSet:
+    """Return the paths in a scene whose receivers neither add noise nor round, nor filter the sound of each path.
+
+    Renders filter it with what heads do at the frequencies that arrive, or have gains at those that are emitted.
+    """
     quiet: dict[str, Any] = dict.fromkeys(("ambient_noise_db", "snr_db", "self_noise_db", "adc_bits", "adc_full_scale"))
 
     def plain(r: Receiver) -> Receiver:
@@ -287,7 +290,7 @@ def _plain(paths: PathSet) -> PathSet:
         channels = isinstance(own, ChannelDirectivity) and not own.by_functions
         return varied(
             r, electronics=electronics and varied(electronics, **quiet),
-            directivity=ByFunctions(own) if channels and isinstance(own, ChannelDirectivity) else own,
+            directivity=ByFunctions(own, arriving) if channels and isinstance(own, ChannelDirectivity) else own,
         )  # fmt: skip
 
     scene = varied(paths.scene, receivers=tuple(map(plain, paths.scene.receivers)))

@@ -25,8 +25,8 @@ import clsim
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.family import PairPaths
 from clsim.paths.path_set import PathSet
-from clsim.paths.response import SceneResponse
 from clsim.render.options import RenderOptions
+from clsim.sensitivity.displaced import TangentResponse
 from clsim.sensitivity.linear_map import plan_of, received, representatives, scene_tracks
 from clsim.sensitivity.parameters import WITHOUT_DERIVATIVE, parameters_of
 from clsim.sensitivity.tangents import Tangents
@@ -71,7 +71,7 @@ def test_delays_follow_fermats_principle(name: str, where: str) -> None:
     c = paths.scene.air.speed_of_sound
     for axis, parameter in enumerate(parameters_of(paths, [name])):
         for family in paths.families:
-            rows, at = slice(None), SceneResponse(paths.scene, 0, tones)
+            rows, at = slice(None), TangentResponse(paths.scene, 0, tones)
             found = family.arrivals(rows, times)
             pair = PairPaths(family, rows, 0, 0)
             tangents = Tangents.of(pair, times, found, at, RETARDED).by(parameter)[0]
