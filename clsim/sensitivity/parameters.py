@@ -43,9 +43,9 @@ WITHOUT_DERIVATIVE = {
 }
 _AXES = "xyz"
 _STEP = 1e-5  # m: a phase of 0.7 mrad at 40 kHz; rounding of delays is then below 1e-7 of their derivative
-# Name, unit, step and multiple of the step in the field's own unit.
+_DAMP = 1e-6  # step of the humidity, and what it is away from 0 and 1 at least
 _OF_AIR = {
-    "temperature_celsius": ("°C", 1e-3), "relative_humidity": ("1", 1e-5), "pressure": ("Pa", 10.0),
+    "temperature_celsius": ("°C", 1e-3), "relative_humidity": ("1", _DAMP), "pressure": ("Pa", 10.0),
     "speed_of_sound": ("m/s", 1e-3), "wind": ("m/s", 1e-3),
 }  # fmt: skip
 _OF_ELECTRONICS = {"clock_ppm": ("ppm", 0.1), "clock_offset": ("s", 1e-7), "gain_db": ("dB", 1e-3)}
@@ -117,14 +117,23 @@ class Parameter:
 
 def parameters_of(paths: PathSet, wrt: Sequence[str]) -> list[Parameter]:
     """Return the parameters of names; a name of a vector gives all of its components."""
+    check_names(wrt)
+    found = [parameter for name in wrt for parameter in _named(paths, name)]
+    check_once([parameter.name for parameter in found])
+    return found
+
+
+def check_names(wrt: Any) -> None:
+    """Raise an InputError if something is no list of names."""
     if isinstance(wrt, str) or not wrt or not all(isinstance(name, str) for name in wrt):
         raise InputError("wrt", f"must be a list of names, but is {wrt!r:.80}")
-    found = [parameter for name in wrt for parameter in _named(paths, name)]
-    names = [parameter.name for parameter in found]
+
+
+def check_once(names: Sequence[str]) -> None:
+    """Raise an InputError if a name comes twice."""
     for name in names:
         if names.count(name) > 1:
             raise InputError("wrt", f"must name each parameter once, but names {name} twice")
-    return found
 
 
 def _named(paths: PathSet, name: str) -> Iterator[Parameter]:
@@ -155,23 +164,27 @@ def _of_air(name: str, field: str) -> Iterator[Parameter]:
 def _with_air(field: str, scene: Scene, by: float) -> Scene:
     air, requested = scene.air, "_requested_speed" if field == "speed_of_sound" else field
     value: Any = getattr(air, field)
-    larger: Any
-    if callable(value):
-        larger = _Raised(value, by)
-    else:
-        larger = tuple(v + by for v in value) if isinstance(value, tuple) else value + by
+    within = (_DAMP, 1.0 - _DAMP) if field == "relative_humidity" else (-math.inf, math.inf)
+    larger: Any = _Raised(value, by, within)
+    if not callable(value):
+        larger = tuple(larger.of(np.array(value)).tolist()) if isinstance(value, tuple) else float(larger.of(value))
     return varied(scene, air=replace(air, **{requested: larger}))
 
 
 @dataclass(frozen=True, slots=True)
 class _Raised:
-    """A function of the height plus a number; equal ones are the same air."""
+    """Values or a function of the height, within bounds, plus a number; equal ones are the same air."""
 
-    own: Callable[[Any], Any]
+    own: Any
     by: float
+    within: tuple[float, float]
 
     def __call__(self, heights: Any) -> Any:
-        return self.own(heights) + self.by
+        return self.of(self.own(heights))
+
+    def of(self, values: Any) -> Any:
+        """Return values plus the number."""
+        return np.clip(values, *self.within) + self.by
 
 
 def _with_wind(axis: int, scene: Scene, by: float) -> Scene:
