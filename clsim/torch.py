@@ -222,7 +222,7 @@ def _forward(
             raise InputError(f"tensors[{name!r}]", f"must hold {counted(len(parameters), 'number')}, but holds {count}")
     ctx.names, ctx.rate, ctx.options = names, rate, options
     ctx.like = [(t.shape, t.dtype, t.device) for t in tensors]
-    rows = received(plan_of(ctx.paths, settings))
+    rows = received(plan_of(ctx.paths, settings, by_functions=False))
     return torch.from_numpy(rows).to(tensors[0].dtype)
 
 

@@ -13,7 +13,7 @@ from clsim.render.methods.per_sample import delayed_streams
 from clsim.render.plan import Allocation
 from clsim.sensitivity.displaced import Knot
 from clsim.sensitivity.images import has_beams
-from clsim.sensitivity.linear_map import blocks_for, scene_tracks, through_ends
+from clsim.sensitivity.linear_map import HeardTracks, blocks_for, scene_tracks, through_ends
 from clsim.sensitivity.moments import MomentEngine
 from clsim.sensitivity.pulled import Pulled
 from clsim.tracks.basis import flat_basis
@@ -82,14 +82,14 @@ def _by_moments(
 def adjoint_signal(plan: Plan, source: int, weights: Floats) -> Floats:
     """Return the transpose of a render as a function of what a source emits, at the sampling rate of the recording."""
     weights = through_ends(plan, np.array(weights, dtype=np.float64), transposed=True)
-    filters = plan.source_filters[source]
+    filters, tracks = plan.source_filters[source], HeardTracks.of(scene_tracks(plan))
     samples, half = filters.oversampling * filters.signal.count, filters.filter_half
     streams = np.zeros((len(filters.basis), samples + 2 * half))  # from sample -half on
     for i, pair in enumerate(plan.tracks.pairs):
         for start in range(0, plan.samples if pair.source == source else 0, _RUN):
             times, emitted, mu, weight, _ = _arriving(plan, i, filters, start, min(start + _RUN, plan.samples))
             rows = weights[plan.rows_of_pair(i), None, None, start : start + len(times)]
-            taken = np.sum(plan.tracks.evaluate(i, times, filters.basis)[2] * weight * rows, axis=0)
+            taken = np.sum(tracks.evaluate(i, times, filters.basis)[2] * weight * rows, axis=0)
             for p in np.flatnonzero(weight.any(axis=1)).tolist():
                 _scatter(plan, filters, emitted[p], mu[p], taken[:, p], streams)
     each = [np.convolve(stream, taps[::-1], "valid") for stream, taps in zip(streams, filters.filters, strict=True)]

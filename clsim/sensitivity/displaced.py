@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# Ratios of arriving to emitted frequencies, between which gains of heads are polynomials: bounds are multiples.
-_RATIO, _LEAST_RATIOS, _RATIOS = 0.004, 4, 200.0
+# Ratios of arriving to emitted frequencies, of which gains of heads are polynomials: their bounds are multiples of the
+# first, by so many points at least, and more by how long heads ring about, s.
+_RATIO, _LEAST_RATIOS, _RINGING = 0.01, 4, 1e-3
 _INSTANT = 1e-4  # s, to either side, by which rates are taken
 _NOTHING = 1e-9  # of a curve's largest value, as which rounding counts
 
@@ -284,7 +285,7 @@ class TangentResponse(SceneResponse):
         towards, c = to_transducer_frame(receiver.orientation, times, found.arrival), self._scene.air.speed_of_sound
         turn, longer = (0.0, 0.0) if self.passing is None else (self.passing[0], self.passing[1][..., None])
         low, high = _RATIO * math.floor(ratio.min() / _RATIO), _RATIO * (1 + math.floor(ratio.max() / _RATIO))
-        count = _LEAST_RATIOS + math.ceil(_RATIOS * (high - low))
+        count = _LEAST_RATIOS + math.ceil(2.0 * math.pi * _RINGING * float(self.frequencies.max()) * (high - low))
         met = covered(np.outer(chebyshev_points(low, high, count), self.frequencies).ravel(), own)
         at = [interpolation(low, high, count, (ratio + step).ravel()) for step in (0.0, _INSTANT, -_INSTANT)]
         weights = np.reshape([at[0], (at[1] - at[2]) / (2.0 * _INSTANT)], (2, count, *ratio.shape))

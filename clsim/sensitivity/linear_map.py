@@ -241,10 +241,31 @@ def blocks_for(plan: Plan, spread: Piecewise) -> tuple[int, ...]:
     return plan.blocks if plan.baseband is not None else tuple(b for b in _BLOCKS if b <= step)
 
 
-def plan_of(paths: PathSet, options: RenderOptions) -> Plan:
-    """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay."""
+@dataclass(frozen=True, slots=True, eq=False)
+class HeardTracks(SceneTracks):
+    """Tracks of paths whose gains of heads are those of what a render filters."""
+
+    @classmethod
+    def of(cls, own: SceneTracks) -> HeardTracks:
+        """Return the same tracks with these gains."""
+        return cls(**{f.name: getattr(own, f.name) for f in fields(SceneTracks)})
+
+    def gains(
+        self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis
+    ) -> list[Floats]:
+        """Return the gains (C, K, P, T) of paths of some pairs."""
+        at = TangentResponse(self.scene, paths[0].source, basis.nodes)
+        each = (Tangents.of(pair, times, found, at, self.kinematics).own for pair in paths)
+        return [np.moveaxis(basis.gains(own), -1, 1) for own in each]
+
+
+def plan_of(paths: PathSet, options: RenderOptions, by_functions: bool = True) -> Plan:
+    """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay.
+
+    Heads have gains by functions of frequency, or filter the sound of each path as they do in a render.
+    """
     arriving = options.baseband is None and options.responses == "band"
-    return plan_paths(_plain(paths, arriving), replace(options, **_PER_SAMPLE))
+    return plan_paths(_plain(paths, by_functions, arriving), replace(options, **_PER_SAMPLE))
 
 
 def scene_tracks(plan: Plan) -> SceneTracks:
@@ -278,16 +299,16 @@ def through_ends(plan: Plan, rows: Floats, transposed: bool = False) -> Floats:
     return rows
 
 
-def _plain(paths: PathSet, arriving: bool) -> PathSet:
-    """Return the paths in a scene whose receivers neither add noise nor round, nor filter the sound of each path.
+def _plain(paths: PathSet, by_functions: bool, arriving: bool) -> PathSet:
+    """Return the paths in a scene whose receivers neither add noise nor round.
 
-    Renders filter it with what heads do at the frequencies that arrive, or have gains at those that are emitted.
+    Heads have gains by functions of frequency instead of filters, at the frequencies that arrive or are emitted.
     """
     quiet: dict[str, Any] = dict.fromkeys(("ambient_noise_db", "snr_db", "self_noise_db", "adc_bits", "adc_full_scale"))
 
     def plain(r: Receiver) -> Receiver:
         own, electronics = r.directivity, r.electronics
-        channels = isinstance(own, ChannelDirectivity) and not own.by_functions
+        channels = by_functions and isinstance(own, ChannelDirectivity) and not own.by_functions
         return varied(
             r, electronics=electronics and varied(electronics, **quiet),
             directivity=ByFunctions(own, arriving) if channels and isinstance(own, ChannelDirectivity) else own,

@@ -37,6 +37,7 @@ WITHOUT_DERIVATIVE = {
     "displacement of walls next to edges": "refused in scenes with diffracted paths",
     "single corners of meshes": "no parameter: walls are displaced as a whole",
     "emitted signals in baseband": "refused, as are tensors' renders in baseband: envelopes are those of a band",
+    '`aim="forward"` and `aim_at`': "orientations stay as they were while positions and points of trajectories change",
     "noise and converters of receivers": "left out: the derivative is that of the signal before noise and rounding",
     "the diffuse tail": "left out, which a note says: the derivative is that of the sound over paths",
     "ends that bodies carry": "they stay where they are as `bodies[i].position` changes",
