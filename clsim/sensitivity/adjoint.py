@@ -13,7 +13,7 @@ from clsim.render.methods.per_sample import delayed_streams
 from clsim.render.plan import Allocation
 from clsim.sensitivity.displaced import Knot
 from clsim.sensitivity.images import has_beams
-from clsim.sensitivity.linear_map import HeardTracks, blocks_for, scene_tracks, through_ends
+from clsim.sensitivity.linear_map import FilteredTracks, blocks_for, scene_tracks, through_ends
 from clsim.sensitivity.moments import MomentEngine
 from clsim.sensitivity.pulled import Pulled
 from clsim.tracks.basis import flat_basis
@@ -82,7 +82,7 @@ def _by_moments(
 def adjoint_signal(plan: Plan, source: int, weights: Floats) -> Floats:
     """Return the transpose of a render as a function of what a source emits, at the sampling rate of the recording."""
     weights = through_ends(plan, np.array(weights, dtype=np.float64), transposed=True)
-    filters, tracks = plan.source_filters[source], HeardTracks.of(scene_tracks(plan))
+    filters, tracks = plan.source_filters[source], FilteredTracks.of(scene_tracks(plan))
     samples, half = filters.oversampling * filters.signal.count, filters.filter_half
     streams = np.zeros((len(filters.basis), samples + 2 * half))  # from sample -half on
     for i, pair in enumerate(plan.tracks.pairs):

@@ -242,11 +242,11 @@ def blocks_for(plan: Plan, spread: Piecewise) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeardTracks(SceneTracks):
+class FilteredTracks(SceneTracks):
     """Tracks of paths whose gains of heads are those of what a render filters."""
 
     @classmethod
-    def of(cls, own: SceneTracks) -> HeardTracks:
+    def of(cls, own: SceneTracks) -> FilteredTracks:
         """Return the same tracks with these gains."""
         return cls(**{f.name: getattr(own, f.name) for f in fields(SceneTracks)})
 
