@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 _BLOCK, _SHORT_BLOCK = 96, 24  # samples between the nodes of tangents; short where responses vary
 _SHORT = 0.5e-3  # s, the same of envelopes, of which samples are few
+_CUBIC = 36  # blocks in each cubic of a motion at least: with 24, which renders take, sums of them are wrong by 2e-6
 _RUN = 3072  # samples that are worked on at a time, whole blocks
 
 
@@ -42,7 +43,7 @@ def adjoint(linear: LinearMap, weights: Floats | Complexes) -> Floats:
     weights = through_ends(plan, np.array(weights), transposed=True)
     pulled = Pulled(linear)
     spreads = [parameter.shift.spread for parameter in linear.parameters if isinstance(parameter.shift, Knot)]
-    fit = min((blocks_for(plan, spread) for spread in spreads), default=plan.blocks)
+    fit = min((blocks_for(plan, spread, _CUBIC) for spread in spreads), default=plan.blocks)
     if plan.options.engine == "opencl" and plan.baseband is None:
         others = Allocation(frozenset(i for i in range(len(plan.tracks.pairs)) if not pulled.concerned(i)))
         shared = replace(

@@ -235,9 +235,9 @@ class TangentTracks(SceneTracks):
         return out.reshape(-1, *out.shape[2:])
 
 
-def blocks_for(plan: Plan, spread: Piecewise) -> tuple[int, ...]:
+def blocks_for(plan: Plan, spread: Piecewise, in_each: int = _CUBIC) -> tuple[int, ...]:
     """Return the samples in a block of derivatives by the points of a trajectory, which bend in each of its cubics."""
-    step = max(np.diff(spread.polynomial.x[1:-1]).min() * plan.sampling_rate / _CUBIC, _BLOCKS[-1])
+    step = max(np.diff(spread.polynomial.x[1:-1]).min() * plan.sampling_rate / in_each, _BLOCKS[-1])
     return plan.blocks if plan.baseband is not None else tuple(b for b in _BLOCKS if b <= step)
 
 

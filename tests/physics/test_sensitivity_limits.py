@@ -65,6 +65,24 @@ def test_a_clock_alone_in_baseband() -> None:
     assert far(*each) <= 5e-5
 
 
+def test_the_transpose_by_dense_points() -> None:
+    """``<J, w>`` with w a row of J, within 1e-6 of the lengths, where both are held better than that."""
+    times, rate, name = np.linspace(0.0, 0.6, 16), 192e3, "sources[0].trajectory"
+    chirp = clsim.Signal.chirp(30e3, 45e3, 0.1, sampling_rate=rate, fade=0.005)
+    way = np.stack([1.0 + 2.0 * times, 1.0 + 1.5 * times + 0.1 * np.sin(9.0 * times), 1.0 + 0.3 * times], axis=1)
+    scene = clsim.Scene(
+        clsim.Shoebox((5.0, 4.0, 2.8), clsim.Material.from_reflection(0.8)), clsim.Air(),
+        [clsim.Source("s", chirp, clsim.Trajectory.waypoints(times, way))],
+        [clsim.Receiver("r", FIXED((3.9, 2.2, 1.9)))],
+    )  # fmt: skip
+    moving = clsim.find_paths(scene, 0)
+    options: dict[str, Any] = {"response_error_db": -120.0, "interpolator": clsim.Bandlimited(error_db=-110.0)}
+    jacobian = clsim.sensitivities(moving, [name], rate, duration=0.12, **options).jacobian.reshape(48, -1)
+    back = np.ravel(clsim.gradient(moving, jacobian[None, 7], [name], rate, **options)[name])
+    lengths = np.linalg.norm(jacobian[7]) * np.linalg.norm(jacobian, axis=1)
+    np.testing.assert_array_less(np.abs(back - jacobian @ jacobian[7]), 1e-6 * lengths + 1e-9 * lengths.max())
+
+
 @pytest.mark.filterwarnings("ignore:ISO 9613-1:clsim.ClsimWarning")
 @pytest.mark.parametrize(("humidity", "step"), [(0.0, 2e-5), (1.0, -1e-3)])
 def test_the_humidity_at_its_bounds(humidity: float, step: float) -> None:
