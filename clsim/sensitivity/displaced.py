@@ -280,7 +280,8 @@ class TangentResponse(SceneResponse):
             A exp(2j pi f d d') - d' A - d A' - f d' dA/df - j / (2 pi) dA'/df + L'/L (d A + j / (2 pi) dA/df).
         """
         own, ratio = receiver.directivity, 1.0 - found.delay_rate
-        if channels is None or not isinstance(own, ByFunctions) or not own.arriving or bool(np.all(ratio == 1.0)):
+        rests = bool(np.all(ratio == 1.0)) and (self.passing is None or not np.any(self.passing[0]))
+        if rests or channels is None or not isinstance(own, ByFunctions) or not own.arriving:
             return super().of_channels(response, receiver, channels, found, times)
         towards, c = to_transducer_frame(receiver.orientation, times, found.arrival), self._scene.air.speed_of_sound
         turn, longer = (0.0, 0.0) if self.passing is None else (self.passing[0], self.passing[1][..., None])

@@ -16,11 +16,20 @@ FIXED = clsim.Trajectory.fixed
 GAIN, CLOCK, PLACE = "sources[0].gain_db", "receivers[0].electronics.clock_ppm", "receivers[0].position"
 
 
-def paths(x: float = 3.2, speed: float = 0.0, ears: bool = False, signal: Any = CHIRP, **air: Any) -> Any:
+def paths(
+    x: float = 3.2, speed: float = 0.0, ears: bool = False, turning: float = 0.0, signal: Any = CHIRP, **air: Any
+) -> Any:
     """Return the direct path, or that to two ears, from a source at rest or on a line."""
+    times, turns = np.linspace(0.0, 1.0, 5), 0.5 * turning * np.linspace(0.0, 1.0, 5)
+    turned = np.stack([0.0 * turns, 0.0 * turns, np.sin(turns), np.cos(turns)], axis=1)
+    head = clsim.Trajectory.waypoints(times, np.tile([x, 2.9, 1.8], (5, 1)), orientations=turned)
     here, there = (1.3, 1.1, 1.2), (1.3 + speed, 1.1, 1.2)
     way = clsim.Trajectory.line(here, there, 1.0) if speed else FIXED(here)
-    end = clsim.Receiver.binaural("r", FIXED((x, 2.9, 1.8))) if ears else clsim.Receiver("r", FIXED((x, 2.9, 1.8)))
+    end = (
+        clsim.Receiver.binaural("r", head if turning else FIXED((x, 2.9, 1.8)))
+        if ears
+        else clsim.Receiver("r", FIXED((x, 2.9, 1.8)))
+    )
     room = clsim.Shoebox((15.0, 4.0, 3.0), clsim.Material.from_reflection(0.7))
     return clsim.find_paths(clsim.Scene(room, clsim.Air(**air), [clsim.Source("s", signal, way)], [end]), 0)
 
@@ -45,10 +54,10 @@ def test_the_delays_derivative_acts_on_the_signals_own_at_the_centre_frequency()
     assert back == pytest.approx(np.sum(found**2), rel=1e-5)
 
 
-@pytest.mark.parametrize("speed", [1.0, 10.0])
-def test_what_ears_filter_by_gain(speed: float, engine: str) -> None:
+@pytest.mark.parametrize(("speed", "turning"), [(1.0, 0.0), (10.0, 0.0), (0.0, 2.0)])
+def test_what_ears_filter_by_gain(speed: float, turning: float, engine: str) -> None:
     """By a gain it is the recording itself, as it is by the emitted signal: at emitted frequencies 7.5e-4 off at 1 m/s."""
-    passing, options = paths(speed=speed, ears=True), {"duration": 0.03, "engine": engine}
+    passing, options = paths(speed=speed, ears=True, turning=turning), {"duration": 0.03, "engine": engine}
     found = clsim.sensitivities(passing, [GAIN], RATE, **options).jacobian[0]
     wanted = clsim.render(passing, RATE, **options).pressure
     allowed = 3e-5 + 1e-5 * speed
