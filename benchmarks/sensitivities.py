@@ -45,7 +45,8 @@ def cost(call: Callable[[], Any]) -> tuple[float, Any]:
 
 def main(order: int) -> None:
     """Print the costs."""
-    for points, names in ((11, ["sources[0].gain_db"]), (11, RECEIVERS[:1]), (7, ALL), (54, ALL)):
+    still = ["sources[0].position", *ALL[1:]]
+    for points, names in ((11, ["sources[0].gain_db"]), (11, still), (7, ALL), (21, ALL), (54, ALL)):
         found = paths(order, points)
         render, sound = cost(lambda p=found: clsim.render(p, RATE, duration=DURATION, **PLAIN))  # type: ignore[misc]
         weights = np.asarray(sound.pressure, dtype=np.float64)

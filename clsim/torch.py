@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import as_choice, as_count, as_flag
-from clsim.errors import InputError
+from clsim.errors import InputError, counted
 from clsim.packages import check_packages
-from clsim.render.options import RenderOptions
+from clsim.paths.path_set import PathSet
 from clsim.sensitivity.linear_map import plan_of, received
-from clsim.sensitivity.sensitivities import gradient
+from clsim.sensitivity.sensitivities import gradient, named, options_of
 from clsim.study.file import SOUNDS
 from clsim.study.shards import member_count, members_of, sounds_of, tables_of
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-    from clsim.paths.path_set import PathSet
 
     MakePaths = Callable[[dict[str, NDArray[Any]]], PathSet]
     _Base = object
@@ -177,6 +175,12 @@ def render(make_paths: MakePaths, tensors: Mapping[str, Any], sampling_rate: flo
     check_packages("render", "a render of tensors", "torch", "torch")
     if not tensors:
         raise InputError("tensors", "must hold at least one, but is empty")
+    import torch
+
+    for name, tensor in tensors.items():
+        if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point():
+            given = tensor.dtype if isinstance(tensor, torch.Tensor) else type(tensor).__name__
+            raise InputError(f"tensors[{name!r}]", f"must be a tensor of real floating-point numbers, but is {given}")
     if options.get("duration") is None:
         raise InputError("duration", "must be given, so that the shape of the result does not change")
     if options.get("baseband") is not None:
@@ -200,10 +204,19 @@ def _forward(
     """Render the scene that the tensors make."""
     import torch
 
-    ctx.paths = make({n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)})
+    ctx.paths, settings = (
+        make({n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)}),
+        options_of(rate, options),
+    )
+    if not isinstance(ctx.paths, PathSet):
+        raise InputError("make_paths", f"must return a PathSet, but returns {ctx.paths!r:.80}")
+    for name, parameters in named(ctx.paths, names, settings).items():
+        count = tensors[names.index(name)].numel()
+        if parameters and count != len(parameters):
+            raise InputError(f"tensors[{name!r}]", f"must hold {counted(len(parameters), 'number')}, but holds {count}")
     ctx.names, ctx.rate, ctx.options = names, rate, options
     ctx.like = [(t.shape, t.dtype, t.device) for t in tensors]
-    rows = received(plan_of(ctx.paths, RenderOptions(rate, **options)))
+    rows = received(plan_of(ctx.paths, settings, by_functions=False))
     return torch.from_numpy(rows).to(tensors[0].dtype)
 
 
@@ -211,6 +224,8 @@ def _backward(ctx: Any, weights: Any) -> Any:
     """Return the derivatives of the loss by all tensors."""
     import torch
 
+    if torch.is_grad_enabled():
+        raise InputError("create_graph", "must be False: a render of tensors has first derivatives alone, but is True")
     wanted = [name for name, needed in zip(ctx.names, ctx.needs_input_grad[4:], strict=True) if needed]
     found = gradient(ctx.paths, weights.cpu().double().numpy(), wanted, ctx.rate, **ctx.options)
     given = [

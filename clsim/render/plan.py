@@ -249,7 +249,7 @@ class Plan:
     @property
     def motion_error_db(self) -> float:
         """Bound on the error of delays and gains between nodes, dB."""
-        return self.options.interpolator.error_db - 6.0
+        return self.options.interpolator.error_db - 6.0 + self.tracks.eased_db
 
     @property
     def receiver_count(self) -> int:

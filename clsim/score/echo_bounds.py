@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clsim.arrays import Floats, as_number, short_repr
+from clsim.arrays import LOUDEST, QUIETEST, Floats, as_number, short_repr
 from clsim.errors import InputError
 from clsim.paths.path_set import PathSet
 from clsim.sensitivity.sensitivities import crb, sensitivities
@@ -46,7 +46,7 @@ def echo_bounds(paths: PathSet, wrt: Sequence[str], noise: float, sampling_rate:
     wrt : sequence of str
         Names as of `clsim.sensitivities`, all of which are estimated together.
     noise : float
-        Standard deviation of white noise in each sample, in the unit of the recording, above 0.
+        Standard deviation of white noise in each sample, in the unit of the recording, 1e-15 to 1e12.
     sampling_rate : float
         Sampling rate of the recording, Hz.
     **options
@@ -74,7 +74,7 @@ def echo_bounds(paths: PathSet, wrt: Sequence[str], noise: float, sampling_rate:
     >>> bool(found.with_echoes.max() < 1e-4), bool(np.isnan(found.free_field).all())  # one range is no position
     (True, True)
     """
-    sigma = as_number("noise", noise, above=0.0)
+    sigma = as_number("noise", noise, at_least=QUIETEST, at_most=LOUDEST)
     echoes = sensitivities(paths, wrt, sampling_rate, **options)
     length = echoes.jacobian.shape[2] / sampling_rate
     direct = PathSet(paths.scene, tuple(f.part(np.flatnonzero(f.order == 0)) for f in paths.families))

@@ -11,8 +11,9 @@ import numpy as np
 from clsim.numerics.blas import with_blas_threads
 from clsim.render.methods.per_sample import delayed_streams
 from clsim.render.plan import Allocation
+from clsim.sensitivity.displaced import Knot
 from clsim.sensitivity.images import has_beams
-from clsim.sensitivity.linear_map import scene_tracks, through_ends
+from clsim.sensitivity.linear_map import FilteredTracks, blocks_for, scene_tracks, through_ends
 from clsim.sensitivity.moments import MomentEngine
 from clsim.sensitivity.pulled import Pulled
 from clsim.tracks.basis import flat_basis
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 _BLOCK, _SHORT_BLOCK = 96, 24  # samples between the nodes of tangents; short where responses vary
 _SHORT = 0.5e-3  # s, the same of envelopes, of which samples are few
+_CUBIC = 36  # blocks in each cubic of a motion at least: with 24, which renders take, sums of them are wrong by 2e-6
 _RUN = 3072  # samples that are worked on at a time, whole blocks
 
 
@@ -40,14 +42,18 @@ def adjoint(linear: LinearMap, weights: Floats | Complexes) -> Floats:
     plan = linear.plan
     weights = through_ends(plan, np.array(weights), transposed=True)
     pulled = Pulled(linear)
+    spreads = [parameter.shift.spread for parameter in linear.parameters if isinstance(parameter.shift, Knot)]
+    fit = min((blocks_for(plan, spread, _CUBIC) for spread in spreads), default=plan.blocks)
     if plan.options.engine == "opencl" and plan.baseband is None:
         others = Allocation(frozenset(i for i in range(len(plan.tracks.pairs)) if not pulled.concerned(i)))
-        shared = replace(plan, source_filters=linear.shared.source_filters, allocation=others, builders=[])
+        shared = replace(
+            plan, source_filters=linear.shared.source_filters, allocation=others, blocks=fit, builders=[]
+        )  # fmt: skip
         MomentEngine(shared).taken(weights, partial(_by_moments, pulled))
         return pulled.found
     for pair, member in enumerate(plan.tracks.pairs):
         paths = scene_tracks(plan).pair_paths[pair]
-        block = _SHORT_BLOCK if paths.family.varies or has_beams(paths) else _BLOCK
+        block = min(_SHORT_BLOCK if paths.family.varies or has_beams(paths) else _BLOCK, fit[0])
         if plan.baseband is not None:
             block = max(round(_SHORT * plan.sampling_rate), 2)
         filters, rows = linear.shared.source_filters[member.source], weights[plan.rows_of_pair(pair)]
@@ -77,14 +83,14 @@ def _by_moments(
 def adjoint_signal(plan: Plan, source: int, weights: Floats) -> Floats:
     """Return the transpose of a render as a function of what a source emits, at the sampling rate of the recording."""
     weights = through_ends(plan, np.array(weights, dtype=np.float64), transposed=True)
-    filters = plan.source_filters[source]
+    filters, tracks = plan.source_filters[source], FilteredTracks.of(scene_tracks(plan))
     samples, half = filters.oversampling * filters.signal.count, filters.filter_half
     streams = np.zeros((len(filters.basis), samples + 2 * half))  # from sample -half on
     for i, pair in enumerate(plan.tracks.pairs):
         for start in range(0, plan.samples if pair.source == source else 0, _RUN):
             times, emitted, mu, weight, _ = _arriving(plan, i, filters, start, min(start + _RUN, plan.samples))
             rows = weights[plan.rows_of_pair(i), None, None, start : start + len(times)]
-            taken = np.sum(plan.tracks.evaluate(i, times, filters.basis)[2] * weight * rows, axis=0)
+            taken = np.sum(tracks.evaluate(i, times, filters.basis)[2] * weight * rows, axis=0)
             for p in np.flatnonzero(weight.any(axis=1)).tolist():
                 _scatter(plan, filters, emitted[p], mu[p], taken[:, p], streams)
     each = [np.convolve(stream, taps[::-1], "valid") for stream, taps in zip(streams, filters.filters, strict=True)]

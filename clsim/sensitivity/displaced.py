@@ -9,21 +9,33 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
+from clsim.numerics.band_filters import chebyshev_points, interpolation
+from clsim.paths.response import SceneResponse, covered, to_transducer_frame
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.material.material import Material
-from clsim.scene.motion.curves import Static
+from clsim.scene.motion.curves import Static, spline_through
 from clsim.scene.motion.orientation import quaternion_product
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from scipy.interpolate import PPoly
 
-    from clsim.arrays import Floats
+    from clsim.arrays import Complexes, Floats
+    from clsim.paths.arrivals import Arrivals, Kinematics
+    from clsim.paths.family import PairPaths
+    from clsim.scene.ends import Receiver
     from clsim.scene.motion.curves import Curve, Piecewise
     from clsim.scene.room.faces import Faces
     from clsim.scene.room.protocol import Room
+    from clsim.scene.scene import Scene
 
 T = TypeVar("T")
+
+# Ratios of arriving to emitted frequencies, of which gains of heads are polynomials: their bounds are multiples of the
+# first, by so many points at least, and more by how long heads ring about, s.
+_RATIO, _LEAST_RATIOS, _RINGING = 0.01, 4, 1e-3
+_INSTANT = 1e-4  # s, to either side, by which rates are taken
+_NOTHING = 1e-9  # of a curve's largest value, as which rounding counts
 
 
 def varied(thing: T, **changes: Any) -> T:
@@ -106,6 +118,27 @@ class Knot:
         return out
 
 
+def locally(spread: Piecewise) -> tuple[Piecewise, Floats]:
+    """B-splines of the same motions as the curves of points, and their weights (points, points) in each of these."""
+    from scipy.interpolate import BSpline
+
+    times = spread.polynomial.x[1:-1]  # without what it is continued by
+    if not np.any(spread.polynomial.c[:2]) or len(times) < 4:
+        return spread, np.eye(len(times))
+    knots = np.concatenate([np.repeat(times[0], 4), times[2:-2], np.repeat(times[-1], 4)])
+    design = BSpline.design_matrix(times, knots, 3).toarray()
+    return spline_through(times, design, "not-a-knot"), np.asarray(np.linalg.inv(design).T, dtype=np.float64)
+
+
+def moving(spread: Piecewise, first: float, last: float) -> tuple[int, int]:
+    """Range of the curves of a spread that are not zero throughout a time, s."""
+    polynomial = spread.polynomial
+    sizes = polynomial.c * np.diff(polynomial.x)[:, None] ** np.arange(3, -1, -1)[:, None, None]
+    begin, end = np.searchsorted(polynomial.x[1:-1], [first, last], "right")
+    active = np.flatnonzero(np.abs(sizes[:, begin : end + 1]).max(axis=(0, 1)) > _NOTHING)
+    return int(active[0]), int(active[-1]) + 1
+
+
 def displaced(motion: T, shift: Curve, by: float) -> T:
     """Displace a motion by a multiple of a curve; a fixed point stays one."""
     own: Any = motion
@@ -157,11 +190,11 @@ def shifted(material: Material, by: float) -> Material:
 class ByFunctions(ChannelDirectivity):
     """Directivities of several channels whose paths are rendered by functions of frequency; all else is theirs."""
 
-    __slots__ = ("_own",)
+    __slots__ = ("_own", "arriving")
     by_functions = True
 
-    def __init__(self, own: ChannelDirectivity) -> None:
-        self._own = own
+    def __init__(self, own: ChannelDirectivity, arriving: bool) -> None:
+        self._own, self.arriving = own, arriving  # whether gains are those at the frequencies that arrive
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -194,6 +227,83 @@ class ByFunctions(ChannelDirectivity):
     def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
         """Return the gains (C, ..., F) without the phase of the lateness."""
         return self._own.aligned(direction, frequencies, speed_of_sound, channels)
+
+
+class TangentResponse(SceneResponse):
+    """What a scene does at frequencies (F,) that are emitted, or what it does at their centre at all of them."""
+
+    def __init__(self, scene: Scene, source: int, turning: Floats, at_centre: bool = False) -> None:
+        centre = scene.sources[source].emitted.centre_frequency
+        super().__init__(scene, source, np.full_like(turning, centre) if at_centre else turning)
+        self.turning = turning  # by which delays turn phases
+        # Rates of directions of arrival at a head (P, T, 3), and relative ones of the length (P, T), 1/s.
+        self.passing: tuple[Floats, Floats] | None = None
+        self._source, self._at_centre = source, at_centre
+
+    def in_scene(self, scene: Scene) -> TangentResponse:
+        """Return the same of another scene."""
+        made = TangentResponse(scene, self._source, self.turning, self._at_centre)
+        made.passing = self.passing
+        return made
+
+    def beside(self, paths: PairPaths, times: Floats, kinematics: Kinematics) -> TangentResponse:
+        """Return the same for paths at times (T,) whose directions change at a head."""
+        receiver = self._scene.receivers[paths.receiver]
+        if times.ndim > 1 or not isinstance(receiver.directivity, ByFunctions) or not receiver.directivity.arriving:
+            return self
+        towards, lengths = [], []
+        for at in (times + _INSTANT, times - _INSTANT):
+            found = paths.arrivals(at, kinematics)
+            towards.append(to_transducer_frame(receiver.orientation, at, np.nan_to_num(found.arrival)))
+            lengths.append(np.log(found.length))
+        made, apart = self.in_scene(self._scene), 2.0 * _INSTANT
+        made.passing = (towards[0] - towards[1]) / apart, (lengths[0] - lengths[1]) / apart
+        return made
+
+    def part(self, rows: NDArray[np.int64]) -> TangentResponse:
+        """Return the same for some of these paths."""
+        if self.passing is None:
+            return self
+        made = self.in_scene(self._scene)
+        made.passing = self.passing[0][rows], self.passing[1][rows]
+        return made
+
+    def of_channels(
+        self, response: Floats | Complexes, receiver: Receiver, channels: range | None, found: Arrivals, times: Floats
+    ) -> Floats | Complexes:
+        """Multiply responses (P, T, F) by the gains of channels, (C, P, T, F).
+
+        Renders filter with a head what arrives at its centre, at the frequencies that arrive and by the directions from
+        which they do: ``h(u, t - u)``. With the lateness d of gains A that are without it, and the length L, to the
+        first order in the rates of change,
+
+            A exp(2j pi f d d') - d' A - d A' - f d' dA/df - j / (2 pi) dA'/df + L'/L (d A + j / (2 pi) dA/df).
+        """
+        own, ratio = receiver.directivity, 1.0 - found.delay_rate
+        rests = bool(np.all(ratio == 1.0)) and (self.passing is None or not np.any(self.passing[0]))
+        if rests or channels is None or not isinstance(own, ByFunctions) or not own.arriving:
+            return super().of_channels(response, receiver, channels, found, times)
+        towards, c = to_transducer_frame(receiver.orientation, times, found.arrival), self._scene.air.speed_of_sound
+        turn, longer = (0.0, 0.0) if self.passing is None else (self.passing[0], self.passing[1][..., None])
+        low, high = _RATIO * math.floor(ratio.min() / _RATIO), _RATIO * (1 + math.floor(ratio.max() / _RATIO))
+        count = _LEAST_RATIOS + math.ceil(2.0 * math.pi * _RINGING * float(self.frequencies.max()) * (high - low))
+        met = covered(np.outer(chebyshev_points(low, high, count), self.frequencies).ravel(), own)
+        at = [interpolation(low, high, count, (ratio + step).ravel()) for step in (0.0, _INSTANT, -_INSTANT)]
+        weights = np.reshape([at[0], (at[1] - at[2]) / (2.0 * _INSTANT)], (2, count, *ratio.shape))
+        each, late = [], []
+        for to in (towards + _INSTANT * turn, towards - _INSTANT * turn):
+            to = to / np.linalg.norm(to, axis=-1, keepdims=True)
+            gain = own.aligned(to, met, c, channels)
+            each.append(np.einsum("cptnf,wnpt->wcptf", gain.reshape(*gain.shape[:3], count, -1), weights))
+            late.append(np.moveaxis(own.lateness(to, c), -1, 0)[channels.start : channels.stop, ..., None])
+        (gain, by_ratio), (gain_rate, rate_by_ratio) = 0.5 * (each[0] + each[1]), (each[0] - each[1]) / (2.0 * _INSTANT)
+        delay, rate = 0.5 * (late[0] + late[1]), (late[0] - late[1]) / (2.0 * _INSTANT)
+        turns, met_at = 0.5j / np.pi / self.frequencies, ratio[..., None]
+        gain = (
+            gain * (np.exp(2j * np.pi * self.frequencies * met_at * delay * rate) - rate + longer * delay)
+            - delay * gain_rate + (longer * turns - met_at * rate) * by_ratio - turns * rate_by_ratio
+        )  # fmt: skip
+        return np.asarray(gain * response)
 
 
 class _Refaced:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import PairPaths, PathFamily, Rows
-    from clsim.paths.response import SceneResponse
+    from clsim.sensitivity.displaced import TangentResponse
 
 _INSTANT = 1e-6  # s, half of that over which accelerations are taken
 _STEP = 1e-5  # of directions, metres and Doppler factors, by which responses are differentiated
@@ -129,12 +129,12 @@ class Images:
         """Directions of arrival (P, T, 3) of directions of departure."""
         return np.asarray(-np.einsum("pij,ptj->pti", self.matrix, departure))
 
-    def forces(self, response: Floats | Complexes, weights: Complexes, at: SceneResponse) -> Forces:
+    def forces(self, response: Floats | Complexes, weights: Complexes, at: TangentResponse) -> Forces:
         """Transpose of the changes of responses (C, P, T, F), weighted by weights (C, P, T, F)."""
         found = self.found
         product = np.asarray(np.conj(weights) * response, dtype=np.complex128)
         on_level = product.real.sum(axis=(0, 3))
-        on_delay = product.imag.sum(axis=0) @ (2.0 * np.pi * at.frequencies)
+        on_delay = product.imag.sum(axis=0) @ (2.0 * np.pi * at.turning)
         on_mach = self.exponent * found.frequency_ratio * on_level
         on_length = -on_level / found.length
         if at.disperses:
@@ -147,7 +147,7 @@ class Images:
 
     def _transposed(
         self, product: Complexes, on_level: Floats, on_delay: Floats, on_length: Floats, on_mach: Floats,
-        turn: Floats, weights: Complexes, at: SceneResponse,
+        turn: Floats, weights: Complexes, at: TangentResponse,
     ) -> Forces:  # fmt: skip
         """Transpose of `change`, backwards line by line."""
         u, v, c, found = self.found.departure, self.velocity, self.speed_of_sound, self.found
@@ -166,16 +166,16 @@ class Images:
         speed = -found.frequency_ratio * found.length / c**2 * delay - on_mach * _dot(u, v) / c**2
         return Forces(product, on_level, on_delay, apart, u * (on_mach / c)[..., None], later, speed)
 
-    def _respond(self, found: Arrivals, at: SceneResponse, times: Floats | None = None) -> Any:
+    def _respond(self, found: Arrivals, at: TangentResponse, times: Floats | None = None) -> Any:
         return self.paths.responses(found, self.times if times is None else times, at)
 
-    def _response_by(self, name: str, weights: Complexes, at: SceneResponse) -> Floats:
+    def _response_by(self, name: str, weights: Complexes, at: TangentResponse) -> Floats:
         """Product (P, T) of weights with the derivative of responses by a column of the arrivals."""
         value = getattr(self.found, name)
         ahead, behind = (replace(self.found, **{name: value + sign * _STEP}) for sign in (1.0, -1.0))
         return _real_product(weights, self._respond(ahead, at) - self._respond(behind, at)) / (2.0 * _STEP)
 
-    def _by_direction(self, weights: Complexes, at: SceneResponse) -> Floats:
+    def _by_direction(self, weights: Complexes, at: TangentResponse) -> Floats:
         """Product (P, T, 3) of weights with the gradient of responses by the direction of departure."""
         u, found = self.found.departure, np.zeros(self.found.departure.shape)
         least = np.eye(3)[np.argmin(np.abs(u), axis=-1)]
@@ -207,7 +207,7 @@ def has_beams(paths: PairPaths) -> bool:
     return not all(isinstance(end.directivity, Omni) for end in paths.family.ends(paths.rows))
 
 
-def is_simple(family: Any, rows: Rows, at: SceneResponse) -> bool:
+def is_simple(family: Any, rows: Rows, at: TangentResponse) -> bool:
     """Test if responses change by spreading, air and the Doppler factor alone."""
     alike = all(isinstance(end.directivity, Omni) for end in family.ends(rows))
     return alike and not at.disperses and not bool(at.angular[family.links(rows).all_surfaces].any())

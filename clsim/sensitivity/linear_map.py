@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.paths.path_set import PathSet
-from clsim.paths.response import SceneResponse
 from clsim.render.methods.per_sample import PathSum
-from clsim.render.plan import Allocation, Plan, chunk_of
+from clsim.render.plan import BLOCKS, Allocation, Plan, chunk_of
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
 from clsim.scene.directivity.directivity import ChannelDirectivity
-from clsim.sensitivity.displaced import ByFunctions, Knot, varied
+from clsim.sensitivity.displaced import ByFunctions, Knot, TangentResponse, locally, moving, varied
+from clsim.sensitivity.parameters import along, trajectories, with_spread
 from clsim.sensitivity.tangents import TangentPaths, Tangents
 from clsim.tracks.sampled import SEED
 from clsim.tracks.tracks import SceneTracks
@@ -29,12 +29,15 @@ if TYPE_CHECKING:
     from clsim.paths.family import PairPaths, PathFamily
     from clsim.render.options import RenderOptions
     from clsim.scene.ends import Receiver
+    from clsim.scene.motion.curves import Piecewise
     from clsim.sensitivity.parameters import Parameter
     from clsim.tracks.basis import Basis
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
 _TOGETHER = 24  # parameters that are rendered at a time
-_FAINT = 0.03  # of the loudest tangent
+_LEAST = 0.03  # of the loudest tangent: errors of fainter ones are relative to it
+_BLOCKS = (768, 576, 384, 288, 256, *BLOCKS[2:])  # samples in a block by points of a trajectory, as in `Plan`
+_CUBIC = 24  # blocks in each cubic of a motion at least
 _SAMPLED = 5  # instants and pairs at which levels of tangents are taken
 _LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
 _PER_SAMPLE: dict[str, Any] = {
@@ -62,40 +65,75 @@ class LinearMap:
     def of(cls, paths: PathSet, parameters: Sequence[Parameter], options: RenderOptions) -> LinearMap:
         """Design the filters."""
         plan = plan_of(paths, options)
-        few = representatives(scene_tracks(plan), parameters)
+        few = representatives(scene_tracks(plan), parameters, plan.options.responses == "centre")
         allowed = min(plan.options.response_error_db + _LESS_DB, _MOST_DB)
-        own = replace(plan.options, duration=plan.duration, response_error_db=allowed, tail="off")
+        own = replace(plan.options, duration=plan.duration, response_error_db=allowed, tail="off", responses="band")
         shared = plan_paths(few, own) if few is not None else plan
         return cls(plan, tuple(parameters), shared)
 
     def forward(self, out: Floats | Complexes) -> None:
         """Write the derivatives of all rows by all parameters into an array (parameters, rows, samples)."""
-        for first in range(0, len(self.parameters), _TOGETHER):
-            here = slice(first, first + _TOGETHER)
-            self._write(self.parameters[here], out[here])
-
-    def _write(self, parameters: Sequence[Parameter], out: Floats | Complexes) -> None:
-        """Write those by some parameters, which are rendered together."""
-        plan, tracks = self.plan, TangentTracks.among_all(scene_tracks(self.plan), parameters, self.plan.duration)
         out[:] = 0.0
+        others = [j for j, parameter in enumerate(self.parameters) if not isinstance(parameter.shift, Knot)]
+        for first in range(0, len(others), _TOGETHER):
+            here = others[first : first + _TOGETHER]
+            self._write(here, [self.parameters[j] for j in here], out, 0, self.plan.samples)
+        for js in trajectories(self.parameters):
+            self._write_points(js, out)
+        for j in range(len(out)):
+            out[j] = through_ends(self.plan, out[j])
+
+    def _write_points(self, js: NDArray[np.int64], out: Floats | Complexes) -> None:
+        """Write those by the points of a trajectory (points, 3), of which few move it at the same time.
+
+        They are sums of derivatives by B-splines, of which each moves it for four of its cubics.
+        """
+        plan, knot = self.plan, self.parameters[js[0, 0]].shift
+        assert isinstance(knot, Knot)
+        spread, mixed = locally(knot.spread)
+        windows = [(at, min(at + plan.segment, plan.samples)) for at in range(0, plan.samples, plan.segment)]
+        spans = [moving(spread, *self._times(*window)) for window in windows]
+        count = max(last - first for first, last in spans)  # the same in all, for few kernels
+        blocks = blocks_for(plan, spread)
+        for window, (first, _) in zip(windows, spans, strict=True):
+            here = min(first, len(js) - count) + np.arange(count)
+            for some in np.array_split(here, -(-3 * count // _TOGETHER)):
+                mine = js[some].ravel().tolist()
+                self._write(mine, [with_spread(self.parameters[j], spread) for j in mine], out, *window, blocks)
+        for axis in range(3):
+            out[js[:, axis]] = np.tensordot(mixed, out[js[:, axis]], 1)
+
+    def _times(self, start: int, stop: int) -> tuple[float, float]:
+        """First and last time, s, of emission or reception that samples, and the nodes beside them, depend on."""
+        plan, beside = self.plan, 3 * self.plan.blocks[0]
+        tracks, times = scene_tracks(plan), np.array([start - beside, stop + beside]) / plan.sampling_rate
+        late = np.stack([receiver.clock_error(times) for receiver in tracks.scene.receivers])
+        first = min(times[0] - tracks.longest_delay(*times), float((times + late).min()))
+        return first, float((times + late).max())
+
+    def _write(
+        self, js: Sequence[int], parameters: Sequence[Parameter], out: Floats | Complexes, start: int, stop: int,
+        blocks: tuple[int, ...] | None = None,
+    ) -> None:  # fmt: skip
+        """Write those by some parameters, which are rendered together, from a sample to another."""
+        plan = self.plan
+        tracks = TangentTracks.among_all(
+            scene_tracks(plan), parameters, plan.duration, plan.options.responses == "centre"
+        )
         if not tracks.pairs:
             return
         rows = sum(map(len, tracks.channels))
-        chunk = chunk_of(plan.options, plan.samples, plan.sampling_rate, plan.segment, rows, tracks.longest_delay)
-        # Points of a motion bend it: the longest blocks would be made in vain.
-        blocks = plan.blocks[any(isinstance(parameter.shift, Knot) for parameter in parameters) :]
+        chunk = chunk_of(plan.options, stop - start, plan.sampling_rate, plan.segment, rows, tracks.longest_delay)
         shared = replace(
-            self.shared, tracks=tracks, allocation=Allocation(), samples=plan.samples, chunk=chunk, blocks=blocks,
-            builders=[PathSum],
+            self.shared, tracks=tracks, allocation=Allocation(), samples=stop, chunk=chunk,
+            blocks=blocks or plan.blocks, builders=[PathSum],
         )  # fmt: skip
         pressure = PressureSum(shared)
-        for start in range(0, plan.samples, chunk):
-            piece = pressure(start)
+        for at in range(start, stop, chunk):
+            piece = pressure(at)
             for mine, j, row in tracks.rows(plan.first_rows):
-                out[j, row, start : start + piece.shape[1]] = tracks.scales[j] * piece[mine]
+                out[js[j], row, at : at + piece.shape[1]] = tracks.scales[j] * piece[mine]
         pressure.warn()
-        for j in range(len(out)):
-            out[j] = through_ends(plan, out[j])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,10 +142,13 @@ class TangentTracks(SceneTracks):
 
     parameters: tuple[Parameter, ...]
     here: tuple[tuple[int, ...], ...]  # parameters on which the paths to each receiver depend
+    at_centre: bool  # whether responses are those at the centre frequency
     scales: Floats  # (parameters,) by which gains are divided, so that none is held less well than others
 
     @classmethod
-    def among_all(cls, own: SceneTracks, parameters: Sequence[Parameter], until: float) -> TangentTracks:
+    def among_all(
+        cls, own: SceneTracks, parameters: Sequence[Parameter], until: float, at_centre: bool
+    ) -> TangentTracks:
         """Return the tangents of the paths that depend on any of some parameters, in a run that ends at a time, s."""
         touched = {
             (id(family), j): parameter.touched(family)
@@ -127,13 +168,20 @@ class TangentTracks(SceneTracks):
             member, count = own.pairs[i], len(here[own.pairs[i].receiver])
             pairs.append(replace(member, channels=range(count * member.channels.start, count * member.channels.stop)))
         columns |= {"pairs": tuple(pairs), "pair_paths": tuple(own.pair_paths[i] for i in mine)}
-        made = cls(**columns, parameters=tuple(parameters), here=here, scales=np.ones(len(parameters)))
+        made = cls(
+            **columns, parameters=tuple(parameters), here=here, at_centre=at_centre, scales=np.ones(len(parameters))
+        )
         return replace(made, scales=made.levels(until))
 
     @property
-    def faint(self) -> float:
-        """Level below which errors are relative to it: far from a point of a motion tangents are all but nothing."""
-        return _FAINT
+    def least_level(self) -> float:
+        """Part of the loudest tangent: B-splines begin and end with next to nothing."""
+        return _LEAST
+
+    @property
+    def eased_db(self) -> float:
+        """As much as responses of tangents."""
+        return _LESS_DB
 
     @property
     def on_device(self) -> bool:
@@ -161,9 +209,9 @@ class TangentTracks(SceneTracks):
             counted[js] += 1
             if js:
                 emitted = self.scene.sources[pair.source].emitted.centre_frequency
-                at = SceneResponse(self.scene, pair.source, np.array([emitted]))
+                at = TangentResponse(self.scene, pair.source, np.array([emitted]))
                 here = Tangents.of(pair, times, pair.arrivals(times, self.kinematics), at, self.kinematics)
-                loud = [np.linalg.norm(here.by(self.parameters[j]), axis=1).max() for j in js]
+                loud = [np.linalg.norm(here.by(along(self.parameters[j])), axis=1).max() for j in js]
                 found[js] = np.maximum(found[js], loud)
         return np.where(found > 0.0, found, 1.0)
 
@@ -171,7 +219,7 @@ class TangentTracks(SceneTracks):
         self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis
     ) -> list[Floats]:
         """Return the gains (C, K, P, T) of tangents of paths of some pairs."""
-        at = SceneResponse(self.scene, paths[0].source, basis.nodes)
+        at = TangentResponse(self.scene, paths[0].source, basis.nodes, self.at_centre)
         return [self._gains(Tangents.of(pair, times, found, at, self.kinematics), basis) for pair in paths]
 
     def _gains(self, tangents: Tangents, basis: Basis) -> Floats:
@@ -187,9 +235,37 @@ class TangentTracks(SceneTracks):
         return out.reshape(-1, *out.shape[2:])
 
 
-def plan_of(paths: PathSet, options: RenderOptions) -> Plan:
-    """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay."""
-    return plan_paths(_plain(paths), replace(options, **_PER_SAMPLE))
+def blocks_for(plan: Plan, spread: Piecewise, in_each: int = _CUBIC) -> tuple[int, ...]:
+    """Return the samples in a block of derivatives by the points of a trajectory, which bend in each of its cubics."""
+    step = max(np.diff(spread.polynomial.x[1:-1]).min() * plan.sampling_rate / in_each, _BLOCKS[-1])
+    return plan.blocks if plan.baseband is not None else tuple(b for b in _BLOCKS if b <= step)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilteredTracks(SceneTracks):
+    """Tracks of paths whose gains of heads are those of what a render filters."""
+
+    @classmethod
+    def of(cls, own: SceneTracks) -> FilteredTracks:
+        """Return the same tracks with these gains."""
+        return cls(**{f.name: getattr(own, f.name) for f in fields(SceneTracks)})
+
+    def gains(
+        self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis
+    ) -> list[Floats]:
+        """Return the gains (C, K, P, T) of paths of some pairs."""
+        at = TangentResponse(self.scene, paths[0].source, basis.nodes)
+        each = (Tangents.of(pair, times, found, at, self.kinematics).own for pair in paths)
+        return [np.moveaxis(basis.gains(own), -1, 1) for own in each]
+
+
+def plan_of(paths: PathSet, options: RenderOptions, by_functions: bool = True) -> Plan:
+    """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay.
+
+    Heads have gains by functions of frequency, or filter the sound of each path as they do in a render.
+    """
+    arriving = options.baseband is None and options.responses == "band"
+    return plan_paths(_plain(paths, by_functions, arriving), replace(options, **_PER_SAMPLE))
 
 
 def scene_tracks(plan: Plan) -> SceneTracks:
@@ -223,23 +299,26 @@ def through_ends(plan: Plan, rows: Floats, transposed: bool = False) -> Floats:
     return rows
 
 
-def _plain(paths: PathSet) -> PathSet:
-    """Return the paths in a scene whose receivers neither add noise nor round, nor filter the sound of each path."""
+def _plain(paths: PathSet, by_functions: bool, arriving: bool) -> PathSet:
+    """Return the paths in a scene whose receivers neither add noise nor round.
+
+    Heads have gains by functions of frequency instead of filters, at the frequencies that arrive or are emitted.
+    """
     quiet: dict[str, Any] = dict.fromkeys(("ambient_noise_db", "snr_db", "self_noise_db", "adc_bits", "adc_full_scale"))
 
     def plain(r: Receiver) -> Receiver:
         own, electronics = r.directivity, r.electronics
-        channels = isinstance(own, ChannelDirectivity) and not own.by_functions
+        channels = by_functions and isinstance(own, ChannelDirectivity) and not own.by_functions
         return varied(
             r, electronics=electronics and varied(electronics, **quiet),
-            directivity=ByFunctions(own) if channels and isinstance(own, ChannelDirectivity) else own,
+            directivity=ByFunctions(own, arriving) if channels and isinstance(own, ChannelDirectivity) else own,
         )  # fmt: skip
 
     scene = varied(paths.scene, receivers=tuple(map(plain, paths.scene.receivers)))
     return PathSet(scene, tuple(family.in_scene(scene) for family in paths.families))
 
 
-def representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> PathSet | None:
+def representatives(tracks: SceneTracks, parameters: Sequence[Parameter], at_centre: bool) -> PathSet | None:
     """Return tangents of some pairs by parameters of all kinds, of which functions of frequency are designed.
 
     Of every kind of parameter and every kind of path some are drawn: what none stands for would not be held.
@@ -258,5 +337,5 @@ def representatives(tracks: SceneTracks, parameters: Sequence[Parameter]) -> Pat
         count = max(_MOST_PAIRS // sum(key[0] == source for key in kinds), 2)
         for i in chance.permutation(len(each))[:count].tolist():
             pair, one = each[i]
-            found.append(TangentPaths.of(pair.family.part(pair.index), one, tracks.kinematics))
+            found.append(TangentPaths.of(pair.family.part(pair.index), one, tracks.kinematics, at_centre))
     return PathSet(tracks.paths.scene, tuple(found)) if found else None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.render.opencl.engine import OpenclEngine, Run
+from clsim.render.plan import BLOCKS
 from clsim.sensitivity.images import has_beams
 from clsim.tracks.basis import flat_basis
 
@@ -58,7 +59,7 @@ class MomentEngine(OpenclEngine):
         tracks = self._plan.tracks.of_scene
         assert tracks is not None
         paths = tracks.pair_paths[batch.pairs[0]]
-        slow = block == self._plan.blocks[0] and not paths.family.costly and not has_beams(paths)
+        slow = block == BLOCKS[0] == self._plan.blocks[0] and not paths.family.costly and not has_beams(paths)
         return _TOGETHER if slow else 1
 
     def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:

@@ -35,15 +35,18 @@ WITHOUT_DERIVATIVE = {
     "there with diffraction only",
     "healing and simplification of meshes": "walls and edges stay those that were found",
     "displacement of walls next to edges": "refused in scenes with diffracted paths",
+    "single corners of meshes": "no parameter: walls are displaced as a whole",
+    "emitted signals in baseband": "refused, as are tensors' renders in baseband: envelopes are those of a band",
+    '`aim="forward"` and `aim_at`': "orientations stay as they were while positions and points of trajectories change",
     "noise and converters of receivers": "left out: the derivative is that of the signal before noise and rounding",
     "the diffuse tail": "left out, which a note says: the derivative is that of the sound over paths",
     "ends that bodies carry": "they stay where they are as `bodies[i].position` changes",
 }
 _AXES = "xyz"
 _STEP = 1e-5  # m: a phase of 0.7 mrad at 40 kHz; rounding of delays is then below 1e-7 of their derivative
-# Name, unit, step and multiple of the step in the field's own unit.
+_DAMP = 1e-6  # step of the humidity, and what it is away from 0 and 1 at least
 _OF_AIR = {
-    "temperature_celsius": ("°C", 1e-3), "relative_humidity": ("1", 1e-5), "pressure": ("Pa", 10.0),
+    "temperature_celsius": ("°C", 1e-3), "relative_humidity": ("1", _DAMP), "pressure": ("Pa", 10.0),
     "speed_of_sound": ("m/s", 1e-3), "wind": ("m/s", 1e-3),
 }  # fmt: skip
 _OF_ELECTRONICS = {"clock_ppm": ("ppm", 0.1), "clock_offset": ("s", 1e-7), "gain_db": ("dB", 1e-3)}
@@ -115,14 +118,23 @@ class Parameter:
 
 def parameters_of(paths: PathSet, wrt: Sequence[str]) -> list[Parameter]:
     """Return the parameters of names; a name of a vector gives all of its components."""
+    check_names(wrt)
+    found = [parameter for name in wrt for parameter in _named(paths, name)]
+    check_once([parameter.name for parameter in found])
+    return found
+
+
+def check_names(wrt: Any) -> None:
+    """Raise an InputError if something is no list of names."""
     if isinstance(wrt, str) or not wrt or not all(isinstance(name, str) for name in wrt):
         raise InputError("wrt", f"must be a list of names, but is {wrt!r:.80}")
-    found = [parameter for name in wrt for parameter in _named(paths, name)]
-    names = [parameter.name for parameter in found]
+
+
+def check_once(names: Sequence[str]) -> None:
+    """Raise an InputError if a name comes twice."""
     for name in names:
         if names.count(name) > 1:
             raise InputError("wrt", f"must name each parameter once, but names {name} twice")
-    return found
 
 
 def _named(paths: PathSet, name: str) -> Iterator[Parameter]:
@@ -153,23 +165,27 @@ def _of_air(name: str, field: str) -> Iterator[Parameter]:
 def _with_air(field: str, scene: Scene, by: float) -> Scene:
     air, requested = scene.air, "_requested_speed" if field == "speed_of_sound" else field
     value: Any = getattr(air, field)
-    larger: Any
-    if callable(value):
-        larger = _Raised(value, by)
-    else:
-        larger = tuple(v + by for v in value) if isinstance(value, tuple) else value + by
+    within = (_DAMP, 1.0 - _DAMP) if field == "relative_humidity" else (-math.inf, math.inf)
+    larger: Any = _Raised(value, by, within)
+    if not callable(value):
+        larger = tuple(larger.of(np.array(value)).tolist()) if isinstance(value, tuple) else float(larger.of(value))
     return varied(scene, air=replace(air, **{requested: larger}))
 
 
 @dataclass(frozen=True, slots=True)
 class _Raised:
-    """A function of the height plus a number; equal ones are the same air."""
+    """Values or a function of the height, within bounds, plus a number; equal ones are the same air."""
 
-    own: Callable[[Any], Any]
+    own: Any
     by: float
+    within: tuple[float, float]
 
     def __call__(self, heights: Any) -> Any:
-        return self.own(heights) + self.by
+        return self.of(self.own(heights))
+
+    def of(self, values: Any) -> Any:
+        """Return values plus the number."""
+        return np.clip(values, *self.within) + self.by
 
 
 def _with_wind(axis: int, scene: Scene, by: float) -> Scene:
@@ -229,16 +245,36 @@ def _shifted(name: str, shift: Curve, with_thing: Any, acts: str, own: dict[str,
     return Parameter(name, "m", _STEP, change, **own, acts=acts, shift=shift)
 
 
+def trajectories(parameters: Sequence[Parameter]) -> list[NDArray[np.int64]]:
+    """Numbers (points, 3) of the parameters of each trajectory by points."""
+    found: dict[int, list[int]] = {}
+    for j, parameter in enumerate(parameters):
+        if isinstance(parameter.shift, Knot):
+            found.setdefault(id(parameter.shift.spread), []).append(j)
+    return [np.reshape(js, (-1, 3)) for js in found.values()]
+
+
+def with_spread(parameter: Parameter, spread: Piecewise) -> Parameter:
+    """Return the displacement of a trajectory by a curve of another spread in place of that of a point."""
+    assert isinstance(parameter.shift, Knot)
+    return _of_end(parameter, parameter.name, replace(parameter.shift, spread=spread))
+
+
 def along(parameter: Parameter, begin: float | None = None) -> Parameter:
     """Return the displacement of all of a trajectory in place of that of a point, or one that grows from a time, s."""
     if not isinstance(parameter.shift, Knot):
         return parameter
+    axis = np.eye(3)[parameter.shift.axis]
+    shift = Static(axis) if begin is None else Ramp(axis, begin)
+    name = f"{parameter.name.partition('.')[0]}.position.{_AXES[parameter.shift.axis]}"
+    return _of_end(parameter, name, shift)
+
+
+def _of_end(parameter: Parameter, name: str, shift: Curve) -> Parameter:
+    """Return another displacement of the same end."""
     kind = "receivers" if parameter.source is None else "sources"
     index = int(parameter.receiver or 0) if parameter.source is None else parameter.source
     own = {"source": parameter.source, "receiver": parameter.receiver}
-    axis = np.eye(3)[parameter.shift.axis]
-    shift = Static(axis) if begin is None else Ramp(axis, begin)
-    name = f"{kind}[{index}].position.{_AXES[parameter.shift.axis]}"
     return _shifted(name, shift, partial(_with_thing, kind, index), "shift", own)
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clsim.paths.response import NEPERS, SceneResponse, covered
+from clsim.paths.response import NEPERS, covered
 from clsim.render.plan import node_times
-from clsim.sensitivity.displaced import Knot
+from clsim.sensitivity.displaced import Knot, TangentResponse
 from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
 from clsim.sensitivity.linear_map import scene_tracks
 from clsim.sensitivity.tangents import Tangents, clock_change
@@ -56,7 +56,7 @@ class Pulled:
         basis = self._linear.shared.source_filters[paths.source].basis
         times = node_times(start, block, at_nodes.shape[2] - 3, plan.sampling_rate)
         now = times + self._tracks.scene.receivers[paths.receiver].clock_error(times)
-        at = SceneResponse(self._tracks.scene, paths.source, basis.nodes)
+        at = TangentResponse(self._tracks.scene, paths.source, basis.nodes, plan.options.responses == "centre")
         found = paths.arrivals(now, self._tracks.kinematics)
         tangents = Tangents.of(paths, now, found, at, self._tracks.kinematics)
         weights, here = _at_frequencies(basis, at_nodes), list(self._parameters(paths))
@@ -125,7 +125,7 @@ class _OfTangents:
 class _OfImages:
     """Products of the forces on some images with what parameters do."""
 
-    def __init__(self, images: Images, forces: Forces, weights: Complexes, at: SceneResponse) -> None:
+    def __init__(self, images: Images, forces: Forces, weights: Complexes, at: TangentResponse) -> None:
         self._images, self._forces, self._weights, self._at = images, forces, weights, at
         self._apart, self._product = forces.apart.sum(axis=1), forces.product.sum(axis=(0, 2))  # (P, 3) and (P, F)
 
@@ -181,7 +181,7 @@ class _OfImages:
         images, family = self._images, self._images.family
         source = int(family.source[images.rows][0])
         scenes = [parameter.moved(family.scene, sign * parameter.step) for sign in (1.0, -1.0)]
-        ats = [SceneResponse(scene, source, self._at.frequencies) for scene in scenes]
+        ats = [self._at.in_scene(scene) for scene in scenes]
         walls = np.arange(len(self._at.angular) - 1)[:, None]
         if is_simple(family, images.rows, self._at) and np.array_equal(
             ats[0].reflection(walls), ats[1].reflection(walls)

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from clsim.arrays import Complexes, Floats, as_floats, read_only, short_repr
-from clsim.errors import InputError
+from clsim.arrays import LOUDEST, QUIETEST, Complexes, Floats, as_floats, read_only, short_repr
+from clsim.errors import InputError, not_one_of
 from clsim.packages import check_packages
 from clsim.paths.path_set import PathSet
 from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
 from clsim.sensitivity.adjoint import adjoint, adjoint_signal
 from clsim.sensitivity.linear_map import LinearMap, plan_of
-from clsim.sensitivity.parameters import parameters_of
+from clsim.sensitivity.parameters import Parameter, check_names, check_once, parameters_of
 
 _WITHOUT_TAIL = "the diffuse tail is left out: derivatives are those of the sound over paths"
 _SINGULAR = 1e-12  # least eigenvalue of normalised information that says something
+_INVOLVED = 0.01  # least part in what is undetermined
+_LARGEST = 1e100  # of derivatives of a loss
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,16 +64,17 @@ class Sensitivities:
         Raises
         ------
         InputError
-            If noise is not above 0, or not one number per receiver.
+            If noise is not from 1e-15 to 1e12, or not one number per receiver.
 
         Notes
         -----
         ``F_ij = sum over receivers and samples of dy/dθ_i dy/dθ_j / noise²`` (S. M. Kay, Fundamentals of Statistical
         Signal Processing: Estimation Theory, 1993, equation 3.31).
         """
-        sigma = np.asarray(noise, dtype=np.float64)
-        if sigma.shape not in ((), (len(self.receivers),)) or not np.all(sigma > 0.0):
-            raise InputError("noise", f"must be above 0, one number or one per receiver, but is {noise!r:.80}")
+        several = isinstance(noise, Sequence | np.ndarray) and not isinstance(noise, str)
+        sigma = as_floats("noise", noise, (len(self.receivers),) if several else (), within=LOUDEST)
+        if not np.all(sigma >= QUIETEST):
+            raise InputError("noise", f"must be at least {QUIETEST:g}, but is {noise!r:.80}")
         rows = (self.jacobian / np.broadcast_to(sigma, len(self.receivers))[:, None]).reshape(len(self.parameters), -1)
         return np.asarray((rows @ rows.conj().T).real)
 
@@ -86,7 +89,7 @@ class Sensitivities:
         Raises
         ------
         InputError
-            If noise is not above 0, or the recording does not determine all parameters.
+            If noise is not from 1e-15 to 1e12, or the recording does not determine all parameters.
         """
         return crb(self.fisher(noise), self.parameters)
 
@@ -110,8 +113,9 @@ def crb(information: Floats, names: Sequence[str]) -> Floats:
         raise InputError("wrt", f"must change the recording, but {names[int(np.argmin(scale))]} has no effect")
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     if values[0] < _SINGULAR:
-        mixed = [names[i] for i in np.argsort(-np.abs(vectors[:, 0]))[:3]]
-        raise InputError("wrt", f"must be distinguishable, but {', '.join(mixed)} are not: fix one of them")
+        involved = np.linalg.norm(vectors[:, values < _SINGULAR], axis=1) > _INVOLVED
+        mixed = ", ".join(name for name, is_mixed in zip(names, involved, strict=True) if is_mixed)
+        raise InputError("wrt", f"must be distinguishable, but {mixed} are not: fix one of them")
     return np.asarray(np.sqrt(np.sum(vectors**2 / values, axis=1)) / scale)
 
 
@@ -170,7 +174,7 @@ def sensitivities(paths: PathSet, wrt: Sequence[str], sampling_rate: float, **op
     ((3, 1, 3840), 'receivers[0].position.x', 'm')
     """
     parameters = parameters_of(_checked(paths), wrt)
-    linear = LinearMap.of(paths, parameters, RenderOptions(sampling_rate, **options))
+    linear = LinearMap.of(paths, parameters, options_of(sampling_rate, options))
     shape = len(parameters), linear.plan.row_count, linear.plan.samples
     with within_memory("wrt", "all derivatives (see `gradient`)", 8 * int(np.prod(shape))):
         jacobian = np.empty(shape, dtype=float if linear.plan.baseband is None else complex)
@@ -198,7 +202,7 @@ def gradient(
     sampling_rate : float
         Sampling rate of the recording, Hz.
     **options
-        As of `sensitivities`, but for the duration.
+        As of `sensitivities`; the duration is that of `loss_gradient`.
 
     Returns
     -------
@@ -228,37 +232,62 @@ def gradient(
     >>> by["receivers[0].position"].shape, bool(by["sources[0].gain_db"] > 0.0)
     ((3,), True)
     """
-    weights, settings = _weights(loss_gradient, RenderOptions(sampling_rate, **options | {"duration": None}))
-    emitted = [name for name in wrt if name.endswith(".signal")]
-    others = [name for name in wrt if name not in emitted]
-    each = [parameters_of(_checked(paths), [name]) for name in others]
-    found: dict[str, Any] = {}
-    if others:
-        linear = LinearMap.of(paths, [p for of_name in each for p in of_name], settings)
-        values = adjoint(linear, _of_rows(weights, linear.plan.row_count))
-        parts = np.split(values, np.cumsum([len(of_name) for of_name in each])[:-1])
-        for name, part in zip(others, parts, strict=True):
-            found[name] = part.reshape(-1, 3) if name.endswith(".trajectory") else part if len(part) > 1 else part[0]
-    for name in emitted:
-        found[name] = _by_signal(paths, name, weights, settings)
-    return {name: found[name] for name in wrt}
+    weights, settings = _weights(loss_gradient, options_of(sampling_rate, options))
+    each = named(_checked(paths), wrt, settings)
+    exponent = int(np.frexp(np.abs(weights).max())[1])  # sums are taken of weights about 1, which float32 holds
+    weights, scale = weights * 2.0**-exponent, 2.0**exponent
+    found, parameters = {}, [parameter for of_name in each.values() for parameter in of_name]
+    if parameters:
+        linear = LinearMap.of(paths, parameters, settings)
+        values = iter(scale * adjoint(linear, _of_rows(weights, linear.plan.row_count)))
+    for name, of_name in each.items():
+        if not of_name:
+            found[name] = scale * _by_signal(paths, name, weights, settings)
+            continue
+        part: Any = np.array([next(values) for _ in of_name])
+        found[name] = part.reshape(-1, 3) if name.endswith(".trajectory") else part if len(part) > 1 else part[0]
+    return found
+
+
+def options_of(sampling_rate: float, options: dict[str, Any]) -> RenderOptions:
+    """Return the options of a render by their names."""
+    known = [f.name for f in fields(RenderOptions) if f.kw_only]
+    for name in options:
+        if name not in known:
+            raise InputError("options", not_one_of(name, known))
+    return RenderOptions(sampling_rate, **options)
+
+
+def named(paths: PathSet, wrt: Sequence[str], options: RenderOptions) -> dict[str, list[Parameter]]:
+    """Return the parameters of names, none of signals that sources emit."""
+    check_names(wrt)
+    check_once(list(wrt))
+    found = {}
+    for name in wrt:
+        found[name] = [] if name.endswith(".signal") else parameters_of(paths, [name])
+        if not found[name]:
+            _source_of(paths, name, options)
+    check_once([parameter.name for of_name in found.values() for parameter in of_name])
+    return found
 
 
 def _weights(given: Any, options: RenderOptions) -> tuple[Floats | Complexes, RenderOptions]:
     """Return the loss's derivative (rows, samples), complex in baseband, and options with its duration."""
-    if options.baseband is None:
-        weights: Any = as_floats("loss_gradient", given, (None, None))
-        return weights, replace(options, duration=weights.shape[1] / options.sampling_rate)
-    parts = np.asarray(given)
-    weights = as_floats("loss_gradient", parts.real, (None, None)) + 1j * as_floats(
-        "loss_gradient", parts.imag, parts.shape
-    )
-    rate = options.baseband[2] or options.sampling_rate
-    return weights, replace(options, duration=weights.shape[1] / rate)
+    parts = (given,) if options.baseband is None else (np.real(given), np.imag(given))
+    weights: Any = 0.0
+    for part, turn in zip(parts, (1.0, 1.0j), strict=False):
+        weights = weights + turn * as_floats("loss_gradient", part, (None, None), within=_LARGEST)
+    rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
+    duration = weights.shape[1] / rate
+    if options.duration is not None and abs(options.duration - duration) * rate >= 1.0:
+        raise InputError(
+            "duration", f"must be that of loss_gradient, {duration:g} s, or left out, but is {options.duration:g} s"
+        )
+    return weights, replace(options, duration=duration)
 
 
-def _by_signal(paths: PathSet, name: str, weights: Any, options: RenderOptions) -> Floats:
-    """Return the derivative by the samples that a source emits."""
+def _source_of(paths: PathSet, name: str, options: RenderOptions) -> int:
+    """Return the index of the source by whose signal a recording can be differentiated."""
     index = next((i for i in range(len(paths.scene.sources)) if name == f"sources[{i}].signal"), None)
     if index is None:
         raise InputError("wrt", f"must name signals of the scene's sources, but has {name!r:.80}")
@@ -271,8 +300,13 @@ def _by_signal(paths: PathSet, name: str, weights: Any, options: RenderOptions) 
             f"must be emitted without transducer and at the sampling rate of the recording, {options.sampling_rate:g} "
             f"Hz, for a derivative, but is at {source.signal.sampling_rate:g} Hz",
         )
+    return index
+
+
+def _by_signal(paths: PathSet, name: str, weights: Any, options: RenderOptions) -> Floats:
+    """Return the derivative by the samples that a source emits."""
     plan = plan_of(paths, options)
-    return adjoint_signal(plan, index, _of_rows(weights, plan.row_count))
+    return adjoint_signal(plan, _source_of(paths, name, options), _of_rows(weights, plan.row_count))
 
 
 def _of_rows(weights: Any, rows: int) -> Any:

@@ -9,8 +9,8 @@ import numpy as np
 
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.family import PairPaths, PathFamily
-from clsim.paths.response import NEPERS, SceneResponse
-from clsim.sensitivity.displaced import Knot
+from clsim.paths.response import NEPERS
+from clsim.sensitivity.displaced import Knot, TangentResponse
 from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
 from clsim.sensitivity.parameters import along
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from clsim.arrays import Complexes, Floats
     from clsim.paths.arrivals import Arrivals, Kinematics
     from clsim.paths.family import Rows
+    from clsim.paths.response import SceneResponse
     from clsim.scene.scene import Scene
     from clsim.sensitivity.parameters import Parameter
 
@@ -44,14 +45,15 @@ class Tangents:
     paths: PairPaths
     times: Floats
     found: Arrivals
-    at: SceneResponse
+    at: TangentResponse
     kinematics: Kinematics
     own: Floats | Complexes  # (C, P, T, F) responses of the paths themselves
     known: dict[Any, Any] = field(default_factory=dict)  # what several parameters share, by name
 
     @classmethod
-    def of(cls, paths: PairPaths, times: Floats, found: Arrivals, at: SceneResponse, kinematics: Kinematics) -> Self:
+    def of(cls, paths: PairPaths, times: Floats, found: Arrivals, at: TangentResponse, kinematics: Kinematics) -> Self:
         """Take the responses of the paths from their arrivals."""
+        at = at.beside(paths, times, kinematics)
         return cls(paths, times, found, at, kinematics, paths.responses(found, times, at))
 
     def by(self, parameter: Parameter) -> Complexes:
@@ -103,7 +105,8 @@ class Tangents:
 
     def part(self, rows: NDArray[np.int64]) -> Tangents:
         """Return those of some paths."""
-        return replace(self, paths=self.paths.part(rows), found=self.found.part(rows), own=self.own[:, rows], known={})
+        paths, found, at = self.paths.part(rows), self.found.part(rows), self.at.part(rows)
+        return replace(self, paths=paths, found=found, at=at, own=self.own[:, rows], known={})
 
     @property
     def _simple(self) -> bool:
@@ -116,7 +119,7 @@ class Tangents:
 
     def _turned(self) -> Complexes:
         """Responses of a delay that grows by a second."""
-        turned: Complexes = self._once("turned", lambda: -2j * np.pi * self.at.frequencies * self.own)
+        turned: Complexes = self._once("turned", lambda: -2j * np.pi * self.at.turning * self.own)
         return turned
 
     def _by_time(self) -> Complexes:
@@ -146,7 +149,7 @@ class Tangents:
         paths = replace(self.paths, family=family, rows=self.paths.rows if rows is None else rows)
         when = self.times + later
         found = paths.arrivals(when, self.kinematics)
-        at = SceneResponse(family.scene, self.paths.source, self.at.frequencies)
+        at = self.at.in_scene(family.scene)
         return paths.responses(found, when, at), delays_of(paths, found, when) - later
 
     def _of_image(self, parameter: Parameter) -> Terms:
@@ -163,7 +166,7 @@ class Tangents:
             if acts == "air":
                 scene = parameter.moved(scene, step)
                 paths = replace(paths, family=paths.family.in_scene(scene))
-            there = SceneResponse(scene, self.paths.source, self.at.frequencies)
+            there = self.at.in_scene(scene)
             when, moved = self.times + step * causes.get("later", 0.0), images.moved(change, step)
             beside.append((paths.responses(moved, when, there), delays_of(paths, moved, when)))
         late = change.delay + (beside[0][1] - beside[1][1]) / steps  # of channels behind the centre
@@ -218,12 +221,13 @@ class TangentPaths(PathFamily):
     base: PathFamily  # the paths
     parameter: Parameter
     kinematics: Kinematics  # of the rendering
+    at_centre: bool  # whether it takes responses at the centre frequency
 
     @classmethod
-    def of(cls, base: PathFamily, parameter: Parameter, kinematics: Kinematics) -> Self:
+    def of(cls, base: PathFamily, parameter: Parameter, kinematics: Kinematics, at_centre: bool) -> Self:
         """Return the tangents of paths by a parameter."""
         own: dict[str, Any] = {f.name: getattr(base, f.name) for f in fields(PathFamily)}
-        return cls(**own, base=base, parameter=parameter, kinematics=kinematics)
+        return cls(**own, base=base, parameter=parameter, kinematics=kinematics, at_centre=at_centre)
 
     def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
         """Return the arrivals of the paths themselves."""
@@ -237,7 +241,8 @@ class TangentPaths(PathFamily):
 
     def of_channels(self, paths: PairPaths, found: Arrivals, times: Floats, at: SceneResponse) -> Complexes:
         """Return the same by channel of the receiver, (C, P, T, F)."""
-        return Tangents.of(replace(paths, family=self.base), times, found, at, self.kinematics).by(self.parameter)
+        own = TangentResponse(self.scene, paths.source, at.frequencies, self.at_centre)
+        return Tangents.of(replace(paths, family=self.base), times, found, own, self.kinematics).by(self.parameter)
 
     def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
         """Return the vertices of the paths themselves."""

@@ -66,9 +66,14 @@ class Tracks(ABC):
         return None
 
     @property
-    def faint(self) -> float:
+    def least_level(self) -> float:
         """Level of gains in a segment below which their errors are relative to it."""
         return 1e-30
+
+    @property
+    def eased_db(self) -> float:
+        """Allowance for the error of delays and gains between nodes, dB above the default bound."""
+        return 0.0
 
     @property
     def on_device(self) -> bool:

@@ -72,3 +72,46 @@ def test_the_shape_of_the_result_is_given() -> None:
         clsim.torch.render(made, {}, RATE, **OPTIONS)
     with pytest.raises(clsim.InputError, match="baseband: must be left out"):
         clsim.torch.render(made, {"receivers[0].position": torch.zeros(3)}, RATE, **OPTIONS, baseband=(9e3, 4e3))
+
+
+def of_place(place: Any, **more: Any) -> Any:
+    """Render with a receiver at a place, or another value by name."""
+    return clsim.torch.render(made, {"receivers[0].position": place, **more}, RATE, **OPTIONS)
+
+
+PLACE = torch.tensor(START["receivers[0].position"])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: of_place(torch.tensor([2, 1, 1])),
+            "tensors['receivers[0].position']: must be a tensor of real floating-point numbers, but is torch.int64",
+        ),
+        (
+            lambda: of_place(np.ones(3)),
+            "tensors['receivers[0].position']: must be a tensor of real floating-point numbers, but is ndarray",
+        ),
+        (
+            lambda: clsim.torch.render(lambda _: None, {"receivers[0].position": PLACE}, RATE, **OPTIONS),
+            "make_paths: must return a PathSet, but returns None",
+        ),
+        (
+            lambda: of_place(PLACE, **{"receivers[0].positio": PLACE}),
+            "wrt: must name parameters that have a derivative, but has 'receivers[0].positio'",
+        ),
+        (
+            lambda: of_place(PLACE, **{"sources[0].gain_db": PLACE}),
+            "tensors['sources[0].gain_db']: must hold 1 number, but holds 3",
+        ),
+        (
+            lambda: of_place(PLACE.clone().requires_grad_()).sum().backward(create_graph=True),
+            "create_graph: must be False: a render of tensors has first derivatives alone, but is True",
+        ),
+    ],
+)
+def test_errors_name_field_rule_and_value(call: Any, message: str) -> None:
+    with pytest.raises(clsim.InputError) as error:
+        call()
+    assert str(error.value) == message

@@ -65,12 +65,15 @@ def block_error(
     delay: Floats,
     rate: Floats,
     gain: Floats,
+    level: Floats,
     angular_frequency: float,
     block_time: float,
     part: float = 0.0,
     terms: int = 4,
 ) -> Floats:
     """Return the largest error of the polynomials of every path and block (paths, blocks), as pressure at full scale.
+
+    level: of all gains of each path and block, (paths, blocks).
 
     The remainder of cubic Hermite interpolation is ``h^4 f / 384``, with ``h^3 f`` the third difference of the rate;
     that of Catmull-Rom is at most 0.016 of the gain's third difference (0.02 is used), that of the cubic through all
@@ -97,7 +100,7 @@ def block_error(
     change = (GAIN_ERROR[terms] * last).sum(axis=0)
     g0, g1, g2, g3 = _nodes(gain)
     change = np.hypot(change, 0.0625 * part**2 * np.abs((g3 - g2) - (g1 - g0)).sum(axis=0))
-    return np.asarray(np.hypot(angular_frequency * delay_samples * np.abs(gain[:, :, 1:-2]).sum(axis=0), change))
+    return np.asarray(np.hypot(angular_frequency * delay_samples * level, change))
 
 
 def cell_polynomials(gain: Floats, cell: int, blocks: int) -> tuple[Floats, Floats]:
@@ -237,7 +240,7 @@ class Residual:
 
 
 def block_errors(
-    squares: Floats, first_slot: NDArray[np.int32], before: Floats | float, faint: float
+    squares: Floats, first_slot: NDArray[np.int32], before: Floats | float, least: float
 ) -> tuple[Floats, Floats]:
     """Errors (segments,) of paths, of the receiver where they are most, and levels (segments, receivers) about them.
 
@@ -248,7 +251,7 @@ def block_errors(
     before: squared levels (segments, receivers) of what else is heard.
     """
     wrong, own, *_ = np.add.reduceat(squares, first_slot[:-1], axis=2)
-    heard = np.maximum(np.sqrt(own + before, dtype=np.float64), faint)
+    heard = np.maximum(np.sqrt(own + before, dtype=np.float64), least)
     return (np.sqrt(wrong, dtype=np.float64) / heard).max(axis=1), heard
 
 

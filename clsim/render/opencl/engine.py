@@ -270,7 +270,7 @@ class Run:
         level, begins = self._engine.residuals[self._source].level, self._batch.first_slot
         few = np.zeros(nodes.squares.shape[1:], dtype=np.bool_)
         before = np.stack([level(first + i, self._batch.receiver) for i in range(len(few))]) if self._beside else 0.0
-        error, heard = block_errors(nodes.squares, begins, before, self._plan.tracks.faint)
+        error, heard = block_errors(nodes.squares, begins, before, self._plan.tracks.least_level)
         for i in np.flatnonzero(error > self._tolerance).tolist() if divides else []:
             few[i] = few_paths(nodes.squares[0, i], begins, 0.5 * (self._tolerance * heard[i]) ** 2)
             few[i] &= FEW * self._batch.part(few[i]).count <= self._batch.count

@@ -133,13 +133,16 @@ class HostNodeMaker:
             delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, terms
         )
         sized = gain * _strengths(filters.basis, len(gain))[:, None, None]
-        part = plan.left_out_over(run.source, block)
-        wrong = block_error(delay, change, sized, 2.0 * math.pi * filters.swiftness, block / rate, part, terms)
+        part, each = plan.left_out_over(run.source, block), np.abs(sized).sum(axis=0)
+        level = each[:, 1:-2]
+        if plan.tracks.least_level > 0.0:  # tangents, which may begin with nothing
+            level = np.maximum(level, each[:, 2:-1])
+        wrong = block_error(delay, change, sized, level, 2.0 * math.pi * filters.swiftness, block / rate, part, terms)
         first, last = (edge[slots, None] for edge in run.audible)
         begins = block * np.arange(run.blocks)
         audible = (first < begins + block) & (last > begins)
         made[:, terms:] = np.where(audible.T[:, None], made[:, terms:], 0.0)
-        loud = np.abs(sized).sum(axis=0)[:, 1:-2] * audible
+        loud = level * audible
         sounds = audible & _sounds(filters, times, delay, rate)
         squares = _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block)
         return whole, made, _Found(squares, float(delay.min()), float(delay.max()))
