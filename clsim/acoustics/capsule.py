@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics import silhouette
+from clsim.acoustics.outline import Outline
 from clsim.acoustics.scattering import SpecularPoint, lit_share
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.acoustics.outline import Outline
-    from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats
 
 _STEPS = 40  # of Newton's, at most, where ends are far from where they were
 _LONGEST_STEP = 0.5  # rad

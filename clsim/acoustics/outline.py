@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.quaternions import cross_product
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
 
 # Points of an outline beyond the turns of the phase along it, and the most points, those for (k a)^(2/3).
 FEWEST_OF_ELLIPSOID, FEWEST_OF_CAPSULE, MOST_POINTS = 24.0, 40.0, (24.0, 15.0)

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clsim.acoustics.outline import counts_of_points
+from clsim.acoustics.outline import Outline, counts_of_points
 from clsim.acoustics.silhouette import faded, outline_field
-
-if TYPE_CHECKING:
-    from clsim.acoustics.outline import Outline
-    from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats
 
 # Radii of the first Fresnel zone by which a line of sight passes a body: up to here its shade counts, beyond twice not.
 WITHIN = 1.0

@@ -8,18 +8,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clsim.acoustics.fock import fock_hard, lit_reflection
-from clsim.acoustics.outline import LEAST, counts_of_points
+from clsim.acoustics.outline import LEAST, Outline, OutlinePoints, counts_of_points
+from clsim.acoustics.scattering import SpecularPoint
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
-
-if TYPE_CHECKING:
-    from clsim.acoustics.outline import Outline, OutlinePoints
-    from clsim.acoustics.scattering import SpecularPoint
-    from clsim.arrays import Complexes, Floats
 
 ASPECTS = 11  # numbers that a field takes
 # The share of the outline in a path falls from 1 to 0 where it is reflected at these Fock parameters, or at these

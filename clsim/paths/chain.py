@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
-from clsim.arrays import read_only
+from clsim.arrays import Complexes, Floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import RETARDED
-from clsim.paths.family import DIFFRACTION, TRANSMISSION, PathFamily, ends_at
+from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
+from clsim.paths.family import DIFFRACTION, TRANSMISSION, Instant, PathFamily, PeakSpeeds, Rows, ends_at
+from clsim.paths.links import Integers, Links
+from clsim.paths.response import SceneResponse
 from clsim.paths.support import program_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import Instant, PeakSpeeds, Rows
-    from clsim.paths.links import Integers, Links
-    from clsim.paths.response import SceneResponse
-    from clsim.scene.scene import Scene
+from clsim.scene.scene import Scene
 
 # Names under which runs know chains, by kind of legs and of vertex.
 _IDENTITIES = {

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import as_number, read_only
+from clsim.arrays import Floats, as_number, read_only
 from clsim.errors import InputError, warn
 from clsim.keywords import keywords_of
 from clsim.paths.arrivals import QUASI_STATIC
-from clsim.paths.family import BODY, SPECULAR
-from clsim.paths.options import FamilyFinder, PathOptions, RoomFinder
+from clsim.paths.family import BODY, SPECULAR, PathFamily
+from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.search.body_edge_gaps import moving_gap_paths
@@ -36,15 +37,6 @@ from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 from clsim.scene.shaded import hidden_by_several
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import PathFamily
-    from clsim.paths.options import DirectSound
 
 
 @keywords_of(PathOptions, Scene)

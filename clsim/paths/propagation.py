@@ -10,26 +10,21 @@ The kernels (``delay.h``) are the small twin of this file.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.paths.arrivals import Arrivals
+from clsim.arrays import Floats
+from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.scene.air import Air
+from clsim.scene.fluctuation import Fluctuation
+from clsim.scene.motion.motion import Motion
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Kinematics
-    from clsim.scene.air import Air
-    from clsim.scene.fluctuation import Fluctuation
-    from clsim.scene.motion.motion import Motion
-
-    Rows = NDArray[np.int64]
+Rows = NDArray[np.int64]
 
 
 _NEWTON_LIMIT = 60

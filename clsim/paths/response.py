@@ -5,30 +5,24 @@ The OpenCL gains (``response.h``) are the small twin of this file.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
-from clsim.scene.air import coefficients
-from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.paths.arrivals import Arrivals
+from clsim.scene.air import Air, coefficients
+from clsim.scene.directivity.directivity import ChannelDirectivity, Directivity
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.ends import Receiver, Source
+from clsim.scene.material.material import Material
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals
-    from clsim.scene.air import Air
-    from clsim.scene.directivity.directivity import Directivity
-    from clsim.scene.ends import Receiver, Source
-    from clsim.scene.material.material import Material
-    from clsim.scene.scene import Scene
-
-    Walls = NDArray[np.signedinteger[Any]]
+Walls = NDArray[np.signedinteger[Any]]
 
 
 NEPERS = np.log(10.0) / 20.0  # in one dB

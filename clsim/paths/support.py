@@ -6,12 +6,9 @@ Refusals, the choice of device or host, and the table of ``docs/limitations.md``
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from clsim.errors import InputError
-
-if TYPE_CHECKING:
-    from clsim.scene.air import Air
+from clsim.scene.air import Air
 
 DEVICE, HOST, REFUSED = "device", "host", "refused"
 MEDIA = ("still air", "wind", "air by height", "fluctuating air")

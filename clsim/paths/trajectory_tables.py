@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.cubics import KNOT_RATES, cubics_between
-from clsim.paths.propagation import contract_delay
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.propagation import Medium
-    from clsim.scene.motion.motion import Motion
-    from clsim.scene.room.faces import Mount
+from clsim.paths.propagation import Medium, contract_delay
+from clsim.scene.motion.motion import Motion
+from clsim.scene.room.faces import Mount
 
 PERTURBATIONS = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
 _TOLERANCE = 1e-8  # m, of a position between knots

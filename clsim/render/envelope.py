@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.fractional_delay import design_bandlimited, design_tilted
 from clsim.numerics.resampling import low_pass_between
@@ -20,15 +23,8 @@ from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters, filtered
 from clsim.render.tilt import MOST_TILT, WHOLE, Stretches, cheapest, stretches_of
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.scene.signal.signal import Signal
-    from clsim.tracks.basis import Basis
+from clsim.scene.signal.signal import Signal
+from clsim.tracks.basis import Basis
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import row_name, short_repr
+from clsim.arrays import Floats, row_name, short_repr
 from clsim.errors import counted
+from clsim.numerics.resampling import Upsampler
 from clsim.render.baseband import LONG_ENVELOPE_BLOCK, SLOW_CHANGE, WIDEST_SUBBLOCK, Baseband
+from clsim.render.contributions import Contribution
 from clsim.render.interpolator import SMALL_SUBBLOCK
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.numerics.resampling import Upsampler
-    from clsim.render.contributions import Contribution
-    from clsim.render.options import RenderOptions
-    from clsim.render.source_filters import SourceFilters
-    from clsim.scene.ends import Receiver
-    from clsim.tail.design import SourceTail
-    from clsim.tracks.tracks import Tracks
+from clsim.render.options import RenderOptions
+from clsim.render.source_filters import SourceFilters
+from clsim.scene.ends import Receiver
+from clsim.tail.design import SourceTail
+from clsim.tracks.tracks import Tracks
 
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
 BLOCKS = (768, 384, 192, 96, 48, 24, 8)  # samples in a block, divisors of a segment, tried in this order

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import methodcaller
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from clsim.numerics.resampling import Upsampler
 from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
+from clsim.render.contributions import Contribution
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import NarrowFilters, design_envelope, design_split
 from clsim.render.methods import ears, narrow_part, per_sample, sampled_channel, static
@@ -34,19 +36,12 @@ from clsim.render.plan import (
     plan_of_part,
 )
 from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
+from clsim.scene.scene import Scene
+from clsim.scene.signal.signal import Signal
 from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
 from clsim.tail.zones import DiffuseField, Zones
 from clsim.tracks.pruning import pruned
-from clsim.tracks.tracks import track
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from clsim.render.contributions import Contribution
-    from clsim.scene.scene import Scene
-    from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import SceneTracks, Tracks
-
+from clsim.tracks.tracks import SceneTracks, Tracks, track
 
 _Part = TypeVar("_Part", NarrowPart, ChannelPart, PairPart)
 _MUCH_DB = -20.0  # of the reverberation, above which a note gives it

@@ -4,35 +4,30 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError, warn
 from clsim.numerics.convolution import convolved
 from clsim.numerics.resampling import low_pass_between
+from clsim.paths.impulse_response import ImpulseResponse
 from clsim.paths.response import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.render.methods.costs import measured_costs
-from clsim.scene.signal.occupied_bandwidth import CELLS, share_removed, shares, spectra
+from clsim.render.options import RenderOptions
+from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_removed, shares, spectra
+from clsim.scene.signal.signal import Signal
 from clsim.tracks.band_sample import band_of
 from clsim.tracks.basis import NO_TILT, Basis, Tilt, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import Draw
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.impulse_response import ImpulseResponse
-    from clsim.render.options import RenderOptions
-    from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
-    from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import Tracks
+from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
 _MAIN_SHARE = 1e-4  # of a signal's energy at either end of its band, where walls and directivities need not be known

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clsim.arrays import Complexes
 from clsim.paths.response import SceneResponse
-from clsim.tracks.basis import NO_TILT, Tilt
+from clsim.render.interpolator import Bank
+from clsim.render.source_filters import Emission
+from clsim.tracks.basis import NO_TILT, Basis, Tilt
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from clsim.arrays import Complexes
-    from clsim.render.interpolator import Bank
-    from clsim.render.source_filters import Emission
-    from clsim.tracks.basis import Basis
-
-    Design = tuple[Basis, tuple[Bank, ...], "Stretches"]
+Design = tuple[Basis, tuple[Bank, ...], "Stretches"]
 
 MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
 _LEAST_TILT = 1.0  # the same over all delays, below which functions of frequency cost as little

@@ -4,28 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.render.methods.per_sample import delayed_streams
-from clsim.render.plan import Allocation
+from clsim.render.plan import Allocation, Plan
+from clsim.render.source_filters import SourceFilters
 from clsim.sensitivity.displaced import Knot
 from clsim.sensitivity.images import has_beams
-from clsim.sensitivity.linear_map import FilteredTracks, blocks_for, scene_tracks, through_ends
+from clsim.sensitivity.linear_map import FilteredTracks, LinearMap, blocks_for, scene_tracks, through_ends
 from clsim.sensitivity.moments import MomentEngine
 from clsim.sensitivity.pulled import Pulled
 from clsim.tracks.basis import flat_basis
 from clsim.tracks.splines import audible
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.render.plan import Plan
-    from clsim.render.source_filters import SourceFilters
-    from clsim.sensitivity.linear_map import LinearMap
 
 _BLOCK, _SHORT_BLOCK = 96, 24  # samples between the nodes of tangents; short where responses vary
 _SHORT = 0.5e-3  # s, the same of envelopes, of which samples are few

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
+from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.paths.family import PairPaths, PathFamily, Rows
 from clsim.scene.directivity.patterns import Omni
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import PairPaths, PathFamily, Rows
-    from clsim.sensitivity.displaced import TangentResponse
+from clsim.sensitivity.displaced import TangentResponse
 
 _INSTANT = 1e-6  # s, half of that over which accelerations are taken
 _STEP = 1e-5  # of directions, metres and Doppler factors, by which responses are differentiated

@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
+from clsim.paths.arrivals import Arrivals
+from clsim.paths.family import PairPaths, PathFamily
 from clsim.paths.path_set import PathSet
 from clsim.render.methods.per_sample import PathSum
+from clsim.render.options import RenderOptions
 from clsim.render.plan import BLOCKS, Allocation, Plan, chunk_of
 from clsim.render.planning import plan_paths
 from clsim.render.render import PressureSum, ReceiverEnd
 from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.ends import Receiver
+from clsim.scene.motion.curves import Piecewise
 from clsim.sensitivity.displaced import ByFunctions, Knot, TangentResponse, locally, moving, varied
-from clsim.sensitivity.parameters import along, trajectories, with_spread
+from clsim.sensitivity.parameters import Parameter, along, trajectories, with_spread
 from clsim.sensitivity.tangents import TangentPaths, Tangents
+from clsim.tracks.basis import Basis
 from clsim.tracks.sampled import SEED
 from clsim.tracks.tracks import SceneTracks
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals
-    from clsim.paths.family import PairPaths, PathFamily
-    from clsim.render.options import RenderOptions
-    from clsim.scene.ends import Receiver
-    from clsim.scene.motion.curves import Piecewise
-    from clsim.sensitivity.parameters import Parameter
-    from clsim.tracks.basis import Basis
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at
 _TOGETHER = 24  # parameters that are rendered at a time

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
+from clsim.render.opencl.batches import PathBatch
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.plan import BLOCKS
 from clsim.sensitivity.images import has_beams
 from clsim.tracks.basis import flat_basis
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.render.opencl.batches import PathBatch
-
-    # Takes a pair, rows of its paths, a sample, samples of a group, and moments (C, groups, paths, functions, 4).
-    Take = Callable[[int, NDArray[np.int64], int, int, NDArray[np.float32]], None]
+Take = Callable[[int, NDArray[np.int64], int, int, NDArray[np.float32]], None]
 
 _TOGETHER = 4  # long blocks between the nodes of tangents of images, whose directions change slowly
 _FAR = 2.0**23  # samples, up to which float32 counts

@@ -4,30 +4,24 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import InputError
-from clsim.paths.family import BODY, DIFFRACTION, SCATTERING, SPECULAR, TRANSMISSION
+from clsim.paths.family import BODY, DIFFRACTION, SCATTERING, SPECULAR, TRANSMISSION, PathFamily
+from clsim.paths.path_set import PathSet
 from clsim.scene.directivity.patterns import Omni
-from clsim.scene.motion.curves import Piecewise, Static, legs_through, spline_through
+from clsim.scene.motion.curves import Curve, Piecewise, Static, legs_through, spline_through
+from clsim.scene.scene import Scene
 from clsim.scene.transducer.electronics import Electronics
 from clsim.sensitivity.displaced import Knot, Ramp, displaced, turned, varied, with_wall
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.paths.family import PathFamily
-    from clsim.paths.path_set import PathSet
-    from clsim.scene.motion.curves import Curve
-    from clsim.scene.scene import Scene
-
-    Moved = Callable[[Scene, float], Scene]
+Moved = Callable[[Scene, float], Scene]
 
 # What has no derivative, and what is done instead.
 WITHOUT_DERIVATIVE = {

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
+from clsim.paths.family import PairPaths
 from clsim.paths.response import NEPERS, covered
 from clsim.render.plan import node_times
+from clsim.scene.motion.curves import Piecewise
 from clsim.sensitivity.displaced import Knot, TangentResponse
-from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
-from clsim.sensitivity.linear_map import scene_tracks
+from clsim.sensitivity.images import Forces, Images, in_closed_form, is_simple, turned_back
+from clsim.sensitivity.linear_map import LinearMap, scene_tracks
+from clsim.sensitivity.parameters import Parameter
 from clsim.sensitivity.tangents import Tangents, clock_change
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.family import PairPaths
-    from clsim.scene.motion.curves import Piecewise
-    from clsim.sensitivity.images import Forces
-    from clsim.sensitivity.linear_map import LinearMap
-    from clsim.sensitivity.parameters import Parameter
-    from clsim.tracks.basis import Basis
+from clsim.tracks.basis import Basis
 
 _LEAST_FACTOR = 1e-6  # of a wall, by which responses are divided
 

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.paths.arrivals import RETARDED
-from clsim.paths.family import PairPaths, PathFamily
-from clsim.paths.response import NEPERS
+from clsim.arrays import Complexes, Floats
+from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
+from clsim.paths.family import PairPaths, PathFamily, Rows
+from clsim.paths.response import NEPERS, SceneResponse
+from clsim.scene.scene import Scene
 from clsim.sensitivity.displaced import Knot, TangentResponse
 from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
-from clsim.sensitivity.parameters import along
+from clsim.sensitivity.parameters import Parameter, along
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.paths.arrivals import Arrivals, Kinematics
-    from clsim.paths.family import Rows
-    from clsim.paths.response import SceneResponse
-    from clsim.scene.scene import Scene
-    from clsim.sensitivity.parameters import Parameter
-
-    Terms = list[tuple[Any, Any]]  # weights (P, T) or numbers, and responses (C, P, T, F)
+Terms = list[tuple[Any, Any]]  # weights (P, T) or numbers, and responses (C, P, T, F)
 
 _CLOSED = ("shift", "clock", "wall", "air")  # what parameters act on by which images have closed derivatives
 _BESIDE = 1e-6  # s, to either side, between which responses change evenly

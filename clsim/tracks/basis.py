@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError, warn
-from clsim.numerics.band_filters import LONGEST, band_filters
+from clsim.numerics.band_filters import LONGEST, BandFilters, band_filters
 from clsim.tracks.band_sample import Band, Sample
 from clsim.tracks.basis import Basis, in_parts
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.numerics.band_filters import BandFilters
-    from clsim.tracks.sampled import Draw
+from clsim.tracks.sampled import Draw
 
 MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 samples at 44.1 kHz that turn take 240
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held

@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
+from clsim.paths.arrivals import Arrivals
+from clsim.paths.family import PairPaths
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.patterns import Omni
+from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.curves import CONTINUATION, onward
+from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.faces import NEAREST
 from clsim.tracks.band_sample import GRIDS, IN_CACHE, Band, Sample
+from clsim.tracks.tracks import SceneTracks, Tracks
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Arrivals
-    from clsim.paths.family import PairPaths
-    from clsim.scene.ends import Receiver, Source
-    from clsim.scene.motion.trajectory import Trajectory
-    from clsim.tracks.tracks import SceneTracks, Tracks
-
-    End = TypeVar("End", Source, Receiver)
+End = TypeVar("End", Source, Receiver)
 
 SEED = 20_160_914
 _ROWS = 1024  # responses of which the functions are made

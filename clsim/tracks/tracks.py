@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import Floats, short_repr
 from clsim.errors import InputError
-from clsim.paths.arrivals import Kinematics
-from clsim.paths.family import PeakSpeeds
+from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.paths.family import PairPaths, PeakSpeeds
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.ends import Receiver
 from clsim.scene.motion.curves import CONTINUATION
+from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.scene import Scene
 from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.splines import DEFAULT_TRANSITION, as_transition, fitted_tracks, in_batches
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.paths.arrivals import Arrivals
-    from clsim.paths.family import PairPaths
-    from clsim.scene.ends import Receiver
-    from clsim.scene.motion.trajectory import Trajectory
-    from clsim.scene.scene import Scene
 
 _BESIDE = 1e-4  # s, to either side, between which the lateness of channels is taken to change evenly
 

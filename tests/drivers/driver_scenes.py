@@ -37,6 +37,7 @@ from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
+from clsim.render.tilt import Stretches
 from clsim.sensitivity.moments import MomentEngine
 from clsim.tail.device_rays import GROUP, DeviceRays
 from clsim.tail.streams import NODE, Between, Motion
@@ -52,7 +53,9 @@ SWEEP = clsim.Signal.chirp(37e3, 43e3, 0.02, RATE, window="tukey")
 BATCHES = {"pulses.cpu": 64, "crowd.cpu": 64, "plain.gpu": 32, "pulses.gpu": 32}
 # Terms of sixteen paths of an envelope lie side by side.
 BATCHES |= {
-    f"{name}.{layout}": 16 for name in ("baseband", "baseband_bend", "baseband_pulses") for layout in ("cpu", "gpu")
+    f"{name}.{layout}": 16
+    for name in ("baseband", "baseband_bend", "baseband_pulses", "baseband_tilted")
+    for layout in ("cpu", "gpu")
 }
 FEWEST = 64 if os.environ.get("CLSIM_ALL_DRIVERS") else 8
 LAYOUTS = {"cpu": CPU_LAYOUT, "gpu": GPU_LAYOUT}
@@ -248,6 +251,19 @@ def baseband_pulses(device: str) -> Plan:
     """Complex envelopes with silence, and paths that come and go."""
     pulse = clsim.Signal.pulses(clsim.Signal.chirp(39.5e3, 40.5e3, 2e-3, RATE, window="hann"), 15e-3, 2)
     return envelopes(device, partly(world(pulse), 0.03), duration=0.035)
+
+
+@scene
+def baseband_tilted(device: str) -> Plan:
+    """Complex envelopes with imaginary delays, about the middles of two stretches."""
+    made = envelopes(device, world(still=True), blocks=(96,))
+    filters = made.source_filters[0]
+    taps, gains = (np.concatenate([x, x]) for x in (filters.mixer.taps, filters.mixer.gains))
+    filters = dataclasses.replace(
+        filters, banks=2 * filters.banks, mixer=dataclasses.replace(filters.mixer, taps=taps, gains=gains),
+        stretches=Stretches(per_sample=0.01, length=6.0, count=2),
+    )  # fmt: skip
+    return dataclasses.replace(made, source_filters=(filters,), builders=BUILDERS)
 
 
 @scene

@@ -7,31 +7,25 @@ sum would jump by as much as the strongest path.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.arrays import read_only, unique_rows
+from clsim.arrays import Floats, read_only, unique_rows
 from clsim.paths.chain import Chain
-from clsim.paths.family import NONE, ends_at
+from clsim.paths.family import NONE, PathFamily, ends_at
 from clsim.paths.search.edge_chains import SAME_DELAY, delays_of
 from clsim.paths.vertices.edge import EdgeVertex
 from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.visibility.edge_intervals import LONGEST, STEP, indistinct
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import PathFamily
-    from clsim.scene.scene import Scene
-
-    Rows = NDArray[np.int64]
+Rows = NDArray[np.int64]
 
 
 _WINDOW = 1e-3  # s between two times of one event, at most: ends may go along an edge within the tolerance of outlines

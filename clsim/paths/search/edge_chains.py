@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EVEN, TERMS
-from clsim.arrays import read_only
+from clsim.arrays import Floats, read_only
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
-from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, ends_at
+from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, PairPaths, PathFamily, ends_at
 from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.legs.static import StaticLeg
 from clsim.paths.search.mesh import image_isometries
@@ -22,19 +24,11 @@ from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.vertices.gap_pair import GapPairVertex
 from clsim.paths.visibility.edge_gaps import seen_frames
 from clsim.paths.visibility.edges import ENDS_BESIDE, SIDES
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import PairPaths, PathFamily
-    from clsim.scene.scene import Scene
-
-    Found = list[dict[str, Any]]
-    Rows = NDArray[np.int64]
-    Sides = NDArray[np.int8]
+Found = list[dict[str, Any]]
+Rows = NDArray[np.int64]
+Sides = NDArray[np.int8]
 
 
 SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other

@@ -7,40 +7,33 @@ receiver. A path is active while both are, later by what sound takes from the en
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
-from clsim.arrays import spread
+from clsim.arrays import Floats, spread
+from clsim.paths.chain import Chain
+from clsim.paths.family import PathFamily
+from clsim.paths.options import PathOptions
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_chains import end_chain, with_swaps
 from clsim.paths.search.edge_gaps import apart, between_edges
-from clsim.paths.search.edges import in_planes, rows_of
+from clsim.paths.search.edges import Reached, Sides, in_planes, rows_of
 from clsim.paths.search.gap_parts import PARTS, in_air, legs_open
 from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
 from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import end_levels, off_edges
 from clsim.paths.visibility.edge_gaps import seen_frames
+from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, MEETING, EdgeCandidates, imaged
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.chain import Chain
-    from clsim.paths.family import PathFamily
-    from clsim.paths.options import PathOptions
-    from clsim.paths.search.edges import Reached, Sides
-    from clsim.paths.visibility.edge_intervals import EdgeSearch
-    from clsim.scene.scene import Scene
-
-    Rows = NDArray[np.int64]
+Rows = NDArray[np.int64]
 
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it

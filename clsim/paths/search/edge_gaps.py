@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
+from clsim.arrays import Floats
 from clsim.paths.search.gap_parts import PARTS, Fans, Gaps, fans_of_ends, open_gaps, unhidden
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.clearance import segments_apart
+from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import EdgeCandidates
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.visibility.edge_intervals import EdgeSearch
-
-    Ints = NDArray[np.int64]
-    Sides = list[list[NDArray[np.int32]]]
-    Reached = Callable[[tuple[Floats, float]], Sides]
+Ints = NDArray[np.int64]
+Sides = list[list[NDArray[np.int32]]]
+Reached = Callable[[tuple[Floats, float]], Sides]
 
 _NEAR = 1e-7  # of the room's size, up to which edges meet
 _CELL = 0.03  # of the room's size, by which both ends move in a cell of time

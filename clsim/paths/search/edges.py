@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import TERMS, adjacent_reflections
-from clsim.arrays import as_count
+from clsim.arrays import Floats, as_count
 from clsim.errors import InputError
-from clsim.paths.family import DIFFRACTION
+from clsim.paths.chain import Chain
+from clsim.paths.family import DIFFRACTION, PathFamily
+from clsim.paths.options import PathOptions
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, gap_chain, with_swaps
 from clsim.paths.search.edge_gaps import gap_candidates
@@ -28,27 +32,17 @@ from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch, Pieces, find_pieces
 from clsim.paths.visibility.edges import ENDS_BESIDE, EdgeCandidates
+from clsim.paths.visibility.intervals import VisibilityQuery
+from clsim.paths.visibility.occlusion import Ears
+from clsim.scene.room.edges import Edges
+from clsim.scene.room.walls import Walls
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.chain import Chain
-    from clsim.paths.family import PathFamily
-    from clsim.paths.options import PathOptions
-    from clsim.paths.visibility.intervals import VisibilityQuery
-    from clsim.paths.visibility.occlusion import Ears
-    from clsim.scene.room.edges import Edges
-    from clsim.scene.room.walls import Walls
-    from clsim.scene.scene import Scene
-
-    Rows = NDArray[np.int64]
-    Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
-    Reached = Callable[[tuple[Floats, float]], Sides]
-    Requested = Iterator[tuple[float, EdgeCandidates]]  # with the share of the work so far
-    Kind = Callable[[EdgeSearch, tuple[Sides, list[Sides]], Reached, int, float], Requested]
+Rows = NDArray[np.int64]
+Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
+Reached = Callable[[tuple[Floats, float]], Sides]
+Requested = Iterator[tuple[float, EdgeCandidates]]  # with the share of the work so far
+Kind = Callable[[EdgeSearch, tuple[Sides, list[Sides]], Reached, int, float], Requested]
 
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time

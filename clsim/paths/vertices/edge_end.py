@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import (
     ON_LINE,
@@ -14,16 +15,12 @@ from clsim.acoustics.diffraction import (
     path_over_edge,
     transition,
 )
+from clsim.arrays import Floats
+from clsim.paths.links import Pair
+from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.edge import Triple
 from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, LEAVING, GapPairVertex, product_of_terms, terms_of
 from clsim.paths.visibility.edges import MEETING
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.links import Pair
-    from clsim.paths.response import SceneResponse
-    from clsim.paths.vertices.edge import Triple
 
 OF_LAST = 2  # added to the numbers of the ends of last edges
 

@@ -2,36 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.acoustics.diffraction import ON_LINE, double_tie, double_transition, lit_angles, path_over_edge, wedge_terms
-from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
+from clsim.acoustics.diffraction import (
+    ON_LINE,
+    EdgePath,
+    double_tie,
+    double_transition,
+    lit_angles,
+    path_over_edge,
+    wedge_terms,
+)
+from clsim.arrays import Floats
+from clsim.paths.arrivals import Kinematics
+from clsim.paths.family import Instant, Rows
+from clsim.paths.links import Links, Pair
+from clsim.paths.propagation import UniformAir
+from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.edge import COLUMNS, EdgeVertex, Triple
+from clsim.paths.vertices.edge_events import EdgeEvents
 from clsim.paths.vertices.edge_field import face_factor
 from clsim.paths.vertices.edge_lengths import EdgeView, RolledOut
-from clsim.paths.vertices.edge_pair_events import EdgePairs, EdgePairSolver
+from clsim.paths.vertices.edge_pair_events import EdgePairEvents, EdgePairs, EdgePairSolver
+from clsim.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.acoustics.diffraction import EdgePath
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Links, Pair
-    from clsim.paths.propagation import UniformAir
-    from clsim.paths.response import SceneResponse
-    from clsim.paths.vertices.edge import Triple
-    from clsim.paths.vertices.edge_events import EdgeEvents
-    from clsim.paths.vertices.edge_pair_events import EdgePairEvents
-    from clsim.scene.scene import Scene
-
-    FaceTerms = tuple[Floats, list[Any], list[Any]]
-    Law = Callable[[Any, Any, Any, Any], Any]
+FaceTerms = tuple[Floats, list[Any], list[Any]]
+Law = Callable[[Any, Any, Any, Any], Any]
 
 _SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections, gap_transition, lit_angles, wedge_terms
 from clsim.acoustics.edge_gap import EdgeGap
+from clsim.arrays import Floats
+from clsim.paths.arrivals import Kinematics
+from clsim.paths.family import Instant, Rows
 from clsim.paths.legs.mirrors import dot
 from clsim.paths.legs.places import path_vertices
+from clsim.paths.links import Columns, Links, Pair
+from clsim.paths.propagation import UniformAir
+from clsim.paths.response import SceneResponse
+from clsim.paths.vertices.edge import EdgeVertex, Triple
 from clsim.paths.vertices.edge_field import adjacent_factors
 from clsim.paths.vertices.edge_pair import EdgePairVertex
-from clsim.paths.vertices.gap_events import GapPairs, GapPairSolver
+from clsim.paths.vertices.gap_events import GapEvents, GapPairs, GapPairSolver
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.arrivals import Kinematics
-    from clsim.paths.family import Instant, Rows
-    from clsim.paths.links import Columns, Links, Pair
-    from clsim.paths.propagation import UniformAir
-    from clsim.paths.response import SceneResponse
-    from clsim.paths.vertices.edge import EdgeVertex, Triple
-    from clsim.paths.vertices.gap_events import GapEvents
-
-    Terms = tuple[Floats, Floats, Floats, list[Any]]
+Terms = tuple[Floats, Floats, Floats, list[Any]]
 
 AT_ONCE = 100_000  # nodes and frequencies
 ACROSS_AIR = 2  # in place of the faces that edges share

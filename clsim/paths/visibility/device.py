@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.device import FLOAT64, MOST_INDEX, check_buffers, check_group, find_device, operations_in_launch
+from clsim.opencl.device import (
+    FLOAT64,
+    MOST_INDEX,
+    DeviceInfo,
+    check_buffers,
+    check_group,
+    find_device,
+    operations_in_launch,
+)
 from clsim.opencl.launch import compiler_of, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
 from clsim.paths.trajectory_tables import PERTURBATIONS
@@ -24,18 +34,10 @@ from clsim.paths.visibility.intervals import (
     VisibilityQuery,
     merged,
 )
-from clsim.paths.visibility.occlusion import INNER
-from clsim.scene.room.walls import INSIDE
+from clsim.paths.visibility.occlusion import INNER, Beams, Ears
+from clsim.scene.room.walls import INSIDE, Walls
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.opencl.device import DeviceInfo
-    from clsim.paths.visibility.occlusion import Beams, Ears
-    from clsim.scene.room.walls import Walls
-
-    Ints = NDArray[np.int64]
+Ints = NDArray[np.int64]
 
 
 _PATHS = 16_384  # searched at a time

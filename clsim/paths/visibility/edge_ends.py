@@ -6,27 +6,32 @@ The end rests, so that only the place on the other edge slides, as if the path b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge, wedge_terms
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
+from clsim.arrays import Floats
 from clsim.paths.vertices.edge_end import OF_LAST
 from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
-from clsim.paths.visibility.edges import FAR, MEETING, Course, beside_faces
+from clsim.paths.visibility.edges import (
+    FAR,
+    MEETING,
+    Course,
+    EdgeCandidates,
+    EdgeStance,
+    EdgeVisibility,
+    End,
+    beside_faces,
+)
+from clsim.paths.visibility.intervals import VisibilityQuery
+from clsim.scene.room.edges import Edges
+from clsim.scene.room.walls import Walls
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.visibility.edges import EdgeCandidates, EdgeStance, EdgeVisibility, End
-    from clsim.paths.visibility.intervals import VisibilityQuery
-    from clsim.scene.room.edges import Edges
-    from clsim.scene.room.walls import Walls
-
-    Bools = NDArray[np.bool_]
-    Rows = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 _LEAST = 1e-12  # m
 

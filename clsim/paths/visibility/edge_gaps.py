@@ -10,26 +10,21 @@ legs.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EdgePath
 from clsim.acoustics.edge_gap import EdgeGap
+from clsim.arrays import Floats
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status, turned
-from clsim.paths.visibility.edges import FAR, Course, EdgeVisibility
+from clsim.paths.visibility.edges import FAR, Course, EdgeCandidates, EdgeStance, EdgeVisibility, End
+from clsim.paths.visibility.intervals import VisibilityQuery
+from clsim.scene.room.edges import Edges
+from clsim.scene.room.walls import Walls
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.visibility.edges import EdgeCandidates, EdgeStance, End
-    from clsim.paths.visibility.intervals import VisibilityQuery
-    from clsim.scene.room.edges import Edges
-    from clsim.scene.room.walls import Walls
-
-    Bools = NDArray[np.bool_]
-    Rows = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 SMALL = 0.3  # of the least leg, up to which the first order is taken for where places go
 SPARE = 2.5  # times that, for what it leaves out: second derivatives change by 1.3³ until there

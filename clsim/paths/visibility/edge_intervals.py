@@ -2,44 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, TERMS, adjacent_reflections
 from clsim.acoustics.edge_gap import FOUND, NEWTON, STEPS
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.search.edge_chains import joined_over_ends
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
+from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_ends import EndVisibility
 from clsim.paths.visibility.edge_gaps import IN_AIR, OVERLAP, SMALL, SPARE, GapVisibility, seen_frames
-from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, ENDS_BESIDE, FAR, SIDES, EdgeVisibility, FaceLegs
+from clsim.paths.visibility.edges import (
+    CONTRACTED,
+    CONTRACTIONS,
+    ENDS_BESIDE,
+    FAR,
+    SIDES,
+    EdgeCandidates,
+    EdgeVisibility,
+    FaceLegs,
+)
 from clsim.paths.visibility.intervals import (
     ALONG,
     GRAZE,
     GRAZE_TIME,
     MOST_EVALUATIONS,
     Intervals,
+    VisibilityQuery,
     divided,
     find_intervals,
     merged,
 )
 from clsim.paths.visibility.occlusion import in_air
+from clsim.scene.room.edges import Edges
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.visibility.device import DeviceSearch
-    from clsim.paths.visibility.edges import EdgeCandidates
-    from clsim.paths.visibility.intervals import VisibilityQuery
-    from clsim.scene.room.edges import Edges
-
-    Rows = NDArray[np.int64]
+Rows = NDArray[np.int64]
 
 
 _CHUNK = 20_000  # intervals looked at at a time, which bounds what waits

@@ -19,30 +19,26 @@ comes nearer to the other than δ.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge
+from clsim.acoustics.edge_gap import Crossing
+from clsim.arrays import Floats
 from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
+from clsim.paths.visibility.intervals import VisibilityQuery
+from clsim.scene.room.edges import Edges
+from clsim.scene.room.walls import Walls
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.acoustics.edge_gap import Crossing
-    from clsim.arrays import Floats
-    from clsim.paths.visibility.intervals import VisibilityQuery
-    from clsim.scene.room.edges import Edges
-    from clsim.scene.room.walls import Walls
-
-    Bools = NDArray[np.bool_]
-    Rows = NDArray[np.int64]
-    End = tuple[Floats, Floats]
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+End = tuple[Floats, Floats]
 
 
 FAR = 1e3  # sizes of the room

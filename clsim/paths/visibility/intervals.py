@@ -6,27 +6,23 @@ within it. Otherwise the part that the clearance covers is done, and the rests o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
+from clsim.paths.propagation import UniformAir
 from clsim.paths.trajectory_tables import PERTURBATIONS, TrajectoryTables
 from clsim.paths.visibility.clearance import Reach, mirrored, path_status
+from clsim.scene.room.walls import Walls
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.propagation import UniformAir
-    from clsim.scene.room.walls import Walls
-
-    Evaluation = Callable[
-        ["VisibilityQuery", NDArray[np.int32], NDArray[np.int64], Floats, Floats],
-        tuple[NDArray[np.bool_], Floats, Floats],
-    ]
+Evaluation = Callable[
+    ["VisibilityQuery", NDArray[np.int32], NDArray[np.int64], Floats, Floats],
+    tuple[NDArray[np.bool_], Floats, Floats],
+]
 
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
 GRAZE = 1e-6  # of the room's size; paths that pass an edge nearer than this run along it

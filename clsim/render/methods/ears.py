@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.numerics.blas import with_blas_threads
 from clsim.paths.path_set import PathSet
@@ -16,20 +18,14 @@ from clsim.render.ear_frames import EarFrames
 from clsim.render.methods.per_sample import PathSum, path_pressures
 from clsim.render.opencl.batches import Fades
 from clsim.render.opencl.engine import OpenclEngine, Run
+from clsim.render.options import RenderOptions
 from clsim.render.plan import Allocation, PairPart, Plan, plan_of_part
 from clsim.render.source_filters import Emission, design_source_filters
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.render.options import RenderOptions
-    from clsim.scene.scene import Scene
-    from clsim.scene.signal.signal import Signal
-    from clsim.tracks.tracks import SceneTracks, Tracks
+from clsim.scene.scene import Scene
+from clsim.scene.signal.signal import Signal
+from clsim.tracks.tracks import SceneTracks, Tracks
 
 _BYTES = 64 * 2**20  # of path signals on the device at a time
 

@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.render.contributions import Stateless
 from clsim.render.interpolator import Bandlimited
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
-from clsim.render.plan import BLOCKS
+from clsim.render.options import RenderOptions
+from clsim.render.plan import BLOCKS, Allocation, Plan
+from clsim.render.source_filters import SourceFilters
 from clsim.tracks.splines import audible
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Complexes, Floats
-    from clsim.render.options import RenderOptions
-    from clsim.render.plan import Allocation, Plan
-    from clsim.render.source_filters import SourceFilters
-    from clsim.tracks.tracks import Tracks
+from clsim.tracks.tracks import Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)

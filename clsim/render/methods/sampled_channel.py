@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.opencl.launch import work
 from clsim.render.channel_grid import (
@@ -32,18 +33,13 @@ from clsim.render.opencl.batches import ActivePaths, in_batches
 from clsim.render.opencl.branch_signals import Branches, Task
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.opencl.host_nodes import side_by_side, thread_count
-from clsim.render.plan import LONG_BLOCKS
+from clsim.render.options import RenderOptions
+from clsim.render.plan import LONG_BLOCKS, ChannelPart, Plan
+from clsim.render.source_filters import Emission, SourceFilters
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.tracks.basis import flat_basis
 from clsim.tracks.sampled import continued
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.render.options import RenderOptions
-    from clsim.render.plan import ChannelPart, Plan
-    from clsim.render.source_filters import Emission, SourceFilters
-    from clsim.tracks.tracks import SceneTracks, Tracks
+from clsim.tracks.tracks import SceneTracks, Tracks
 
 _SPARE, _MARGINS = 1.03, (6.0, 12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order
 _BEYOND = 1.0  # s beyond delays and blocks, for which motions go on at either end: as long as nodes weigh at most

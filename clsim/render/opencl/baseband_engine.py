@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.opencl.launch import work
 from clsim.render.baseband import WIDEST_SUBBLOCK
 from clsim.render.envelope import EnvelopeFilters
+from clsim.render.opencl.batches import Layout
 from clsim.render.opencl.engine import OpenclEngine, Run
-from clsim.render.plan import BATCH
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.render.opencl.batches import Layout
-    from clsim.render.plan import Plan
+from clsim.render.plan import BATCH, Plan
 
 _GROUPS = 8  # of samples with one whole delay, for which a batch of paths is summed together
 _PLACES = 8  # segments in which blocks are looked at before any is rendered

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.render.plan import BATCH
+from clsim.arrays import Floats
+from clsim.paths.family import PathFamily
+from clsim.render.plan import BATCH, Plan
 from clsim.tracks.splines import audible_samples
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import PathFamily
-    from clsim.render.plan import Plan
-    from clsim.tracks.tracks import PairTracks
+from clsim.tracks.tracks import PairTracks
 
 _TILE = 128  # paths whose branch signals stay in cache together
 

@@ -8,14 +8,11 @@ from __future__ import annotations
 import math
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
+from clsim.arrays import Floats
 
 GAIN_ERROR = {4: 0.02, 8: 0.03}  # of the last differences of gains, by the terms of delays; see `block_error`
 SMOOTH_SHARE = 0.1  # of the square of the error between nodes: what gains of neighbouring blocks may add to it
@@ -251,8 +248,8 @@ def block_errors(
     before: squared levels (segments, receivers) of what else is heard.
     """
     wrong, own, *_ = np.add.reduceat(squares, first_slot[:-1], axis=2)
-    heard = np.maximum(np.sqrt(own + before, dtype=np.float64), least)
-    return (np.sqrt(wrong, dtype=np.float64) / heard).max(axis=1), heard
+    received = np.maximum(np.sqrt(own + before, dtype=np.float64), least)
+    return (np.sqrt(wrong, dtype=np.float64) / received).max(axis=1), received
 
 
 def few_paths(squares: Floats, first_slot: NDArray[np.int32], allowed: Floats) -> NDArray[np.bool_]:

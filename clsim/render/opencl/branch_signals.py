@@ -5,23 +5,17 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.errors import ClsimError, InputError
-from clsim.opencl.device import FLOAT64, MOST_INDEX, SHARE, check_buffers, operations_in_launch
-from clsim.opencl.launch import upload, work
+from clsim.opencl.device import FLOAT64, MOST_INDEX, SHARE, DeviceInfo, check_buffers, operations_in_launch
+from clsim.opencl.launch import Compiler, Scratch, upload, work
 from clsim.render.opencl.batches import CELL, ActivePaths, Activity, PathBatch, find_activity
 from clsim.render.plan import BATCH, NODE_BUDGET, Plan
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.opencl.device import DeviceInfo
-    from clsim.opencl.launch import Compiler, Scratch
-    from clsim.render.plan import Plan
-    from clsim.render.source_filters import SourceFilters
+from clsim.render.source_filters import SourceFilters
 
 _LEVELS = 3  # block lengths whose polynomials are kept at the same time
 _OPERATIONS_PER_SAMPLE = 10.0  # of a path, beside two for every branch

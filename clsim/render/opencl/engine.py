@@ -4,32 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import DeviceError, warn
 from clsim.opencl.device import check_group, find_device
-from clsim.opencl.launch import Scratch, compiler_of, upload, work
-from clsim.render.opencl.batches import CPU_LAYOUT, FEW, GPU_LAYOUT, Layout, equal_runs, in_batches, is_divided
+from clsim.opencl.launch import Scratch, WorkItems, compiler_of, upload, work
+from clsim.paths.family import PathFamily
+from clsim.render.opencl.batches import CPU_LAYOUT, FEW, GPU_LAYOUT, Fades, Layout, equal_runs, in_batches, is_divided
 from clsim.render.opencl.block_polynomials import Residual, block_errors, few_paths, promising
 from clsim.render.opencl.branch_signals import BranchSignals, Limits, Task
 from clsim.render.opencl.environment import has_directivity
 from clsim.render.opencl.host_nodes import HostNodeMaker, PairNodeMaker
 from clsim.render.opencl.nodes import NodeMaker
 from clsim.render.opencl.path_columns import COLUMNS
-from clsim.render.plan import BATCH
+from clsim.render.plan import BATCH, Plan
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.opencl.launch import WorkItems
-    from clsim.paths.family import PathFamily
-    from clsim.render.opencl.batches import Fades
-    from clsim.render.plan import Plan
-
-    Maker = NodeMaker | HostNodeMaker
+Maker = NodeMaker | HostNodeMaker
 
 _CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
@@ -270,9 +264,9 @@ class Run:
         level, begins = self._engine.residuals[self._source].level, self._batch.first_slot
         few = np.zeros(nodes.squares.shape[1:], dtype=np.bool_)
         before = np.stack([level(first + i, self._batch.receiver) for i in range(len(few))]) if self._beside else 0.0
-        error, heard = block_errors(nodes.squares, begins, before, self._plan.tracks.least_level)
+        error, received = block_errors(nodes.squares, begins, before, self._plan.tracks.least_level)
         for i in np.flatnonzero(error > self._tolerance).tolist() if divides else []:
-            few[i] = few_paths(nodes.squares[0, i], begins, 0.5 * (self._tolerance * heard[i]) ** 2)
+            few[i] = few_paths(nodes.squares[0, i], begins, 0.5 * (self._tolerance * received[i]) ** 2)
             few[i] &= FEW * self._batch.part(few[i]).count <= self._batch.count
         return error, few
 

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import end_coefficients, transition
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.quaternions import rotate
 from clsim.numerics.sphere import harmonic_norms
 from clsim.paths.response import SceneResponse, covered, directivity_gain
-from clsim.scene.directivity.directivity import AxisymmetricDirectivity, ChannelDirectivity
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity, ChannelDirectivity, Directivity
 from clsim.scene.directivity.patterns import NORMALIZATIONS, Ambisonic, Omni
+from clsim.scene.ends import Receiver
+from clsim.scene.material.material import Material
+from clsim.scene.scene import Scene
+from clsim.tracks.basis import Basis
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.scene.ends import Receiver
-    from clsim.scene.scene import Scene
-    from clsim.tracks.basis import Basis
-
-    Walls = NDArray[np.signedinteger[Any]]
-    from collections.abc import Sequence
-
-    from clsim.arrays import Complexes
-    from clsim.scene.directivity.directivity import Directivity
-    from clsim.scene.material.material import Material
+Walls = NDArray[np.signedinteger[Any]]
 
 CELLS = 1024  # of a table over an angle; its cubics are within 1e-9 for a piston of ka = 10
 FACE_CELLS = 96  # of a table over a sphere along a face of the cube

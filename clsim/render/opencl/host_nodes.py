@@ -4,32 +4,27 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.opencl.launch import upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
+from clsim.render.opencl.batches import Activity, Boundaries, PathBatch
 from clsim.render.opencl.block_polynomials import SMOOTH_SHARE, between, block_error, block_polynomials
-from clsim.render.opencl.nodes import NodeMaker, Nodes
+from clsim.render.opencl.nodes import DeviceChunk, NodeMaker, Nodes
 from clsim.render.plan import Plan, node_times
+from clsim.render.source_filters import SourceFilters
+from clsim.tracks.basis import Basis
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.render.opencl.batches import Activity, Boundaries, PathBatch
-    from clsim.render.source_filters import SourceFilters
-    from clsim.tracks.basis import Basis
-
-    Item = TypeVar("Item")
-    Result = TypeVar("Result")
-    from clsim.render.opencl.nodes import DeviceChunk
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 _CELL = 4  # nodes from one at which costly gains are taken to the next
 _PATHS_EACH = 128  # paths of a pair that one thread makes at a time

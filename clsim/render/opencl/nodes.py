@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsim.opencl.launch import Scratch, upload, work
+from clsim.arrays import Floats
+from clsim.opencl.launch import Compiler, Scratch, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS, knot_rate, motion_knots
-from clsim.render.opencl.batches import CELL
+from clsim.render.opencl.batches import CELL, Activity, Boundaries, PathBatch
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.environment import (
     DIRECTIVITIES,
@@ -24,16 +27,7 @@ from clsim.render.opencl.environment import (
 )
 from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rendered
 from clsim.render.plan import Plan, node_times
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.opencl.launch import Compiler
-    from clsim.render.opencl.batches import Activity, Boundaries, PathBatch
-    from clsim.tracks.tracks import SceneTracks
+from clsim.tracks.tracks import SceneTracks
 
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
 

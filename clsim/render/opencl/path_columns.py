@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics import fock, shade, silhouette
 from clsim.acoustics.capsule import FLATTEST, NEAR_JUNCTION
@@ -14,28 +16,21 @@ from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LI
 from clsim.acoustics.outline import NEAREST_END, Outline, most_points, steps_of_points
 from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
+from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.cubics import FACE_COLUMNS, POSE_COLUMNS, face_knots, face_rate, pose_knots, pose_rate
+from clsim.paths.family import Rows
 from clsim.paths.legs.events import BEYOND_LEG
 from clsim.paths.legs.mirrors import ROOM
+from clsim.paths.links import Links
 from clsim.paths.vertices.edge_field import BOTH, least_angle
 from clsim.paths.vertices.scatterer_paths import PATIENCE
-from clsim.render.opencl.environment import end_table, field_tables, transition_table
+from clsim.render.opencl.environment import Environment, Walls, end_table, field_tables, transition_table
+from clsim.render.plan import Plan
+from clsim.tracks.basis import Basis
+from clsim.tracks.tracks import SceneTracks
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from clsim.arrays import Floats
-    from clsim.paths.family import Rows
-    from clsim.paths.links import Links
-    from clsim.render.opencl.environment import Environment, Walls
-    from clsim.render.plan import Plan
-    from clsim.tracks.basis import Basis
-    from clsim.tracks.tracks import SceneTracks
-
-    Bounces = tuple[NDArray[np.int32], NDArray[np.float32]]  # see `Environment.bounces`
+Bounces = tuple[NDArray[np.int32], NDArray[np.float32]]  # see `Environment.bounces`
 
 STATIC, MOVING = range(2)  # legs
 NONE, EDGE, SCATTERER = range(3)  # vertices
@@ -245,9 +240,9 @@ class ScattererColumns(VertexColumns):
         self._pose_rate = pose_rate(self._motions, radii, of.plan.duration, tolerance)
         of_shape = np.zeros(len(scatterers), dtype=SCATTERER_VIEW)
         for row, scatterer in zip(of_shape, scatterers, strict=True):
-            shape, way = scatterer.shape, scatterer.trajectory
+            shape, motion = scatterer.shape, scatterer.trajectory
             row["shape"], row["strength"] = _SHAPES[shape.kind], getattr(shape, "strongest", 0.0)
-            row["semi_axes"], row["turned"] = shape.semi_axes, way.has_orientation and shape.radius > 0.0
+            row["semi_axes"], row["turned"] = shape.semi_axes, motion.has_orientation and shape.radius > 0.0
         of_shape["thing"] = np.arange(len(scatterers))
         self._shapes = [of_shape.copy() for _ in of.plan.source_filters]
         self._fields = [self._tables(v, f.basis) for v, f in zip(self._shapes, of.plan.source_filters, strict=True)]
