@@ -212,7 +212,10 @@ def sonar(device: str) -> Plan:
     of = dataclasses.replace(world(air=WINDY), scatterers=things)
     found = clsim.find_paths(of, 0, scattering_order=1).families[-1]
     few = np.arange(0, len(found), 26)  # of each one with walls on both legs, and one with fewer
-    return plan(PathSet(of, (found.part(few),)), device, responses="centre", duration=96 / RATE, shadow_error_db=None)
+    paths = PathSet(of, (found.part(few),))
+    made = plan(paths, device, responses="centre", duration=96 / RATE, shadow_error_db=None)
+    (part,) = made.allocation.scattered  # all of them
+    return dataclasses.replace(part.plan, blocks=(96,), builders=BUILDERS)
 
 
 @scene
