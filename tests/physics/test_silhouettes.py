@@ -152,6 +152,23 @@ def test_spheres_by_their_outline(radius: float, frequency: float, measured: Cal
     assert measured(f"{claim}, worst", "the exact series", float(np.abs(found).max()), 2.5) < 2.5
 
 
+@pytest.mark.parametrize("thin", [0.01, 0.003, 0.0003])
+def test_thin_discs_edge_on_leave_the_free_field(thin: float) -> None:
+    """A disc of 60 cm, as rigid as it is, has nothing to reflect or to shade there; Fock's term alone adds 2 to 14 dB."""
+    for frequency in (20.0, 100.0, 2e3, 20e3, 80e3):
+        wave, outline = np.array([2.0 * np.pi * frequency / C]), EllipsoidOutline(np.array([0.3, 0.3, thin]))
+        level = 1.0 + outline_field(outline, wave, np.array([[-1.2, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0]]), 512)[0]
+        assert abs(20.0 * np.log10(np.abs(level[0, 0]))) < 0.7
+
+
+@pytest.mark.parametrize(("ka", "error_db"), [(0.02, 0.05), (0.2, 0.3), (2.0, 0.35)])
+def test_low_frequencies_pass_small_spheres(ka: float, error_db: float) -> None:
+    source, places = np.array([-1.2, 0.0, 0.0]), walk(1.0, np.arange(0.0, 0.5, 0.1))
+    outline, wave = EllipsoidOutline(np.full(3, 0.1)), ka / 0.1
+    found = 1.0 + outline_field(outline, np.array([wave]), np.tile(source, (5, 1)), places, 64)[0][:, 0]
+    assert np.abs(20.0 * np.log10(np.abs(found / sphere(wave, 0.1, source, places)))).max() < error_db
+
+
 @pytest.mark.parametrize(
     ("body", "ka"),
     [
@@ -228,7 +245,7 @@ def test_capsules_seen_along_their_axis(device: str) -> None:
 
 @pytest.mark.parametrize(
     ("band", "error"),
-    [((39e3, 41e3), 5e-5), ((30e3, 50e3), 1e-4), ((20e3, 80e3), 0.02)],  # 2e-5 by the table of Fock's function alone
+    [((39e3, 41e3), 5e-5), ((30e3, 50e3), 1e-4), ((20e3, 80e3), 1e-3)],  # 2e-5 by the table of Fock's function alone
 )
 def test_bands_are_frequencies_one_by_one(band: tuple[float, float], error: float) -> None:
     """Fields over a band are carried from few wave numbers: they are those of each frequency alone."""

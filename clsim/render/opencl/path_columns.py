@@ -57,7 +57,7 @@ OF_GAINS = {
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
     "NEAREST_END": NEAREST_END, "STRAIGHTEST": STRAIGHTEST, "ROUNDED": ROUNDED, "WITHIN": shade.WITHIN,
-    "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
+    "SHARP": silhouette.SHARP, "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
 # Structures of kernels/nodes/path.h.
