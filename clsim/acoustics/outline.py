@@ -19,6 +19,7 @@ from clsim.numerics.quaternions import cross_product
 FEWEST_OF_ELLIPSOID, FEWEST_OF_CAPSULE, MOST_POINTS = 24.0, 40.0, (24.0, 15.0)
 NEAREST_END = 0.2  # of the largest radius: endpoints count as at least so far from an outline
 LEAST = 1e-30
+STRAIGHTEST = 1e-16  # bend of a capsule's side along the line of sight over that across, of lines along the axis too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,10 +198,10 @@ class CapsuleOutline:
         along = u * other[:, None] - v * one[:, None]
         place = self.radius * normal
         place[..., 2] += sign * at * self.half
-        curved = np.full(normal.shape[:2], 1.0 / self.radius**2)
+        curved, straight = np.full(normal.shape[:2], 1.0 / self.radius**2), np.maximum(sine**2, STRAIGHTEST)
         return _placed(
             (normal, along, place), (sight, source, receiver), np.full(curved.shape, self.radius),
-            (curved, np.zeros_like(curved), np.where(on_side > 0.0, (sine**2)[:, None] * curved, curved)),
+            (curved, np.zeros_like(curved), np.where(on_side > 0.0, straight[:, None] * curved, curved)),
             share * np.where(on_side > 0.0, 2.0 * self.half * sine[:, None], math.pi * self.radius),
         )  # fmt: skip
 

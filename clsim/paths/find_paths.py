@@ -195,7 +195,7 @@ def _checked(scene: Scene, levels: Floats) -> Floats:
             raise InputError(
                 "direct",
                 f"must be False for {source.name!r} and {receiver.name!r}, which are at the same place, "
-                f"but is {True if levels[s, r] == 1.0 else 20.0 * np.log10(levels[s, r])!r:.20}",
+                f"but is {True if levels[s, r] == 1.0 else float(20.0 * np.log10(levels[s, r]))!r:.20}",
             )
     return levels
 

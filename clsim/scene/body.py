@@ -29,6 +29,7 @@ Named = Sequence[tuple[str, T]]
 End = TypeVar("End", Source, Receiver)
 _SHEET = (0, 1, 3, 2)  # corners of the face of a box on one side of an axis, around it
 _SIDES = ("min", "max")
+_SHORTEST = 1e-5  # m, of a box: faces of less have no area
 TOUCHING = 1e-3  # m; a body may be so deep in a wall, as a door is on the floor or at its hinge
 _STEP = 0.01  # m, which a body goes from one look to the next
 _RATE = 1000.0  # Hz, at which speeds are looked at
@@ -89,7 +90,8 @@ class Body:
         Parameters
         ----------
         size : array_like (3,)
-            Lengths along its own x, y and z, m; one of them may be 0, and then it is a sheet of two sides.
+            Lengths along its own x, y and z, m, at least 1e-5; one of them may be 0, and then it is a sheet of two
+            sides.
         material : Material
             Material of all faces.
         centre : array_like (3,)
@@ -106,9 +108,11 @@ class Body:
         """
         lengths = as_floats("size", size, (3,), within=LARGEST_ROOM, unit="m")
         thin = np.flatnonzero(lengths == 0.0)
-        if np.any(lengths < 0.0) or len(thin) > 1:
+        if np.any((lengths < _SHORTEST) & (lengths != 0.0)) or len(thin) > 1:
             given = ", ".join(f"{x:g}" for x in lengths)
-            raise InputError("size", f"must be above 0 m, or 0 along one axis for a sheet, but is {given} m")
+            raise InputError(
+                "size", f"must be at least {_SHORTEST:g} m, or 0 along one axis for a sheet, but is {given} m"
+            )
         corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * lengths
         number = np.arange(8).reshape(2, 2, 2)
         triangles, labels = [], []

@@ -19,6 +19,7 @@ from clsim.scene.motion.trajectory import Trajectory
 
 MODELS = ("series", "geometrical", "outline")
 _STRONGEST = 60.0  # dB re 1 m, a target strength that no thing in a room exceeds
+_SMALLEST = 1e-6  # m; less scatters nothing that a receiver hears, and is lost in rounding
 _LONGEST_ASPECT = 1e4  # of semi-axes: of thinner bodies the specular point is lost in rounding
 _LARGEST_KA = 2000.0  # of a series
 
@@ -342,7 +343,7 @@ class Scatterer:
         Parameters
         ----------
         radius : float
-            m, above 0.
+            m, at least 1e-6.
         trajectory : Trajectory
             Position of its centre over time.
         model : {"series", "geometrical", "outline"}
@@ -354,7 +355,7 @@ class Scatterer:
         >>> Scatterer.sphere("ball", 0.05, Trajectory.fixed((2.0, 1.0, 1.0))).shape
         SphereShape(radius=0.05)
         """
-        size = as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m")
+        size = as_number("radius", radius, above=0.0, at_least=_SMALLEST, at_most=FARTHEST, unit="m")
         as_choice("model", model, MODELS)
         alike = EllipsoidShape(read_only(np.full(3, size)), outlined=model == "outline")
         shape: Shape = SphereShape(size) if model == "series" else alike
@@ -373,7 +374,7 @@ class Scatterer:
         Parameters
         ----------
         semi_axes : array_like (3,)
-            Along its own x, y and z, m, above 0; the longest at most 10 000 times the shortest.
+            Along its own x, y and z, m, at least 1e-6; the longest at most 10 000 times the shortest.
         trajectory : Trajectory
             Position of its centre, and its orientation.
         shadow : bool
@@ -388,7 +389,7 @@ class Scatterer:
         """
         axes = as_floats("semi_axes", semi_axes, (3,), within=FARTHEST)
         for i, axis in enumerate(axes.tolist()):
-            as_number(f"semi_axes[{i}]", axis, above=0.0, unit="m")
+            as_number(f"semi_axes[{i}]", axis, above=0.0, at_least=_SMALLEST, unit="m")
         if axes.max() > _LONGEST_ASPECT * axes.min():
             raise InputError(
                 "semi_axes",
@@ -411,9 +412,9 @@ class Scatterer:
         Parameters
         ----------
         radius : float
-            Radius of the cylinder and of both half spheres, m, above 0.
+            Radius of the cylinder and of both half spheres, m, at least 1e-6.
         length : float
-            Length of the cylinder, between the centres of the half spheres, along its own z, m, above 0.
+            Length of the cylinder, between the centres of the half spheres, along its own z, m, at least 1e-6.
         trajectory : Trajectory
             Position of its middle, and its orientation.
         shadow : bool
@@ -426,8 +427,8 @@ class Scatterer:
         >>> round(finger.shape.radius, 3)
         0.044
         """
-        size = as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m")
-        long = as_number("length", length, above=0.0, at_most=FARTHEST, unit="m")
+        size = as_number("radius", radius, above=0.0, at_least=_SMALLEST, at_most=FARTHEST, unit="m")
+        long = as_number("length", length, above=0.0, at_least=_SMALLEST, at_most=FARTHEST, unit="m")
         return Scatterer(name, CapsuleShape(size, long, as_flag("shadow", shadow)), trajectory, fluctuation)
 
     @property

@@ -75,6 +75,8 @@ def _spans(source: Source, receiver: Receiver, scatterer: Scatterer, numbers: tu
     seen = [seen_by(scatterer.trajectory, end.trajectory) for end in (source, receiver)]
     times = np.linspace(max(0.0, *(m.start for m in seen)), min(numbers[1], *(m.end for m in seen)), _INSTANTS)
     shaded = _in_zone(scatterer, seen[0].position(times), seen[1].position(times), numbers[0])
+    if shaded.all():
+        return ["all the time"]
     turns = np.flatnonzero(np.diff(np.concatenate([[0], shaded.astype(np.int8), [0]])))
     return [f"from {times[a]:.3g} to {times[b - 1]:.3g} s" for a, b in zip(turns[::2], turns[1::2], strict=True)]
 

@@ -263,7 +263,7 @@ REFUSED: list[Any] = [
     (lambda: [box(LINE((2, 2, 1), (2.1, 2, 1), 0.01))], "must last as long as all signals"),
     (lambda: [box(SWING((2, 2, 1), (0, 0, 0), [0, 1.0], [0, 0.3]))], "axis: must be a direction, but is 0, 0, 0"),
     (lambda: [box(IN), box(IN)], r"bodies\[1\].name: must be unique"),
-    (lambda: [box(IN, (0.1, 0.0, 0.0))], "size: must be above 0 m, or 0 along one axis for a sheet"),
+    (lambda: [box(IN, (0.1, 0.0, 0.0))], "size: must be at least 1e-05 m, or 0 along one axis"),
     (lambda: [clsim.Body("b", 3, IN)], "mesh: must be a MeshRoom"),
     (lambda: "b", "bodies: must be a list"), (lambda: [3], r"bodies\[0\]: must be a Body"),
 ]  # fmt: skip

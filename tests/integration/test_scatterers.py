@@ -34,6 +34,8 @@ def paths(file: SceneFile) -> PathSet:
 
 BAD = [
     (lambda t: clsim.Scatterer.sphere("a", 0.0, t), "radius: must be above 0 m, but is 0"),
+    (lambda t: clsim.Scatterer.sphere("a", 1e-110, t), "radius: must be at least 1e-06 m, but is 1e-110"),
+    (lambda t: clsim.Scatterer.ellipsoid("a", (0.1, 0.1, 1e-300), t), r"semi_axes\[2\]: must be at least 1e-06 m"),
     (lambda t: clsim.Scatterer.sphere("a", 0.1, t, model="exact"), "model"),
     (lambda t: clsim.Scatterer.ellipsoid("a", (0.1, -0.1, 0.1), t), r"semi_axes\[1\]: must be above 0 m, but is -0.1"),
     (lambda t: clsim.Scatterer.point("a", 61.0, t), "target_strength_db: must be at most 60 dB, but is 61"),

@@ -152,6 +152,23 @@ def test_spheres_by_their_outline(radius: float, frequency: float, measured: Cal
     assert measured(f"{claim}, worst", "the exact series", float(np.abs(found).max()), 2.5) < 2.5
 
 
+@pytest.mark.parametrize("thin", [0.01, 0.003, 0.0003])
+def test_thin_discs_edge_on_leave_the_free_field(thin: float) -> None:
+    """A disc of 60 cm, as rigid as it is, has nothing to reflect or to shade there; Fock's term alone adds 2 to 14 dB."""
+    for frequency in (20.0, 100.0, 2e3, 20e3, 80e3):
+        wave, outline = np.array([2.0 * np.pi * frequency / C]), EllipsoidOutline(np.array([0.3, 0.3, thin]))
+        level = 1.0 + outline_field(outline, wave, np.array([[-1.2, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0]]), 512)[0]
+        assert abs(20.0 * np.log10(np.abs(level[0, 0]))) < 0.7
+
+
+@pytest.mark.parametrize(("ka", "error_db"), [(0.02, 0.05), (0.2, 0.3), (2.0, 0.35)])
+def test_low_frequencies_pass_small_spheres(ka: float, error_db: float) -> None:
+    source, places = np.array([-1.2, 0.0, 0.0]), walk(1.0, np.arange(0.0, 0.5, 0.1))
+    outline, wave = EllipsoidOutline(np.full(3, 0.1)), ka / 0.1
+    found = 1.0 + outline_field(outline, np.array([wave]), np.tile(source, (5, 1)), places, 64)[0][:, 0]
+    assert np.abs(20.0 * np.log10(np.abs(found / sphere(wave, 0.1, source, places)))).max() < error_db
+
+
 @pytest.mark.parametrize(
     ("body", "ka"),
     [
@@ -196,9 +213,39 @@ def test_nothing_jumps_where_a_shadow_begins() -> None:
         assert changes[0] / changes[1] == pytest.approx(2.0, rel=0.1)
 
 
+def test_nothing_jumps_where_the_side_of_a_capsule_ends() -> None:
+    """A hand's breadth of places 2 mm apart has a specular point on the side and on a cap: halved steps halve changes."""
+    turned = np.array([-0.64508132, 0.08272527, -0.57582496, 0.49543137])
+    way = clsim.Trajectory.fixed(MIDDLE, turned / np.linalg.norm(turned))
+    wave, source = 2.0 * np.pi * 40e3 / C, np.array([-0.841536, 0.012391, -0.249286])
+    stick = clsim.Scatterer.capsule("c", 0.018803, 0.350009, way, shadow=True)
+    changes = []
+    for count in (101, 201):
+        places = np.array([0.658464, -0.057609, -0.319286]) + np.outer(np.linspace(-0.03, 0.03, count), [0.0, 0.6, 0.8])
+        changes.append(np.abs(np.diff(heard([stick], wave, source, places))).max())
+    assert changes[0] / changes[1] == pytest.approx(2.0, rel=0.1)
+
+
+def test_capsules_seen_along_their_axis(device: str) -> None:
+    """The field is that of nearly the axis, and the device's that of the reference."""
+    for radius, length in ((0.05, 0.4), (0.02, 0.1)):
+        stick = clsim.Scatterer.capsule("c", radius, length, clsim.Trajectory.fixed(MIDDLE), shadow=True)
+        places = np.array([[0.0, 0.0, 1.0], [1e-6, 0.0, 1.0], [0.0, -1e-6, 1.0]])
+        found = heard([stick], 2.0 * np.pi * 40e3 / C, np.array([0.0, 0.0, -1.2]), places)
+        assert np.abs(found - found[0]).max() < 1e-5
+    tone = clsim.Signal.tone(40e3, 0.02, 192e3, fade=5e-3)
+    ends = [clsim.Trajectory.fixed(MIDDLE + np.array([0.0, 0.0, z])) for z in (-1.2, 1.0)]
+    scene = clsim.Scene(
+        clsim.Shoebox(2.0 * MIDDLE, SILENT), AIR, [clsim.Source("s", tone, ends[0])], [clsim.Receiver("r", ends[1])], scatterers=[stick],
+    )  # fmt: skip
+    paths = clsim.find_paths(scene, 0)
+    got, wanted = (clsim.render(paths, 192e3, engine=engine).samples for engine in ("opencl", "reference"))
+    assert 20.0 * np.log10(np.linalg.norm(got - wanted) / np.linalg.norm(wanted)) < -60.0
+
+
 @pytest.mark.parametrize(
     ("band", "error"),
-    [((39e3, 41e3), 5e-5), ((30e3, 50e3), 1e-4), ((20e3, 80e3), 0.02)],  # 2e-5 by the table of Fock's function alone
+    [((39e3, 41e3), 5e-5), ((30e3, 50e3), 1e-4), ((20e3, 80e3), 1e-3)],  # 2e-5 by the table of Fock's function alone
 )
 def test_bands_are_frequencies_one_by_one(band: tuple[float, float], error: float) -> None:
     """Fields over a band are carried from few wave numbers: they are those of each frequency alone."""

@@ -117,7 +117,7 @@ class Edges:
             kind = "free" if n == 2.0 else "a change of material" if n == 1.0 else kind
             at = ", ".join(f"{x:.4g}" for x in start)
             lines.append(f"{name}: {kind}, {length:.4g} m from ({at}) m")
-        return lines or ["edges: none that diffract"]
+        return lines or ["edges of the room: none that diffract"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

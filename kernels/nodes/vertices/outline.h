@@ -119,7 +119,7 @@ typedef reals __attribute__((aligned(8))) point_reals;  // may start at any doub
         place.z += sign * at * (o->axes[2] - radius);
         p.support = radius;
         p.q_nn = 1.0 / (radius * radius), p.q_nz = 0.0;
-        p.q_zz = p.q_nn * (1.0 + on_side * (o->first * o->first - 1.0));
+        p.q_zz = p.q_nn * (1.0 + on_side * (fmax(o->first * o->first, STRAIGHTEST) - 1.0));
         p.step = share * (o->last + on_side * (o->both - o->last));
     } else {
         const triples axes = {o->axes[0], o->axes[1], o->axes[2]}, stretched = along_axes(axes, normal);

@@ -34,14 +34,16 @@ static void lit_reflection(__global const double* table, double xi, float* real,
 }
 
 // But for the phase, strengths are Newton's polynomials of the root through KNOWN_AT Chebyshev nodes.
-#define OF_CHEBYSHEV (chebyshev_nodes + KNOWN_AT * (KNOWN_AT - 1) / 2)
-__constant const double chebyshev_nodes[21] = {  // of 1 to 6
+#define OF_CHEBYSHEV (chebyshev_nodes + (KNOWN_AT < 12 ? KNOWN_AT * (KNOWN_AT - 1) / 2 : 21))
+__constant const double chebyshev_nodes[33] = {  // of 1 to 6, and of 12 in an order that keeps rounding small
     0.0,
     0.7071067811865476, -0.7071067811865475,
     0.8660254037844387, 0.0, -0.8660254037844387,
     0.9238795325112867, 0.38268343236508984, -0.3826834323650897, -0.9238795325112867,
     0.9510565162951535, 0.5877852522924731, 0.0, -0.587785252292473, -0.9510565162951535,
-    0.9659258262890683, 0.7071067811865476, 0.25881904510252074, -0.25881904510252063, -0.7071067811865475, -0.9659258262890682};
+    0.9659258262890683, 0.7071067811865476, 0.25881904510252074, -0.25881904510252063, -0.7071067811865475, -0.9659258262890682,
+    0.9914448613738104, -0.9914448613738104, 0.13052619222005157, -0.6087614290087207, 0.6087614290087207, -0.9238795325112867,
+    0.9238795325112867, -0.38268343236508984, 0.38268343236508984, 0.7933533402912352, -0.7933533402912352, -0.13052619222005157};
 
 // (k / 2)^(1/3) at all frequencies, from -1 to 1, and the middle and half of its range.
 typedef struct {
@@ -67,8 +69,9 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
     const reals curves = p->step * of_points.width * of_points.curve / (of_points.apart * sqrt(HALF_TURN));
     reals real[KNOWN_AT], imaginary[KNOWN_AT];
     for (int m = 0; m < KNOWN_AT; m++) {
-        const double root_of_wave = roots->middle + roots->reach * OF_CHEBYSHEV[m];
-        const reals fock = root_of_wave * of_points.fock, near = faded_by(fock, NEAR_WHOLE, NEAR_NONE), smooth = root_of_wave * curves;
+        const double root_of_wave = roots->middle + roots->reach * OF_CHEBYSHEV[m], squared = root_of_wave * root_of_wave;
+        const reals fock = root_of_wave * of_points.fock, near = faded_by(fock, NEAR_WHOLE, NEAR_NONE);
+        const reals smooth = root_of_wave * squared * curves / (squared + of_points.sharp);
         reals x, y;
         fock_hard(t->modes, fock, &x, &y);
         real[m] = near * (edges - smooth * x);

@@ -3,9 +3,9 @@
 
 #if VERTEX == SCATTERER && PARTS == 2
 // `_Strings`: lengths of both sides, half the harmonic mean of the tangents, Fock parameter and m of the arc over (k / 2)^(1/3),
-// what stands for the depth of the line of sight, and the wavefront's width.
+// what stands for the depth of the line of sight, the wavefront's width, and (k / 2)^(2/3) below which the ellipse is too sharp.
 typedef struct {
-    reals source, receiver, apart, fock, curve, offset, width;
+    reals source, receiver, apart, fock, curve, offset, width, sharp;
 } strings;
 
 static reals faded_by(reals x, double whole, double none)
@@ -95,6 +95,7 @@ static strings strings_over(const outline_points* p)
     const reals size = inverse_cube_root(over * ahead);
     s.fock = half_arc * fock * size * size;
     s.curve = quick_root(quick_root(both_steep)) / size;
+    s.sharp = SHARP * ((1.0 + skew * skew) * flat * flat + slim * slim) / (size * size * size * size);
     s.apart = tangents[0] * tangents[1] / (tangents[0] + tangents[1] + TINY);
     s.source = tangents[0] + 0.5 * half_arc * arc, s.receiver = tangents[1] + 0.5 * half_arc * arc;
     s.offset = s.apart * s.fock / s.curve;

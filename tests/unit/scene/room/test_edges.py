@@ -37,7 +37,7 @@ def test_rooms_without_edges() -> None:
     corner_of_60 = clsim.MeshRoom.from_plan([(0, 0), (4, 0), (2, 2 * np.sqrt(3.0))], 3.0, WALL)
     for room in (ROOM, ROOM.as_mesh(), corner_of_60):
         assert len(room.edges()) == 0
-        assert room.edges().describe() == ["edges: none that diffract"]
+        assert room.edges().describe() == ["edges of the room: none that diffract"]
 
 
 def test_inner_corners_but_those_of_an_integer_part_of_a_half_turn() -> None:
