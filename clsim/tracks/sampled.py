@@ -88,6 +88,7 @@ class Draw:
     held_out: tuple[Picked, ...] = ()  # likewise
     grids: tuple[int, ...] = GRIDS  # frequencies of the band, the first number that resolves the responses
     whole: bool = False  # costly responses of few paths: all at each instant, of which every other one is held out
+    outlined: bool = False  # whether all paths are by scatterers with the shadows of their outlines
 
     @classmethod
     def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False) -> Draw:
@@ -95,18 +96,13 @@ class Draw:
         counts, grids = (_COSTLY, (_FEWER, *GRIDS)) if costly else ((_ROWS, _HELD_OUT), GRIDS)
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
-        total = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source)
+        total, outlined = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source), _outlined(of_scene)
         if costly and _LEAST_WHOLE * total <= min(counts):
-            together = sum(counts) * (1 if _outlined(of_scene) else _CHEAPER)
+            together = sum(counts) * (1 if outlined else _CHEAPER)
             rows = tuple(picked_paths(of_scene, source, until, together, rng, whole=True))
-            return cls(of_scene, source, until, rows, (), grids, whole=True)
+            return cls(of_scene, source, until, rows, (), grids, True, outlined)
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in counts)
-        return cls(of_scene, source, until, rows, held_out, grids)
-
-    @property
-    def outlined(self) -> bool:
-        """Whether all paths are by scatterers with the shadows of their outlines."""
-        return _outlined(self.tracks)
+        return cls(of_scene, source, until, rows, held_out, grids, outlined=outlined)
 
     def probe(self) -> Draw:
         """Return the same with few of the instants, where all paths are taken at each."""
@@ -126,13 +122,14 @@ class Draw:
             along = np.swapaxes(shapes, 1, 2).reshape(len(shapes), -1, shapes.shape[3])
             if band.late != 0.0:
                 along = along * np.conj(band.turn)
-            along = along * some.scale
+            along, spans = along * some.scale, list(pairwise(some.first))
             if some.whole:
                 level = np.sqrt(np.add.reduceat(np.mean(np.abs(along[:, :, middle]) ** 2, axis=0), some.first[:-1]))
                 along /= np.maximum(level, _SILENT).repeat(np.diff(some.first))[:, None]
-            made += [channel[begin:end] for begin, end in pairwise(some.first) for channel in along]
+                spans = [span for span, sounds in zip(spans, (level > _SILENT).tolist(), strict=True) if sounds]
+            made += [channel[begin:end] for begin, end in spans for channel in along]
             further = some.found.through.T.reshape(-1) - 1.0
-            beyond += [further[begin:end] for begin, end in pairwise(some.first) for _ in along]
+            beyond += [further[begin:end] for begin, end in spans for _ in along]
         if not made:  # paths that are silent all the time
             return Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64), np.zeros(1))
         first = np.cumsum([0, *(len(rows) for rows in made[:-1])])

@@ -122,7 +122,7 @@ def test_what_a_worker_finds_wrong_is_said_as_by_one_process(scene: Path, cluste
     loud = scene.with_name("loud.toml")
     text = LONG.replace("gain_db = 40.0", "gain_db = 200.0").replace('"chirp",', '"chirp", amplitude = 1e12,')
     for old, new in (
-        ("adc_bits = 12\nadc_full_scale = 0.25\n", ""),
+        ("adc_bits = 12, adc_full_scale = 0.25, ", ""),
         ('{ kind = "named", name = "MA40S4R" }', DEAF),
         ('name = "robot"', f'name = "robot"\ntransducer = {DEAF}'),
     ):

@@ -15,7 +15,6 @@ from clsim.opencl.device import FLOAT64, MOST_INDEX, SHARE, DeviceInfo, check_bu
 from clsim.opencl.launch import Compiler, Scratch, upload, work
 from clsim.render.opencl.batches import CELL, ActivePaths, Activity, PathBatch, find_activity
 from clsim.render.plan import BATCH, NODE_BUDGET, Plan
-from clsim.render.source_filters import SourceFilters
 
 _LEVELS = 3  # block lengths whose polynomials are kept at the same time
 _OPERATIONS_PER_SAMPLE = 10.0  # of a path, beside two for every branch
@@ -123,9 +122,9 @@ class Branches:
     most: int
     activity: Activity | None  # where it is worth leaving out what is silent
 
-    def check(self, shortest: float, longest: float, filters: SourceFilters) -> None:
-        """Refuse delays (s) beyond these signals: it would mean that the bounds of the delays are wrong."""
-        low, high = ((delay + filters.start) * filters.rate for delay in (shortest, longest))
+    def check(self, shortest: float, longest: float, start: float, rate: float) -> None:
+        """Refuse delays, s, beyond these signals, which start at a time, s: the bounds of the delays would be wrong."""
+        low, high = ((delay + start) * rate for delay in (shortest, longest))
         if not (low > self.least + 1 and high < self.most - 1):
             raise ClsimError(
                 f"delays of {shortest:g} to {longest:g} s lie outside the bounds computed for them; "

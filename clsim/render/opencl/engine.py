@@ -207,7 +207,7 @@ class Run:
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
-        plan, segment = self._plan, self._plan.segment
+        plan, segment, filters = self._plan, self._plan.segment, self._plan.source_filters[self._source]
         block = plan.blocks[level]
         node = plan.bytes_per_node(self._source, self._channels)
         limits, count = self._engine.limits, self._batch.count
@@ -220,7 +220,7 @@ class Run:
                 self._state, self._start + begin, block, (end - begin) // block,
                 lambda: self._engine.branch_signals.prefetch(self._source, self._start),
             )  # fmt: skip
-            self._branches.check(nodes.shortest, nodes.longest, plan.source_filters[self._source])
+            self._branches.check(nodes.shortest, nodes.longest, filters.start, filters.rate)
             number = self._start // segment + at
             is_last = level + 1 == len(plan.blocks) or not self._fits(plan.blocks[level + 1])
             error, few = self._errors(nodes, number, divides=self._beside and self._divides and not is_last)
