@@ -18,7 +18,7 @@ _FAR, _FOUND = 0.1, 1e-3  # rad, as for ellipsoids
 _SMALL = 1e-100  # in divisors: what is divided by it is squared, too
 _PARALLEL = 1e-20  # squared sine of the angle to the axis below which the middle between both ends is the nearest point
 FLATTEST = 1e-9  # 1/m
-ROUNDED = 0.3  # radii beyond the side, along the axis, from which on the curvature counts as a sphere's; our own choice
+CAP_FADE = 0.3  # radii beyond the side, along the axis, from which on the curvature is a sphere's; our own choice
 NEAR_JUNCTION = 3e-3  # slope of the way where the side ends below which the bend there is that of the place itself
 ASPECTS = 11  # numbers that a field takes, and as many more as `silhouette_field` with the field about the outline
 
@@ -101,7 +101,7 @@ def _incidence_curvature(radius: float, half: float, source: Floats, at: tuple[F
     away = place - source
     tangent = away - _dot(normal, away) * normal
     share = _dot(around, tangent) ** 2 / np.maximum(_dot(tangent, tangent), _SMALL)
-    share = 1.0 - (1.0 - share) * silhouette.faded((np.abs(place[2]) - half) / radius, (0.0, ROUNDED))
+    share = 1.0 - (1.0 - share) * silhouette.faded((np.abs(place[2]) - half) / radius, (0.0, CAP_FADE))
     return np.asarray(np.maximum(share / radius, radius / (radius + half) ** 2))
 
 

@@ -91,7 +91,7 @@ static double capsule_field(const vertex_tables* t, const moment* now, const sca
     const triples away = apart(place, g->source), tangent = apart(away, scaled(DOT(normal, away), normal));
     const reals aslant = DOT(around, tangent), around_share = aslant * aslant / larger(DOT(tangent, tangent), (reals)LEAST);
     const double r = OF_NODE(radius, lane), end = OF_NODE(g->scale.z, lane), z = OF_NODE(place.z, lane);
-    const double share = 1.0 - (1.0 - OF_NODE(around_share, lane)) * faded((fabs(z) - end + r) / r, 0.0, ROUNDED);
+    const double share = 1.0 - (1.0 - OF_NODE(around_share, lane)) * faded((fabs(z) - end + r) / r, 0.0, CAP_FADE);
     const double curvature = fmax(share / r, r / (end * end));
     const double mirrored = 1.0 / sqrt(OF_NODE(here.steep, lane));
     return silhouette_field(t, now, g, place, seen, hidden, mirrored, obliquity(0.5 * pressed, 1), curvature, lane, field);
