@@ -248,7 +248,7 @@ def speech_transmission(
     *,
     channel: int = 0,
 ) -> Floats:
-    """Compute the speech transmission index (sources, receivers), 0 to 1; NaN where nothing is heard.
+    """Compute the speech transmission index (sources, receivers), 0 to 1; NaN where nothing is received.
 
     Parameters
     ----------

@@ -238,7 +238,7 @@ def blocks_for(plan: Plan, spread: Piecewise, in_each: int = _CUBIC) -> tuple[in
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredTracks(SceneTracks):
-    """Tracks of paths whose gains of heads are those of what a render filters."""
+    """Tracks of paths whose gains of heads are those that a render filters."""
 
     @classmethod
     def of(cls, own: SceneTracks) -> FilteredTracks:

@@ -18,7 +18,7 @@ from clsim.tracks.basis import NO_TILT, Tilt
 GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
 IN_CACHE = 8192  # arrivals that are worked on together: larger arrays are fresh memory at every step
 _QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
-_FAINTEST = 1e-4  # energy of what is heard of a window, relative to its centre frequency, that is asked for
+_FAINTEST = 1e-4  # energy received of a window, relative to its centre frequency, that is requested
 
 
 @dataclass(frozen=True, slots=True, eq=False)

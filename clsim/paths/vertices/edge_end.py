@@ -47,7 +47,7 @@ class EdgeEndVertex(GapPairVertex):
 
     @property
     def end_place(self) -> Floats:
-        """NaN (P,): where paths meet both edges is told by `met`."""
+        """NaN (P,): `met` says where paths meet both edges."""
         return np.full(len(self), np.nan)
 
     @property

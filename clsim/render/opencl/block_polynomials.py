@@ -245,7 +245,7 @@ def block_errors(
 
     squares: (2 or more, segments, slots), of errors and of levels; those of each receiver from its first slot on.
 
-    before: squared levels (segments, receivers) of what else is heard.
+    before: squared levels (segments, receivers) of what was rendered before.
     """
     wrong, own, *_ = np.add.reduceat(squares, first_slot[:-1], axis=2)
     received = np.maximum(np.sqrt(own + before, dtype=np.float64), least)

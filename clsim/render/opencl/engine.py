@@ -256,7 +256,7 @@ class Run:
             type(self)(self._engine, task).render(int(self._promising_levels(error, level).min()))
 
     def _errors(self, nodes: Any, first: int, *, divides: bool) -> tuple[Floats, NDArray[np.bool_]]:
-        """Errors (segments,) of blocks relative to what is heard, of the receiver where they are most, and few paths.
+        """Errors (segments,) of blocks relative to the received level, at the receiver of the largest, and few paths.
 
         At edges, by scatterers and by bodies it is all that was rendered before, too: reflections come first. The mask
         (segments, slots) is that of the few paths for which alone others would need shorter blocks.

@@ -39,7 +39,7 @@ class Nodes:
     delay: Any
     polynomials: Any
     activity: Any  # subblocks of each block and path in which something sounds; None if all are looked at
-    squares: Floats  # (3, segments, slots): of errors, of levels, and of what no function of frequency represents
+    squares: Floats  # (3, segments, slots): of errors, of levels, and of residuals of all functions of frequency
     shortest: float  # s
     longest: float
 
