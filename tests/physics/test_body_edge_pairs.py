@@ -96,18 +96,18 @@ def test_drawn_ways_over_two_edges_are_the_earliest() -> None:
 
 
 @pytest.mark.parametrize(
-    ("side", "level", "bound", "places"),
+    ("side", "level", "bound"),
     [
-        (0.1, -9.4, -45.0, (-0.13, 0.0)),
-        exhaustive((0.05, -6.6, -38.0, (-0.13, 0.0, 0.05, 0.11))),
-        exhaustive((0.2, -10.5, -50.0, (-0.13, 0.0, 0.05, 0.11))),
+        (0.1, -9.4, -45.0),
+        exhaustive((0.05, -6.6, -38.0)),
+        exhaustive((0.2, -10.5, -50.0)),
     ],
 )
 def test_deep_shadows_of_pillars_that_move(
-    side: float, level: float, bound: float, places: tuple[float, ...], measured: Callable[..., float]
+    side: float, level: float, bound: float, measured: Callable[..., float]
 ) -> None:
     """A body that goes by at 1 m/s along its own axis: the field behind it, by collocation in two dimensions."""
-    receivers = [(1.5, y * side / 0.2) for y in places]
+    receivers = [(1.5, y * side / 0.2) for y in (-0.13, 0.0, 0.05, 0.11)]
     exact = field_behind((side, side), TONE, 14.0, receivers)
     body = pillar(LINE((0, 0, -0.02), (0, 0, 0.02), 0.04), side, 60.0)
     floor = clsim.MeshRoom([(-9, -9, -50), (9, -9, -50), (0, 9, -50)], [(0, 1, 2)], clsim.Material.from_reflection(0.0))

@@ -206,7 +206,7 @@ def test_nothing_jumps_where_a_shadow_begins() -> None:
     )  # fmt: skip
     for thing in things:
         changes = []
-        for count in (201, 401):
+        for count in (401, 801):
             changes.append(
                 np.abs(np.diff(heard([thing], wave, source, walk(0.5, np.linspace(0.02, 0.14, count))))).max()
             )
