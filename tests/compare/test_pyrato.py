@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from exhaustive import few
 
 import clsim
 from clsim.acoustics.room_acoustics import before_noise, centre_time, decay_curve, lateral_fractions, reverberation_time
@@ -55,7 +56,8 @@ def test_centre_time_and_lateral_fraction(pyrato: Any, rng: np.random.Generator)
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    ("seconds", "levels"), [(0.3, None), (1.0, None), (3.0, None), (0.8, (60.0, 45.0)), (0.8, (30.0, 20.0))]
+    ("seconds", "levels"),
+    few([(0.3, None), (1.0, None), (3.0, None), (0.8, (60.0, 45.0)), (0.8, (30.0, 20.0))], (0, 4)),
 )
 def test_speech_transmission(
     pyrato: Any, seconds: float, levels: tuple[float, float] | None, tmp_path: Path, rng: np.random.Generator

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exhaustive import few
 from made_studies import SCENE
 
 import clsim
@@ -57,7 +58,7 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is hidden is there on Linux")
-@pytest.mark.parametrize("program", [WITHOUT, SOME])
+@pytest.mark.parametrize("program", few([WITHOUT, SOME]))
 def test_a_run_needs_nothing_of_posix(program: str, scene: Path, device: None) -> None:
     out = scene.parent / "out"
     done = without("run", scene, "-o", out, "--no-plots", program=program)

@@ -98,7 +98,7 @@ def test_drawn_ways_over_two_edges_are_the_earliest() -> None:
 @pytest.mark.parametrize(
     ("side", "level", "bound"),
     [
-        (0.1, -9.4, -45.0),
+        exhaustive((0.1, -9.4, -45.0)),
         exhaustive((0.05, -6.6, -38.0)),
         exhaustive((0.2, -10.5, -50.0)),
     ],

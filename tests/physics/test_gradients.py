@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exhaustive import exhaustive, few
 from moved_scenes import (
     CASES,
     EXACT,
@@ -57,7 +58,7 @@ def test_the_transpose(points: int, engine: str, rng: np.random.Generator) -> No
     assert found["sources[0].trajectory"].shape == (points, 3)
 
 
-@pytest.mark.parametrize("dispersion", [False, True])
+@pytest.mark.parametrize("dispersion", [exhaustive(False), True])
 def test_the_transpose_of_each_kind(dispersion: bool, rng: np.random.Generator) -> None:
     """Parameters of every kind, in a scene whose responses depend on directions and on time."""
     names = [
@@ -130,11 +131,18 @@ def several(kind: str, h: float = 0.0, what: str = "") -> PathSet:
     return clsim.find_paths(clsim.Scene(room, clsim.Air(speed_of_sound=C, absorption=False), [source], ends), 1)
 
 
-@pytest.mark.parametrize("kind", ["ambisonic", "head"])
 @pytest.mark.parametrize(
-    ("what", "h"), [("position.x", 5e-5), ("orientation.z", 0.02), ("trajectory.positions[1].y", 5e-5)]
+    ("what", "h", "kind"),
+    few(
+        [
+            (*each, kind)
+            for each in [("position.x", 5e-5), ("orientation.z", 0.02), ("trajectory.positions[1].y", 5e-5)]
+            for kind in ["ambisonic", "head"]
+        ],
+        (2, 5),
+    ),
 )
-def test_receivers_of_several_channels(kind: str, what: str, h: float) -> None:
+def test_receivers_of_several_channels(what: str, h: float, kind: str) -> None:
     """Channels change with the direction of arrival, ears with the time of arrival as well.
 
     Those of ears, which renders filter, are right to the first order in the rates of change: 1.3e-3 at 8 m/s, where 4.3e-3 was wrong by emitted frequencies.

@@ -102,7 +102,7 @@ def near(paths: clsim.PathSet, length: float, time: float) -> float:
 @pytest.mark.parametrize(
     ("direct", "level", "moves"),
     [
-        (True, 1.0, False), (-40.0, 0.01, False), (False, 0.0, False), (-40.0, 0.01, True),
+        (True, 1.0, False), (-40.0, 0.01, False), (False, 0.0, False), exhaustive((-40.0, 0.01, True)),
         exhaustive((True, 1.0, True)), exhaustive((False, 0.0, True)),
     ],
 )  # fmt: skip

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exhaustive import few
 from scipy.special import sph_harm_y
 
 import clsim
@@ -113,7 +114,7 @@ def test_fixed_components_keep_the_axes_of_the_room():
     np.testing.assert_array_equal(found.pressure[:4], found.pressure[4:])
 
 
-@pytest.mark.parametrize("kind", ["moving", "still", "baseband", "fading"])
+@pytest.mark.parametrize("kind", few(["moving", "still", "baseband", "fading"], (0, 2)))
 def test_both_engines_receive_the_same_channels(kind, measured):
     motion = clsim.Trajectory.fixed((2.0, 2.0, 1.5))
     if kind != "still":

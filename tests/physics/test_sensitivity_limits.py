@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exhaustive import few
 
 import clsim
 from clsim.render.options import RenderOptions
@@ -54,7 +55,7 @@ def test_the_delays_derivative_acts_on_the_signals_own_at_the_centre_frequency()
     assert back == pytest.approx(np.sum(found**2), rel=1e-5)
 
 
-@pytest.mark.parametrize(("speed", "turning"), [(1.0, 0.0), (10.0, 0.0), (0.0, 2.0)])
+@pytest.mark.parametrize(("speed", "turning"), few([(10.0, 0.0), (1.0, 0.0), (0.0, 2.0)]))
 def test_what_ears_filter_by_gain(speed: float, turning: float, engine: str) -> None:
     """By a gain it is the recording itself, as it is by the emitted signal: at emitted frequencies 7.5e-4 off at 1 m/s."""
     passing, options = paths(speed=speed, ears=True, turning=turning), {"duration": 0.03, "engine": engine}

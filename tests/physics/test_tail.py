@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exhaustive import few
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import firwin
 from scipy.signal.windows import tukey
@@ -69,7 +70,7 @@ def image_energy(of: clsim.Scene, factor: float, radius: float, max_order: int, 
     return np.bincount(order, each)[: max_order + 1]
 
 
-@pytest.mark.parametrize(("scattering", "mesh"), [(0.0, False), (0.3, False), (0.3, True)])
+@pytest.mark.parametrize(("scattering", "mesh"), few([(0.0, False), (0.3, False), (0.3, True)], (0, 2)))
 def test_rays_hold_the_energy_of_images(scattering: float, mesh: bool, measured: Callable[..., float]) -> None:
     """Up to an order rays count what images do; what is left of mirrored rays goes on as a geometric series.
 

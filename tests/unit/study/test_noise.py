@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from exhaustive import few
 from scipy.signal import csd, welch
 from scipy.special import j0
 
@@ -27,7 +28,7 @@ def test_the_ratio_of_energies_is_met() -> None:
     assert 10.0 * math.log10(ratio) == pytest.approx(7.5, abs=1e-5)
 
 
-@pytest.mark.parametrize(("field", "law"), [("spherical", np.sinc), ("cylindrical", lambda x: j0(np.pi * x))])
+@pytest.mark.parametrize(("field", "law"), few([("spherical", np.sinc), ("cylindrical", lambda x: j0(np.pi * x))]))
 def test_the_coherence_is_that_of_a_diffuse_field(field: str, law: object) -> None:
     _, noise = made(field=field)
     # The window's main lobe, four lines wide, smears the law less than this; the mean over lines is much finer.
