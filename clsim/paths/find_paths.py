@@ -83,8 +83,8 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
         found = at_one_time(scene, found, resolution_of(scene, options.resolution))
     if scene.bodies:
         bodies = BodySearch(scene, options)
-        found = tuple(behind_bodies(bodies, family, next(parts).notify) for family in found)
-        found = (*found, bodies.paths(next(parts).notify))
+        by_bodies = bodies.paths(next(parts).notify)
+        found = (*(behind_bodies(bodies, family, next(parts).notify) for family in found), by_bodies)
         for of_bodies in OVER_BODIES[:edges]:
             found = (*found, of_bodies(bodies, found))
     if scene.scatterers:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cache, partial
 from typing import Any
 
@@ -19,7 +19,7 @@ from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.beam_tree import BeamTree
-from clsim.paths.search.bodies import BodySearch, PairQuery, UnhiddenLookup
+from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.edge_chains import joined_over_ends, tied
 from clsim.paths.search.mesh import BEAM_LIMIT
 from clsim.paths.trajectory_tables import BoundingSpheres
@@ -30,6 +30,7 @@ from clsim.paths.visibility.subdivision import ROUNDS, coded
 Rows = NDArray[np.int64]
 Codes = NDArray[np.signedinteger[Any]]
 
+_ON = 1e-7  # of the room's size; what is nearer to a plane is in it
 _INNER = 1e-9  # share of a way between two hits, from which on the one is not at the other
 ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends
 _END, HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
@@ -52,9 +53,13 @@ class EdgeFinder:
     """Looks for paths over edges, from each source to each receiver."""
 
     def __init__(self, search: BodySearch) -> None:
-        self._search, self.lines = search, EdgeLines.of(search.scene)
+        self._search, self.lines = search, EdgeLines.of(search.scene.room, search.scene.bodies)
         self._mirrors, self._order = search.obstacles.mirrors, search.order
-        self._held = self.lines.in_planes(self._mirrors, search.room.walls.size)
+        # Mirrors (E, W) that hold edges whatever moves: those of the same object.
+        frames, mirrors = self.lines.frames, self._mirrors
+        ends = np.stack([frames[:, 0], frames[:, 0] + self.lines.length[:, None] * frames[:, 3]], axis=1)
+        height = np.abs(ends @ mirrors.normal.T - mirrors.offset).max(axis=1)
+        self._held = (height <= _ON * search.room.walls.size) & (self.lines.owner[:, None] == mirrors.owner)
         self._reached = cache(self._find_reached)
 
     def every_path(self) -> dict[str, Any]:
@@ -84,7 +89,27 @@ class EdgeFinder:
         return self._columns((source, receiver), met, (begin, end), code)
 
     def _evaluate(self, pair: PairQuery, chains: Chains) -> Callable[[Rows, Floats], Codes]:
-        return _Evaluation(self._search, self.lines, pair, chains)
+        return partial(self._codes, pair, chains)
+
+    def _codes(self, pair: PairQuery, every: Chains, rows: Rows, times: Floats) -> Codes:
+        """Codes (P, T) of paths of a pair at some times: `ABSENT`, or bits for the terms and ends that are seen."""
+        solver = EdgeSolver(self._mirrors, self.lines, pair.ends, pair.medium, rounds=ROUNDS)
+        chains = every.part(rows)
+        events = solver.find(chains, times)
+        length, n, end = self.lines.length[chains.edge], self.lines.n[chains.edge], chains.end
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = events.source, events.receiver
+        on = (end >= 0)[:, None] | (events.along > 0.0) & (events.along < length[:, None])
+        for angle in (t_s, t_r):
+            on &= (angle > 0.0) & (angle < np.pi * n[:, None])
+        p, t = free_legs(self._search, chains, events, times, on)
+        code = np.full(times.shape, ABSENT, dtype=np.int8)
+        seen = lit_angles(n[p], t_s[p, t], t_r[p, t]) >= 0.0
+        apex = path_over_edge(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
+        met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
+        seen &= met[p, None] + adjacent_reflections(n[p]) <= self._order
+        inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
+        code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside + halves((n[p], n[p]), (t_s[p, t], t_r[p, t]))
+        return code
 
     def _columns(
         self, ends: tuple[int, int], chains: Any, received: tuple[Floats, Floats], code: Codes
@@ -163,7 +188,7 @@ class EdgeFinder:
         walls = self._search.posed(middle)
         # What bodies hide in this pose they may not hide in the next: as for `BodySearch`, nothing is.
         spheres = BoundingSpheres(self._middles(middle), 0.5 * self.lines.length + slack)
-        tree = BeamTree(walls, ball[0], ball[1] + slack, spheres, BEAM_LIMIT, None, UnhiddenLookup(walls))
+        tree = BeamTree(walls, ball[0], ball[1] + slack, spheres, BEAM_LIMIT, hides=False)
         found: list[list[Any]] = [[] for _ in range(len(self.lines))]
         for batch in tree.candidates(self._order):
             for edge in np.unique(batch.receiver).tolist():
@@ -184,36 +209,6 @@ class EdgeFinder:
             found[:, : given.shape[1]] = some[:, ::-1] if backwards else some
             padded.append(found)
         return np.concatenate(padded)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Evaluation:
-    """How paths of a pair are at some times, as codes: `ABSENT`, or bits for what of theirs is seen."""
-
-    search: BodySearch
-    lines: EdgeLines
-    pair: PairQuery
-    chains: Chains
-
-    def __call__(self, rows: Rows, times: Floats) -> Codes:
-        obstacles, pair = self.search.obstacles, self.pair
-        solver = EdgeSolver(obstacles.mirrors, self.lines, pair.ends, pair.medium, rounds=ROUNDS)
-        chains = self.chains.part(rows)
-        events = solver.find(chains, times)
-        length, n, end = self.lines.length[chains.edge], self.lines.n[chains.edge], chains.end
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = events.source, events.receiver
-        on = (end >= 0)[:, None] | (events.along > 0.0) & (events.along < length[:, None])
-        for angle in (t_s, t_r):
-            on &= (angle > 0.0) & (angle < np.pi * n[:, None])
-        p, t = free_legs(self.search, chains, events, times, on)
-        code = np.full(times.shape, ABSENT, dtype=np.int8)
-        seen = lit_angles(n[p], t_s[p, t], t_r[p, t]) >= 0.0
-        apex = path_over_edge(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
-        met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
-        seen &= met[p, None] + adjacent_reflections(n[p]) <= self.search.order
-        inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
-        code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside + halves((n[p], n[p]), (t_s[p, t], t_r[p, t]))
-        return code
 
 
 def halves(n: tuple[Floats, Floats], angles: tuple[Floats, Floats]) -> Any:

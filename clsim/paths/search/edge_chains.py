@@ -38,7 +38,7 @@ _WITHIN = 1e-4  # s between two times at which the same event was found, at most
 
 def edge_chain(scene: Scene, model: str, order: int, rows: Found) -> Chain:
     """Make paths over one edge with the field of a model."""
-    lines = EdgeLines.of(scene, of_bodies=False)
+    lines = EdgeLines.of(scene.room)
     return _chain(scene, order, rows, EdgeVertex(**_first_edges(rows), lines=lines, model=model))
 
 
@@ -71,7 +71,7 @@ def _gaps(scene: Scene, order: int, rows: Found) -> dict[str, Any]:
 
 def _both_edges(scene: Scene, rows: Found) -> dict[str, Any]:
     """Columns of `EdgePairVertex`."""
-    lines, columns = EdgeLines.of(scene, of_bodies=False), _first_edges(rows)
+    lines, columns = EdgeLines.of(scene.room), _first_edges(rows)
     second = {
         "edge": np.array([r["edges"][1] for r in rows], dtype=np.int64),
         "lit": np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS),
@@ -270,10 +270,11 @@ def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
         if not len(which):
             continue
         at, owner = mine[which], np.concatenate([rows, rows])[which]
+        near = _events_near(known.get((pair.source, pair.receiver), []), at)
         links: Any = family.links(owner)
         first = links.events(at[:, None], RETARDED)
         delay = (first.first.delay + first.last.delay)[:, 0]
-        mine[which] = _converged(at, delay, _events_near(known.get((pair.source, pair.receiver), []), at))
+        mine[which] = _converged(at, delay, near)
         start[rows], end[rows] = mine[: len(rows)], mine[len(rows) :]
     family = replace(family, start=read_only(start), end=read_only(end))
     kept = np.flatnonzero(start < end)
