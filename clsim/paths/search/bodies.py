@@ -86,12 +86,16 @@ class _Lifted:
         return self._motion.velocity(times)
 
 
+@dataclass(eq=False)
 class BodySearch:
     """How paths by bodies, and what bodies hide, are looked for in a scene; see `find_paths`."""
 
-    def __init__(self, scene: Scene, search: PathOptions) -> None:
+    scene: Scene
+    search: PathOptions
+
+    def __post_init__(self) -> None:
+        scene, search = self.scene, self.search
         check_support("moving", scene.air)
-        self.scene, self.search = scene, search
         self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)
         self.room = scene.room.as_mesh()
         self.obstacles = Obstacles(Mirrors.of(scene), self.room.walls, scene.room.is_convex)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from functools import cache, partial
 from typing import Any
 
@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections, lit_angles, path_over_edge
 from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
+from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
-from clsim.paths.family import PathFamily
+from clsim.paths.family import PairPaths, PathFamily
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.beam_tree import BeamTree
 from clsim.paths.search.bodies import BodySearch, PairQuery
-from clsim.paths.search.edge_chains import joined_over_ends, tied
+from clsim.paths.search.edge_chains import SAME_DELAY, joined_over_ends
 from clsim.paths.search.mesh import BEAM_LIMIT
 from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
@@ -32,6 +33,7 @@ Codes = NDArray[np.signedinteger[Any]]
 
 _ON = 1e-7  # of the room's size; what is nearer to a plane is in it
 _INNER = 1e-9  # share of a way between two hits, from which on the one is not at the other
+_WITHIN = 1e-4  # s between two times at which the same event was found, at most
 ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends
 _END, HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 
@@ -261,3 +263,68 @@ def _joined(chains: Chains, begin: Floats, end: Floats, code: Codes) -> tuple[Ch
     starts = np.flatnonzero(first)
     stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
     return chains.part(starts), begin[starts], end[stops], code[starts]
+
+
+def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
+    """Return the paths with the times at which others begin or end where that is the same event.
+
+    Where sound goes over from one path to another both take the same time: an edge path and the one that passes its
+    edge, or is reflected at it, and a path over an edge and that over the end of it.
+    """
+    start, end = np.array(family.start), np.array(family.end)
+    known: dict[tuple[int, int], list[PairPaths]] = {}
+    for other in others:
+        for pair in other.pairs():
+            known.setdefault((pair.source, pair.receiver), []).append(pair)
+    for pair in family.pairs():
+        rows = pair.index
+        mine = np.concatenate([start[rows], end[rows]])
+        which = np.flatnonzero(np.isfinite(mine))
+        if not len(which):
+            continue
+        at, owner = mine[which], np.concatenate([rows, rows])[which]
+        near = _events_near(known.get((pair.source, pair.receiver), []), at)
+        links: Any = family.links(owner)
+        first = links.events(at[:, None], RETARDED)
+        delay = (first.first.delay + first.last.delay)[:, 0]
+        mine[which] = _converged(at, delay, near)
+        start[rows], end[rows] = mine[: len(rows)], mine[len(rows) :]
+    family = replace(family, start=read_only(start), end=read_only(end))
+    kept = np.flatnonzero(start < end)
+    return family if len(kept) == len(start) else family.part(kept)
+
+
+def _converged(times: Floats, delay: Floats, others: tuple[Floats, Floats, Floats]) -> Floats:
+    """Return the times (n,) at which other paths of the delays (n,) begin or end, or the first of the same event."""
+    found, order = np.array(times), np.argsort(times, kind="stable")
+    theirs, their_delay, their_rate = others
+    for place, i in enumerate(order.tolist()):
+        near = slice(*np.searchsorted(theirs, (times[i] - _WITHIN, times[i] + _WITHIN)).tolist())
+        apart = their_delay[near] + their_rate[near] * (times[i] - theirs[near]) - delay[i]
+        same = theirs[near][np.abs(apart) < SAME_DELAY]
+        if len(same):
+            found[i] = same[np.argmin(np.abs(same - times[i]))]
+            continue
+        before = order[:place][::-1]
+        before = before[: int(np.searchsorted(times[i] - times[before], _WITHIN))]
+        mine = before[np.abs(delay[before] - delay[i]) < SAME_DELAY]
+        found[i] = found[mine[0]] if len(mine) else times[i]
+    return found
+
+
+def _events_near(pairs: Sequence[PairPaths], near: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return when paths begin and end near given times, in order, and their delays and the rates of these, (n,)."""
+    found, near = [np.empty((3, 0))], np.sort(near)
+    for pair in pairs:
+        index = pair.index
+        bounds = np.concatenate([pair.family.start[index], pair.family.end[index]])
+        rows = np.concatenate([index, index])
+        place = np.searchsorted(near, bounds - _WITHIN)
+        close = np.isfinite(bounds) & (np.append(near, np.inf)[place] <= bounds + _WITHIN)
+        for time in np.unique(bounds[close]):
+            here = rows[close & (bounds == time)]
+            arrivals = pair.family.arrivals(here, np.array([time]))
+            found.append(np.stack([np.full(len(here), time), arrivals.delay[:, 0], arrivals.delay_rate[:, 0]]))
+    times, delay, rate = np.concatenate(found, axis=1)
+    order = np.argsort(times, kind="stable")
+    return times[order], delay[order], rate[order]
