@@ -35,7 +35,7 @@ from clsim.render.plan import (
     chunk_of,
     plan_of_part,
 )
-from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
+from clsim.render.source_filters import Emission, SourceFilters
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
@@ -278,7 +278,7 @@ def _allocated(
             split, why = narrow_part.cheapest_split(emission, pairs)
             notes += [why] if why else []
             if split is None:
-                made.append((design_source_filters if options.baseband is None else design_envelope)(emission))
+                made.append(emission.source_filters() if options.baseband is None else design_envelope(emission))
                 offer, why = sampled_channel.offer(emission, made[-1], pairs)
                 notes += [why] if why else []
                 channels += [(i, offer)] if offer else []

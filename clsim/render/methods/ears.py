@@ -20,7 +20,7 @@ from clsim.render.opencl.batches import Fades
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.options import RenderOptions
 from clsim.render.plan import Allocation, PairPart, Plan, plan_of_part
-from clsim.render.source_filters import Emission, design_source_filters
+from clsim.render.source_filters import Emission
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.scene import Scene
@@ -80,7 +80,7 @@ def parts_of(
         for i, emitted in enumerate(emissions):
             silent = all(pair.source != i for pair in centres.pairs)
             emission = Emission.of(i, emitted, centres, options, until, centres, static=silent)
-            made.append(design_source_filters(emission))
+            made.append(emission.source_filters())
     plan = plan_of_part(options, centres, Allocation(), tuple(made), samples)
     left = sorted(set(range(len(tracks.pairs))) - set(pairs))
     return (PairPart(plan, frozenset(pairs)),), tracks.of_scene.among(left)
