@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -329,6 +329,13 @@ class PairPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ScatteredPart(PairPart):
+    """Pairs by scatterers of which the field varies over frequency."""
+
+    name: str  # of the contribution: "shadows" where scatterers have those of their outlines, else "scattered"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ChannelPart(PairPart):
     """Pairs of one source, rendered by impulse responses that are sampled over time; the plan has long blocks."""
 
@@ -348,8 +355,7 @@ class Allocation:
     channels: tuple[ChannelPart, ...] = ()  # pairs of which impulse responses are sampled
     # Pairs with receivers whose channels differ over frequency, by the sound at each one's centre; one part at most.
     ears: tuple[PairPart, ...] = ()
-    shadows: tuple[PairPart, ...] = ()  # pairs by scatterers with shadows of outlines; one part at most
-    scattered: tuple[PairPart, ...] = ()  # by other scatterers whose field varies over frequency; likewise
+    scattered: tuple[ScatteredPart, ...] = ()  # one part of each name at most
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
@@ -357,21 +363,16 @@ class Allocation:
     @property
     def plans(self) -> list[Plan]:
         """Plans of the parts that have one of their own."""
-        return [
-            part.plan
-            for parts in (self.narrow, self.channels, self.ears, self.shadows, self.scattered)
-            for part in parts
-        ]
+        return [part.plan for name in WITH_PLANS for part in getattr(self, name)]
 
     @property
     def claimed(self) -> frozenset[int]:
         """Indices of the pairs that are not rendered path by path."""
-        parts: tuple[PairPart, ...] = (*self.channels, *self.ears, *self.shadows, *self.scattered)
+        parts: tuple[PairPart, ...] = (*self.channels, *self.ears, *self.scattered)
         return self.convolved.union(*(part.pairs for part in parts))
 
-    def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
-        """Return the same with diffuse tails."""
-        return replace(self, tails=tails, notes=(*self.notes, *notes))
+
+WITH_PLANS = "narrow", "channels", "ears", "scattered"  # fields of an allocation whose parts have plans of their own
 
 
 def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import methodcaller
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +27,12 @@ from clsim.render.plan import (
     BLOCKS,
     LONG_BLOCKS,
     SEGMENT,
+    WITH_PLANS,
     Allocation,
     ChannelPart,
     NarrowPart,
-    PairPart,
     Plan,
+    ScatteredPart,
     chunk_of,
     plan_of_part,
 )
@@ -43,7 +44,6 @@ from clsim.tail.zones import DiffuseField, Zones
 from clsim.tracks.pruning import pruned
 from clsim.tracks.tracks import SceneTracks, Tracks, track
 
-_Part = TypeVar("_Part", NarrowPart, ChannelPart, PairPart)
 _MUCH_DB = -20.0  # of the reverberation, above which a note gives it
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
@@ -126,7 +126,7 @@ def plan_tracks(
     carrier = None if options.baseband is None else options.baseband[0]
     segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, receiver_at, carrier)
     chunk = chunk_of(options, samples, receiver_at, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
-    allocation = allocation.with_tails(tails.of_sources, tails.notes)
+    allocation = replace(allocation, tails=tails.of_sources, notes=(*allocation.notes, *tails.notes))
     return Plan(
         options,
         tracks,
@@ -248,8 +248,9 @@ def allocate(
         own = tracks.of_scene.among(sorted(pairs))
         filters, part = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - pairs), own, costly=True)
         plan = plan_of_part(within, tracks, replace(part, narrow=()), filters, samples, blocks, [PER_SAMPLE])
-        more: dict[str, Any] = {name: (PairPart(plan, pairs),), "narrow": others.narrow + part.narrow}
-        others = replace(others, notes=tuple(dict.fromkeys(others.notes + part.notes)), **more)
+        scattered, narrow = (*others.scattered, ScatteredPart(plan, pairs, name)), others.narrow + part.narrow
+        notes = tuple(dict.fromkeys(others.notes + part.notes))
+        others = replace(others, scattered=scattered, narrow=narrow, notes=notes)
     return made, replace(others, convolved=convolved.convolved)
 
 
@@ -342,26 +343,20 @@ def on_device(plan: Plan, device: str | None) -> Plan:
 def moved_to(allocation: Allocation, device: str) -> Allocation:
     """Return the same allocation with envelopes rendered on a device."""
 
-    def moved(parts: tuple[_Part, ...]) -> tuple[_Part, ...]:
-        return tuple(
-            replace(
-                part, plan=replace(part.plan, options=replace(part.plan.options, device=device), builders=[PER_SAMPLE])
-            )
-            for part in parts
-        )
+    def moved(part: Any) -> Any:
+        options = replace(part.plan.options, device=device)
+        return replace(part, plan=replace(part.plan, options=options, builders=[PER_SAMPLE]))
 
-    return replace(
-        allocation, narrow=moved(allocation.narrow), channels=moved(allocation.channels), ears=moved(allocation.ears),
-        shadows=moved(allocation.shadows), scattered=moved(allocation.scattered),
-    )  # fmt: skip
+    parts: dict[str, Any] = {name: tuple(map(moved, getattr(allocation, name))) for name in WITH_PLANS}
+    return replace(allocation, **parts)
 
 
 PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,
-    methodcaller("where_claimed", "shadows", partial(per_sample.of_pairs, "shadows")),
-    methodcaller("where_claimed", "scattered", partial(per_sample.of_pairs, "scattered")),
+    partial(per_sample.of_scattered, "shadows"),
+    partial(per_sample.of_scattered, "scattered"),
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
     methodcaller("where_claimed", "channels", sampled_channel.build),

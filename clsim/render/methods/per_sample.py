@@ -65,13 +65,13 @@ class PathSum:
         return _Sum(self.plan)
 
 
-def of_pairs(name: str, plan: Plan) -> PathSum:
-    """Make the sum over the paths of a field of the allocation, with a plan of their own."""
-    return PathSum(getattr(plan.allocation, name)[0].plan, name)
+def of_scattered(name: str, plan: Plan) -> PathSum | None:
+    """Make the sum over the paths by scatterers of a name, if the allocation has any."""
+    return next((PathSum(part.plan, name) for part in plan.allocation.scattered if part.name == name), None)
 
 
 class Group(NamedTuple):
-    """Pairs with filters of their own: the field of the allocation, their options, indices and lengths of blocks."""
+    """Pairs with filters of their own: name of their part, options, indices and lengths of blocks."""
 
     name: str
     options: RenderOptions
