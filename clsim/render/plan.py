@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, row_name, short_repr
-from clsim.errors import counted
+from clsim.errors import InputError, counted
 from clsim.numerics.resampling import Upsampler
 from clsim.render.baseband import LONG_ENVELOPE_BLOCK, SLOW_CHANGE, WIDEST_SUBBLOCK, Baseband
 from clsim.render.contributions import Contribution
@@ -410,3 +412,24 @@ def plan_of_part(
     rate = options.sampling_rate
     chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)
     return Plan(options, tracks, allocation, filters, rate, samples, chunk, SEGMENT, blocks, builders)
+
+
+@contextmanager
+def within_memory(field: str, what: str, wanted: float) -> Iterator[None]:
+    """Refuse what needs more memory than the machine has, and tell what needed it where less than that is free."""
+    rule = f"must ask for less memory: {what} needs about {wanted / 2**20:.0f} MiB"
+    there = machine_memory()
+    if wanted > there:
+        raise InputError(field, f"{rule}, but the machine has {there / 2**20:.0f} MiB")
+    try:
+        yield
+    except MemoryError as error:
+        raise InputError(field, f"{rule}, but there is not enough memory left") from error
+
+
+def machine_memory() -> float:
+    """Return the machine's memory, bytes; infinite where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):
+        return float("inf")

@@ -23,8 +23,7 @@ from clsim.render.methods.costs import measured_costs
 from clsim.render.options import RenderOptions
 from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_removed, shares, spectra
 from clsim.scene.signal.signal import Signal
-from clsim.tracks.band_sample import band_of
-from clsim.tracks.basis import NO_TILT, Basis, Tilt, flat_basis
+from clsim.tracks.basis import NO_TILT, Basis, Tilt, band_of, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import Tracks

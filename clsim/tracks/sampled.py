@@ -22,7 +22,7 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.curves import CONTINUATION, onward
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.faces import NEAREST
-from clsim.tracks.band_sample import GRIDS, IN_CACHE, Band, Sample
+from clsim.tracks.basis import GRIDS, IN_CACHE, Band, Sample
 from clsim.tracks.tracks import SceneTracks, Tracks
 
 End = TypeVar("End", Source, Receiver)

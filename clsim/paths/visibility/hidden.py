@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats, read_only
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.events import find_events
-from clsim.paths.legs.places import path_vertices
+from clsim.paths.legs.static import path_vertices
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.mesh import report
