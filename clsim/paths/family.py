@@ -273,14 +273,6 @@ class PairPaths:
         """Return responses by channel of the receiver, (C, P, T, F)."""
         return self.family.of_channels(self, found, times, at)
 
-    def shapes(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
-        """Return responses (C, P, T, F) of channels that differ over frequency: one of those that do not."""
-        directivity = self.family.scene.receivers[self.receiver].directivity
-        alike = not isinstance(directivity, ChannelDirectivity) or directivity.is_flat
-        if alike and not self.family.shapes_channels:
-            return self.response(found, times, at)[None]
-        return self.responses(found, times, at)
-
     def lateness(self, found: Arrivals, times: Floats) -> Floats:
         """Return the delays of all channels behind the receiver's centre, (P, T, C), s."""
         receiver = self.family.scene.receivers[self.receiver]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import methodcaller
 from typing import Any
 
@@ -355,8 +354,8 @@ PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,
-    partial(per_sample.of_scattered, "shadows"),
-    partial(per_sample.of_scattered, "scattered"),
+    methodcaller("where_scattered", "shadows", per_sample.PathSum),
+    methodcaller("where_scattered", "scattered", per_sample.PathSum),
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
     methodcaller("where_claimed", "channels", sampled_channel.build),

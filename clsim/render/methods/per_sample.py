@@ -65,11 +65,6 @@ class PathSum:
         return _Sum(self.plan)
 
 
-def of_scattered(name: str, plan: Plan) -> PathSum | None:
-    """Make the sum over the paths by scatterers of a name, if the allocation has any."""
-    return next((PathSum(part.plan, name) for part in plan.allocation.scattered if part.name == name), None)
-
-
 class Group(NamedTuple):
     """Pairs with filters of their own: name of their part, options, indices and lengths of blocks."""
 
