@@ -63,10 +63,7 @@ class PairQuery:
 
     def bounded(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
         """Return intervals that reach from the first look or to the last one as endless."""
-        return (
-            np.where(begin <= self.times[0], -np.inf, begin),
-            np.where(end >= self.times[-1], np.inf, end),
-        )
+        return (np.where(begin <= self.times[0], -np.inf, begin), np.where(end >= self.times[-1], np.inf, end))
 
 
 class _Lifted:

@@ -18,13 +18,7 @@ from clsim.paths.options import PathOptions
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, gap_chain, with_swaps
 from clsim.paths.search.edge_gaps import gap_candidates
-from clsim.paths.search.mesh import (
-    BEAM_LIMIT,
-    LARGEST_MESH_ORDER,
-    float64_device,
-    sides_of_air,
-    visibility_query,
-)
+from clsim.paths.search.mesh import BEAM_LIMIT, LARGEST_MESH_ORDER, float64_device, sides_of_air, visibility_query
 from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.vertices.edge_end import ends_of
@@ -103,13 +97,7 @@ def rows_of(
 
 
 def _source_rows(
-    scene: Scene,
-    edges: Edges,
-    source: int,
-    order: int,
-    search: PathOptions,
-    adjacent: _AdjacentPaths,
-    kind: Kind,
+    scene: Scene, edges: Edges, source: int, order: int, search: PathOptions, adjacent: _AdjacentPaths, kind: Kind
 ) -> tuple[list[dict[str, Any]], float]:
     """Return the paths of a source, one by one, and to which time their ends are found, s."""
     room = scene.room.as_mesh()
