@@ -280,11 +280,14 @@ def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathF
 
     Where both ends sit in one face, its reflection is the direct sound once more, and is scaled with it.
     """
-    each = [np.where(_is_direct(f, levels), levels[f.source, f.receiver], 1.0) for f in families]
-    free = tuple(f.part(np.flatnonzero(level == 1.0)) for f, level in zip(families, each, strict=True))
-    leaks = [
-        _leaking(f, level) for f, level in zip(families, each, strict=True) if np.any((level != 0.0) & (level != 1.0))
-    ]
+    free: list[PathFamily] = []
+    leaks: list[PathFamily] = []
+    for family in families:
+        level = np.where(_is_direct(family, levels), levels[family.source, family.receiver], 1.0)
+        free.append(family.part(np.flatnonzero(level == 1.0)))
+        rows = np.flatnonzero((level != 0.0) & (level != 1.0))
+        if len(rows):
+            leaks.append(replace(cast("Any", family.part(rows)), level=read_only(level[rows])))
     return (*free, *leaks)
 
 
@@ -313,10 +316,3 @@ def _pressure(field: str, value: Any) -> float:
     if not isinstance(value, int | float | np.integer | np.floating) or not value < 0.0:  # neither 1 nor 0 is a level
         raise InputError(field, f"must be True, False or a level below 0 dB, but is {value!r:.80}")
     return float(10.0 ** (as_number(field, value) / 20.0))
-
-
-def _leaking(family: PathFamily, level: Floats) -> PathFamily:
-    """Return the direct paths that leak."""
-    rows = np.flatnonzero((level != 1.0) & (level != 0.0))
-    made: PathFamily = replace(cast("Any", family.part(rows)), level=read_only(level[rows]))
-    return made
