@@ -65,16 +65,13 @@ def centre_tracks(tracks: SceneTracks, pairs: Sequence[int]) -> SceneTracks:
 
 
 def parts_of(
-    emissions: Sequence[tuple[Signal, float]],
-    tracks: Tracks,
-    options: RenderOptions,
-    samples: int,
+    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, options: RenderOptions, samples: int,
     others: frozenset[int],
-) -> tuple[tuple[PairPart, ...], Tracks]:
-    """Return pairs with receivers whose channels differ over frequency, with a plan, and the tracks of all others."""
+) -> tuple[PairPart, ...]:  # fmt: skip
+    """Return pairs with receivers whose channels differ over frequency, with a plan."""
     pairs = [i for i in range(len(tracks.pairs)) if i not in others and can(tracks, options, i) is None]
     if not pairs or tracks.of_scene is None:
-        return (), tracks
+        return ()
     centres, until, made = centre_tracks(tracks.of_scene, pairs), samples / options.sampling_rate, []
     with with_blas_threads(1):
         for i, emitted in enumerate(emissions):
@@ -82,8 +79,7 @@ def parts_of(
             emission = Emission.of(i, emitted, centres, options, until, centres, static=silent)
             made.append(emission.source_filters())
     plan = plan_of_part(options, centres, Allocation(), tuple(made), samples)
-    left = sorted(set(range(len(tracks.pairs))) - set(pairs))
-    return (PairPart(plan, frozenset(pairs)),), tracks.of_scene.among(left)
+    return (PairPart(plan, frozenset(pairs)),)
 
 
 def build(plan: Plan) -> Ears:

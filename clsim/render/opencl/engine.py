@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,14 +175,19 @@ class OpenclEngine:
         return upload(self._context, array)
 
 
+@dataclass(eq=False)
 class Run:
     """Carries out a task, choosing the block length for each segment."""
 
-    _apart = False  # whether each path has a row of its own
-    _divides = True  # whether a few paths can be taken out of a batch
+    _engine: OpenclEngine
+    _task: Task
 
-    def __init__(self, engine: OpenclEngine, task: Task) -> None:
-        self._engine, self._plan, self._task = engine, engine._plan, task
+    _apart: ClassVar[bool] = False  # whether each path has a row of its own
+    _divides: ClassVar[bool] = True  # whether a few paths can be taken out of a batch
+
+    def __post_init__(self) -> None:
+        engine, task = self._engine, self._task
+        self._plan = engine._plan
         self._source, self._batch, self._branches = task.source, task.batch, task.branches
         self._pressure, self._length, self._start = task.pressure, task.length, task.start
         self._origin, self._stride = 0, task.length  # first sample of the chunk in the pressure, and samples of a row
