@@ -180,7 +180,11 @@ class PathFamily(ABC):
         found = hashlib.sha256(self.identity.encode())
         for name, value in self.hashed():
             found.update(name.encode())
-            _hash_value(found, value)
+            if isinstance(value, np.ndarray):
+                found.update(f"{value.dtype.str}{value.shape}".encode())
+                found.update(np.ascontiguousarray(value).tobytes())
+            else:
+                found.update(repr(value).encode())
         return found.hexdigest()
 
     @property
@@ -353,12 +357,3 @@ def ends_at(
         at[mine] = ends[end].trajectory.position(instants[first[mine]])
     out[:] = np.repeat(at, np.diff([*first.tolist(), len(which)]), axis=0)
     return out
-
-
-def _hash_value(found: Any, value: object) -> None:
-    """Add a value to a hash: the type, shape and bytes of an array."""
-    if isinstance(value, np.ndarray):
-        found.update(f"{value.dtype.str}{value.shape}".encode())
-        found.update(np.ascontiguousarray(value).tobytes())
-    else:
-        found.update(repr(value).encode())

@@ -97,7 +97,9 @@ class Draw:
         counts, grids = (_COSTLY, (_FEWER, *GRIDS)) if costly else ((_ROWS, _HELD_OUT), GRIDS)
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
-        total, outlined = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source), _outlined(of_scene)
+        total = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source)
+        vertices = (getattr(pair.family, "vertex", None) for pair in of_scene.pair_paths)
+        outlined = all(getattr(vertex, "outlined", False) for vertex in vertices)
         if costly and _LEAST_WHOLE * total <= min(counts):
             together = sum(counts) * (1 if outlined else _CHEAPER)
             rows = tuple(picked_paths(of_scene, source, until, together, rng, whole=True))
@@ -169,11 +171,6 @@ class Draw:
         middle = begin + 0.5 * float(np.searchsorted(below, [_LATE_SHARE, 1.0 - _LATE_SHARE]).sum())
         samples = round(middle * sampling_rate * (count - 1) / count / width)
         return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
-
-
-def _outlined(tracks: SceneTracks) -> bool:
-    vertices = (getattr(pair.family, "vertex", None) for pair in tracks.pair_paths)
-    return all(getattr(vertex, "outlined", False) for vertex in vertices)
 
 
 def picked_paths(

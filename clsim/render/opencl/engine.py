@@ -345,7 +345,9 @@ class Run:
 
     def _branch_arguments(self, begin: int) -> dict[str, Any]:
         """Return the branch signals for samples of the chunk from `begin` on, as kernels take them."""
-        return {"branches": self._branches.rows, "stride": self._branches.stride, "lead": self._lead(begin)}
+        # Place in a branch signal of the recording's sample `begin` of the chunk, without delay.
+        lead = self._start + begin - self._branches.first // self._plan.source_filters[self._source].oversampling
+        return {"branches": self._branches.rows, "stride": self._branches.stride, "lead": lead}
 
     def _block_arguments(self, nodes: Any, first_block: int) -> dict[str, Any]:
         """Return the polynomials of blocks from one on, as kernels take them."""
@@ -366,10 +368,6 @@ class Run:
     def _fade_work(self, fades: Fades, block: int) -> WorkItems:
         """Return the work-items of blocks in which paths begin or end: samples, places and channels."""
         return work(block, len(fades.row), self._channels, group=math.gcd(block, 32))
-
-    def _lead(self, begin: int) -> int:
-        """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
-        return self._start + begin - self._branches.first // self._plan.source_filters[self._source].oversampling
 
     def _clear_gains(self, nodes: Any, slot: Any, at: Any, count: int) -> None:
         """Clear the gains of paths, by slot and block."""
