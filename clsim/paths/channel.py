@@ -156,12 +156,7 @@ def channel_paths(
 
 
 def channel_taps(
-    scene: Scene,
-    pairs: Pairs,
-    span: tuple[Floats, Floats],
-    times: Floats,
-    band: ChannelBand,
-    kinematics: Kinematics,
+    scene: Scene, pairs: Pairs, span: tuple[Floats, Floats], times: Floats, band: ChannelBand, kinematics: Kinematics
 ) -> tuple[Complexes, int]:
     """Return taps (sources, receivers, L, T) of paths heard from `span[0]` to `span[1]`, s, and the first's index.
 

@@ -160,19 +160,13 @@ def _pieces(motion: Motion, times: Floats) -> Floats:
     after, before = times[:-1] + beside, times[1:] - beside
     step, place = length[:, None], motion.position(times)
     columns = [times[:-1, None], 1.0 / step]
-    columns += _pose_cubics(place, motion.velocity(after) * step, motion.velocity(before) * step)
+    columns += _from_slopes(place, motion.velocity(after) * step, motion.velocity(before) * step)
     turned = motion.orientation(times)
     turn = [motion.angular_velocity(t) * step for t in (after, before)]
     for axis in np.eye(3)[:2]:
         moved = rotate(turned, axis)
-        columns += _pose_cubics(moved, cross_product(turn[0], moved[:-1]), cross_product(turn[1], moved[1:]))
+        columns += _from_slopes(moved, cross_product(turn[0], moved[:-1]), cross_product(turn[1], moved[1:]))
     return np.concatenate(columns, axis=1)
-
-
-def _pose_cubics(values: Floats, after: Floats, before: Floats) -> list[Floats]:
-    """Return coefficients between neighbouring values (n, 3), lowest power first, from slopes at both ends of each."""
-    v0, v1 = values[:-1], values[1:]
-    return [v0, after, 3.0 * (v1 - v0) - 2.0 * after - before, after + before - 2.0 * (v1 - v0)]
 
 
 def _is_right(motion: Motion, radius: float, end: float, rate: float, tolerance: float) -> bool:

@@ -180,7 +180,11 @@ class PathFamily(ABC):
         found = hashlib.sha256(self.identity.encode())
         for name, value in self.hashed():
             found.update(name.encode())
-            _hash_value(found, value)
+            if isinstance(value, np.ndarray):
+                found.update(f"{value.dtype.str}{value.shape}".encode())
+                found.update(np.ascontiguousarray(value).tobytes())
+            else:
+                found.update(repr(value).encode())
         return found.hexdigest()
 
     @property
@@ -273,14 +277,6 @@ class PairPaths:
         """Return responses by channel of the receiver, (C, P, T, F)."""
         return self.family.of_channels(self, found, times, at)
 
-    def shapes(self, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
-        """Return responses (C, P, T, F) of channels that differ over frequency: one of those that do not."""
-        directivity = self.family.scene.receivers[self.receiver].directivity
-        alike = not isinstance(directivity, ChannelDirectivity) or directivity.is_flat
-        if alike and not self.family.shapes_channels:
-            return self.response(found, times, at)[None]
-        return self.responses(found, times, at)
-
     def lateness(self, found: Arrivals, times: Floats) -> Floats:
         """Return the delays of all channels behind the receiver's centre, (P, T, C), s."""
         receiver = self.family.scene.receivers[self.receiver]
@@ -361,12 +357,3 @@ def ends_at(
         at[mine] = ends[end].trajectory.position(instants[first[mine]])
     out[:] = np.repeat(at, np.diff([*first.tolist(), len(which)]), axis=0)
     return out
-
-
-def _hash_value(found: Any, value: object) -> None:
-    """Add a value to a hash: the type, shape and bytes of an array."""
-    if isinstance(value, np.ndarray):
-        found.update(f"{value.dtype.str}{value.shape}".encode())
-        found.update(np.ascontiguousarray(value).tobytes())
-    else:
-        found.update(repr(value).encode())

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, as_number, read_only
+from clsim.arrays import Floats, as_count, as_number, read_only
 from clsim.errors import InputError, warn
 from clsim.keywords import keywords_of
 from clsim.paths.arrivals import QUASI_STATIC
+from clsim.paths.chain import Chain
 from clsim.paths.family import BODY, SPECULAR, PathFamily
+from clsim.paths.legs.static import image_columns
 from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
@@ -27,7 +29,6 @@ from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
 from clsim.paths.search.edges import double_edge_paths, edge_paths, gap_edge_paths
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
-from clsim.paths.search.shoebox import shoebox_paths
 from clsim.paths.vertices.scatterer_pair import scatterer_pair_paths
 from clsim.paths.visibility.hidden import behind_bodies
 from clsim.paths.without_edges import warn_without_edges, warn_without_shadows
@@ -83,8 +84,8 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
         found = at_one_time(scene, found, resolution_of(scene, options.resolution))
     if scene.bodies:
         bodies = BodySearch(scene, options)
-        found = tuple(behind_bodies(bodies, family, next(parts).notify) for family in found)
-        found = (*found, bodies.paths(next(parts).notify))
+        by_bodies = bodies.paths(next(parts).notify)
+        found = (*(behind_bodies(bodies, family, next(parts).notify) for family in found), by_bodies)
         for of_bodies in OVER_BODIES[:edges]:
             found = (*found, of_bodies(bodies, found))
     if scene.scatterers:
@@ -158,6 +159,79 @@ def _specular_paths(scene: Scene, search: PathOptions) -> PathFamily:
     return find(scene, scene.room, search)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ShoeboxImages:
+    """Images of one source: isometries of its trajectory, the same wherever it is."""
+
+    order: NDArray[np.int32]  # (images,) number of reflections
+    walls: NDArray[np.int8]  # (images, max_order) walls from the source's side, filled up with -1
+    matrix: Floats  # (images, 3, 3) orthogonal matrix A of ``x -> A x + b``
+    offset: Floats  # (images, 3) offset b, m
+
+
+def shoebox_paths(scene: Scene, room: Shoebox, search: PathOptions) -> Chain:
+    """Return every path of a shoebox up to an order: each image is active all the time."""
+    order = as_count("max_order", search.max_order, at_most=_LARGEST_ORDER)
+    pairs, images = len(scene.sources) * len(scene.receivers), shoebox_image_count(order)
+    if images * pairs > search.path_limit:
+        raise InputError(
+            "max_order",
+            f"must give at most {search.path_limit} paths (path_limit), but {order} gives {images} images "
+            f"for each of {pairs} pairs of source and receiver",
+        )
+    found = shoebox_images(room.size, order)
+    source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
+    ends = [read_only(which.astype(np.int32, copy=False)) for which in (source, receiver)]
+    begin, end = np.broadcast_to(-np.inf, images * pairs), np.broadcast_to(np.inf, images * pairs)
+    walls, orders = read_only(np.tile(found.walls, (pairs, 1))), read_only(np.tile(found.order, pairs))
+    matrix, offset = read_only(np.tile(found.matrix, (pairs, 1, 1))), read_only(np.tile(found.offset, (pairs, 1)))
+    return Chain(scene, ends[0], ends[1], orders, begin, end, **image_columns(walls, matrix, offset))
+
+
+def shoebox_image_count(max_order: int) -> int:
+    """Return the number of images of a shoebox up to an order: ``1 + 2 N (2 N^2 + 3 N + 4) / 3``."""
+    n = max_order
+    return 1 + 2 * n * (2 * n * n + 3 * n + 4) // 3
+
+
+def shoebox_images(size: Floats, max_order: int) -> ShoeboxImages:
+    """Return every image of a shoebox up to an order, sorted by order.
+
+    Shapes: size (3,) m.
+
+    Along one axis, cell m of the mirrored rooms holds the image ``m L + x`` for even m and ``(m + 1) L - x`` for odd m,
+    after ``|m|`` reflections: on the maximum wall last for m > 0, on the minimum wall last for m < 0 (Allen and
+    Berkley, J. Acoust. Soc. Am. 65, 1979). Reflections are listed axis by axis, x first: in which order a path meets
+    walls of different axes depends on where its ends are.
+    """
+    cells = np.arange(-max_order, max_order + 1)
+    grid = np.stack(np.meshgrid(cells, cells, cells, indexing="ij"), axis=-1).reshape(-1, 3)
+    order = np.abs(grid).sum(axis=1)
+    grid, order = grid[order <= max_order], order[order <= max_order]
+    rank = np.lexsort((grid[:, 2], grid[:, 1], grid[:, 0], order))
+    grid, order = grid[rank], order[rank]
+    odd = grid % 2 != 0
+    matrix = np.zeros((len(grid), 3, 3))
+    matrix[:, range(3), range(3)] = np.where(odd, -1.0, 1.0)
+    offset = np.where(odd, grid + 1, grid) * np.asarray(size, dtype=np.float64)
+    return ShoeboxImages(order.astype(np.int32), _walls(grid, max_order), matrix, offset)
+
+
+def _walls(grid: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
+    """List the walls of every image: along an axis they alternate and end on the side of the cell."""
+    walls = np.full((len(grid), max_order), -1, dtype=np.int8)
+    before = np.zeros(len(grid), dtype=np.int64)
+    for axis in range(3):
+        count = np.abs(grid[:, axis])
+        last = 2 * axis + (grid[:, axis] > 0)
+        for step in range(max_order):
+            row = np.flatnonzero(step < count)
+            # The last reflection is on `last`; each one before it is on the opposite wall of the next.
+            walls[row, before[row] + step] = last[row] ^ ((count[row] - 1 - step) % 2)
+        before += count
+    return walls
+
+
 _KINDS = 0, 1, 4  # of paths over edges, by `diffraction`
 OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths, end_edge_paths
 OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths
@@ -165,6 +239,7 @@ ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_p
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet
 
 
+_LARGEST_ORDER = 60  # of a shoebox
 _FLUSH = 5e-6  # m over a face, up to which an end sits in it
 
 
@@ -205,11 +280,14 @@ def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathF
 
     Where both ends sit in one face, its reflection is the direct sound once more, and is scaled with it.
     """
-    each = [np.where(_is_direct(f, levels), levels[f.source, f.receiver], 1.0) for f in families]
-    free = tuple(f.part(np.flatnonzero(level == 1.0)) for f, level in zip(families, each, strict=True))
-    leaks = [
-        _leaking(f, level) for f, level in zip(families, each, strict=True) if np.any((level != 0.0) & (level != 1.0))
-    ]
+    free: list[PathFamily] = []
+    leaks: list[PathFamily] = []
+    for family in families:
+        level = np.where(_is_direct(family, levels), levels[family.source, family.receiver], 1.0)
+        free.append(family.part(np.flatnonzero(level == 1.0)))
+        rows = np.flatnonzero((level != 0.0) & (level != 1.0))
+        if len(rows):
+            leaks.append(replace(cast("Any", family.part(rows)), level=read_only(level[rows])))
     return (*free, *leaks)
 
 
@@ -238,10 +316,3 @@ def _pressure(field: str, value: Any) -> float:
     if not isinstance(value, int | float | np.integer | np.floating) or not value < 0.0:  # neither 1 nor 0 is a level
         raise InputError(field, f"must be True, False or a level below 0 dB, but is {value!r:.80}")
     return float(10.0 ** (as_number(field, value) / 20.0))
-
-
-def _leaking(family: PathFamily, level: Floats) -> PathFamily:
-    """Return the direct paths that leak."""
-    rows = np.flatnonzero((level != 1.0) & (level != 0.0))
-    made: PathFamily = replace(cast("Any", family.part(rows)), level=read_only(level[rows]))
-    return made

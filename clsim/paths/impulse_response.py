@@ -94,6 +94,8 @@ def impulse_response(
     rank matrices", SIAM J. Sci. Comput. 26(4), 2005). For each of these few, the impulses of all paths are summed, and
     the sum's spectrum is multiplied by the response, taken at every frequency of the transform.
     """
+    from scipy.fft import next_fast_len
+
     late = delays * sampling_rate
     reach = math.ceil(band.ringing * sampling_rate)
     first = math.floor(float(late.min())) - reach
@@ -101,7 +103,7 @@ def impulse_response(
     few, weights = _skeleton(responses, len(delays), span, sampling_rate, band)
     spare = _SPARE
     while True:
-        size = _fast(span + spare)
+        size = int(next_fast_len(span + spare + (span + spare) % 2, real=True))
         taps = _synthesis(late - first, few, weights, responses, sampling_rate, band, size)
         # What walls make of an arrival comes after it, and before it: the transform goes round.
         middle = span + (size - span) // 2
@@ -118,12 +120,6 @@ def summed(responses: list[ImpulseResponse]) -> ImpulseResponse:
         return responses[0]
     first, last = min(r.first for r in responses), max(r.last for r in responses)
     return ImpulseResponse(first, np.sum([r.read(first, last + 1) for r in responses], axis=0))
-
-
-def _fast(size: int) -> int:
-    from scipy.fft import next_fast_len
-
-    return int(next_fast_len(size + size % 2, real=True))
 
 
 def _skeleton(

@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 from clsim.arrays import Complexes, Floats, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError, counted, old_names
 from clsim.paths.arrivals import Kinematics, slices_of
-from clsim.paths.channel import (
-    ChannelBand,
-    ChannelPaths,
-    ChannelTaps,
-    DelayDoppler,
-    channel_paths,
-    channel_taps,
-)
+from clsim.paths.channel import ChannelBand, ChannelPaths, ChannelTaps, DelayDoppler, channel_paths, channel_taps
 from clsim.paths.family import SPECULAR, TRANSMISSION, PairPaths, PathFamily
 from clsim.paths.path_table import PathTable
 from clsim.paths.view import paths_page

@@ -187,7 +187,8 @@ def _widths(scene: Scene) -> Floats:
         parts = [_least_widths(scene.room.as_mesh().walls)]
     parts += [_least_widths(body.mesh.walls) for body in scene.bodies]
     found = np.concatenate(parts)
-    return found if np.any(found < _zone(_longest_wave(scene), _FARTHEST)) else found[:0]
+    longest = float(scene.air.speed_of_sound / min(source.emitted.centre_frequency for source in scene.sources))
+    return found if np.any(found < _zone(longest, _FARTHEST)) else found[:0]
 
 
 def _least_widths(walls: Walls) -> Floats:
@@ -207,10 +208,6 @@ def _diffracts(scene: Scene, wall: int) -> bool:
     return bool(np.any(scene.room.as_mesh().edges(wall).faces == wall))
 
 
-def _longest_wave(scene: Scene) -> float:
-    return float(scene.air.speed_of_sound / min(source.emitted.centre_frequency for source in scene.sources))
-
-
 def _zone(wave: float, length: float) -> float:
     """Width of the first Fresnel zone half-way along a path, m: an upper bound elsewhere."""
     return float(np.sqrt(wave * length))
@@ -218,15 +215,16 @@ def _zone(wave: float, length: float) -> float:
 
 def _small_faces(pair: PairPaths, widths: Floats) -> Iterator[tuple[float, str, float, float, int]]:
     """Yield level, name of the face, widths of the face and of the Fresnel zone, and the face."""
-    family, rows = pair.family, pair.index
+    family, rows, scene = pair.family, pair.index, pair.family.scene
     kinds, objects = family.interactions[rows], family.objects[rows]
-    face = np.where(kinds == SPECULAR, objects, objects + len(family.scene.room.faces.names))
+    face = np.where(kinds == SPECULAR, objects, objects + len(scene.room.faces.names))
     met = (kinds == SPECULAR) | (kinds == BODY)
     width = np.where(met, widths[np.where(met, face, 0)], np.inf)
-    source = family.scene.sources[pair.source]
-    wave = family.scene.air.speed_of_sound / source.emitted.centre_frequency
+    wave = scene.air.speed_of_sound / scene.sources[pair.source].emitted.centre_frequency
+    until = known_until([*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()])
     for row in np.flatnonzero(width.min(axis=1, initial=np.inf) < _zone(wave, _FARTHEST))[:_MOST_ROWS].tolist():
-        time = _middle(family.scene, family.start[rows[row]], family.end[rows[row]])
+        start, end = family.start[rows[row]], family.end[rows[row]]
+        time = 0.5 * (max(start, 0.0) + min(end, max(until, start, 0.0)))
         places = family.vertices(rows[row : row + 1], time)[0]
         before = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
         length = before[np.isfinite(before)][-1]
@@ -234,19 +232,9 @@ def _small_faces(pair: PairPaths, widths: Floats) -> Iterator[tuple[float, str, 
             zone = 2.0 * np.sqrt(wave * before[k] * (length - before[k]) / length)
             if width[row, k] < zone:
                 level = _level_db(pair.part(np.array([row])), time)
-                name = _name(pair, int(kinds[row, k]), int(objects[row, k]))
+                names = scene.room.faces.names if kinds[row, k] == SPECULAR else family.object_names
                 if level > _SOFTEST_DB:
-                    yield level, name, float(width[row, k]), float(zone), int(face[row, k])
-
-
-def _name(pair: PairPaths, kind: int, thing: int) -> str:
-    return pair.family.scene.room.faces.names[thing] if kind == SPECULAR else pair.family.object_names[thing]
-
-
-def _middle(scene: Scene, start: float, end: float) -> float:
-    until = known_until([*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()])
-    first, last = max(start, 0.0), min(end, max(until, start, 0.0))
-    return 0.5 * (first + last)
+                    yield level, names[objects[row, k]], float(width[row, k]), float(zone), int(face[row, k])
 
 
 def _level_db(pair: PairPaths, time: float) -> float:
@@ -272,18 +260,13 @@ def _jumps(paths: PathSet) -> Iterator[float]:
         if not len(events):
             continue
         events = events[np.unique(np.linspace(0, len(events) - 1, _MOST_EVENTS).astype(int))]
-        terms = np.concatenate([_phasors(pair, events) for pair in pairs])
+        found = [(pair, pair.arrivals(events)) for pair in pairs]  # also where they are not active
+        frequency = scene.sources[source].emitted.centre_frequency
+        terms = np.concatenate([p.gain(x, events) * np.exp(-2j * np.pi * frequency * x.delay) for p, x in found])
         for which, event in enumerate(events.tolist()):
             born, gone = (np.abs(x - event) < _SAME_EVENT for x in (start, end))
             strongest = np.abs(np.where((start <= event) & (end >= event), terms[:, which], 0.0)).max()
             yield float(np.abs(np.sum(terms[born, which]) - np.sum(terms[gone, which])) / max(strongest, 1e-300))
-
-
-def _phasors(pair: PairPaths, times: Floats) -> NDArray[Any]:
-    """Compute the phasors (P, T) of paths at the centre frequency of the signal, also where they are not active."""
-    found = pair.arrivals(times)
-    frequency = pair.family.scene.sources[pair.source].emitted.centre_frequency
-    return np.asarray(pair.gain(found, times) * np.exp(-2j * np.pi * frequency * found.delay))
 
 
 def warn_without_shadows(paths: PathSet, scattering_order: int) -> None:

@@ -20,7 +20,7 @@ from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.opencl.batches import CELL
-from clsim.render.source_filters import Emission, SourceFilters, design_source_filters, filtered
+from clsim.render.source_filters import Emission, SourceFilters, filtered
 from clsim.render.tilt import MOST_TILT, WHOLE, Stretches, cheapest, stretches_of
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 from clsim.scene.signal.signal import Signal
@@ -407,7 +407,7 @@ class NarrowFilters(EnvelopeFilters):
 
 def design_split(emission: Emission, split: Split) -> tuple[RestFilters, tuple[NarrowFilters, ...]]:
     """Return the filters for what narrow parts leave of a source's signal, and for each of these."""
-    rest = design_source_filters(replace(emission, sound=split.rest_of(emission.sound)))
+    rest = replace(emission, sound=split.rest_of(emission.sound)).source_filters()
     parts = []
     for band in split.bands:
         within = replace(emission.options, baseband=band.baseband, narrowband=None)

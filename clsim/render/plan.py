@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import InitVar, dataclass, field, replace
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, row_name, short_repr
-from clsim.errors import counted
+from clsim.errors import InputError, counted
 from clsim.numerics.resampling import Upsampler
 from clsim.render.baseband import LONG_ENVELOPE_BLOCK, SLOW_CHANGE, WIDEST_SUBBLOCK, Baseband
 from clsim.render.contributions import Contribution
@@ -149,6 +151,10 @@ class Plan:
     def where_claimed(self, claim: str, build: Callable[[Plan], Contribution]) -> Contribution | None:
         """Build a contribution by `build` of the plan if the allocation's `claim` holds something, else None."""
         return build(self) if any(part is not None for part in getattr(self.allocation, claim)) else None
+
+    def where_scattered(self, name: str, build: Callable[[Plan, str], Contribution]) -> Contribution | None:
+        """Build a contribution by `build` of the plan of scatterers' pairs of a name if there are any, else None."""
+        return next((build(part.plan, name) for part in self.allocation.scattered if part.name == name), None)
 
     def where_left(self, build: Callable[[Plan], Contribution]) -> Contribution | None:
         """Build a contribution by `build` of the plan if other methods leave a pair, else None."""
@@ -329,6 +335,13 @@ class PairPart:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ScatteredPart(PairPart):
+    """Pairs by scatterers of which the field varies over frequency."""
+
+    name: str  # of the contribution: "shadows" where scatterers have those of their outlines, else "scattered"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ChannelPart(PairPart):
     """Pairs of one source, rendered by impulse responses that are sampled over time; the plan has long blocks."""
 
@@ -348,8 +361,7 @@ class Allocation:
     channels: tuple[ChannelPart, ...] = ()  # pairs of which impulse responses are sampled
     # Pairs with receivers whose channels differ over frequency, by the sound at each one's centre; one part at most.
     ears: tuple[PairPart, ...] = ()
-    shadows: tuple[PairPart, ...] = ()  # pairs by scatterers with shadows of outlines; one part at most
-    scattered: tuple[PairPart, ...] = ()  # by other scatterers whose field varies over frequency; likewise
+    scattered: tuple[ScatteredPart, ...] = ()  # one part of each name at most
     tails: tuple[SourceTail | None, ...] = ()  # diffuse tail by source; empty without tails
     # Why a method is not used although it would be cheaper or was requested, a sentence each.
     notes: tuple[str, ...] = ()
@@ -357,21 +369,16 @@ class Allocation:
     @property
     def plans(self) -> list[Plan]:
         """Plans of the parts that have one of their own."""
-        return [
-            part.plan
-            for parts in (self.narrow, self.channels, self.ears, self.shadows, self.scattered)
-            for part in parts
-        ]
+        return [part.plan for name in WITH_PLANS for part in getattr(self, name)]
 
     @property
     def claimed(self) -> frozenset[int]:
         """Indices of the pairs that are not rendered path by path."""
-        parts: tuple[PairPart, ...] = (*self.channels, *self.ears, *self.shadows, *self.scattered)
+        parts: tuple[PairPart, ...] = (*self.channels, *self.ears, *self.scattered)
         return self.convolved.union(*(part.pairs for part in parts))
 
-    def with_tails(self, tails: tuple[SourceTail | None, ...], notes: tuple[str, ...]) -> Allocation:
-        """Return the same with diffuse tails."""
-        return replace(self, tails=tails, notes=(*self.notes, *notes))
+
+WITH_PLANS = "narrow", "channels", "ears", "scattered"  # fields of an allocation whose parts have plans of their own
 
 
 def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:
@@ -409,3 +416,24 @@ def plan_of_part(
     rate = options.sampling_rate
     chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)
     return Plan(options, tracks, allocation, filters, rate, samples, chunk, SEGMENT, blocks, builders)
+
+
+@contextmanager
+def within_memory(field: str, what: str, wanted: float) -> Iterator[None]:
+    """Refuse what needs more memory than the machine has, and tell what needed it where less than that is free."""
+    rule = f"must ask for less memory: {what} needs about {wanted / 2**20:.0f} MiB"
+    there = machine_memory()
+    if wanted > there:
+        raise InputError(field, f"{rule}, but the machine has {there / 2**20:.0f} MiB")
+    try:
+        yield
+    except MemoryError as error:
+        raise InputError(field, f"{rule}, but there is not enough memory left") from error
+
+
+def machine_memory() -> float:
+    """Return the machine's memory, bytes; infinite where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):
+        return float("inf")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import methodcaller
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -27,15 +26,16 @@ from clsim.render.plan import (
     BLOCKS,
     LONG_BLOCKS,
     SEGMENT,
+    WITH_PLANS,
     Allocation,
     ChannelPart,
     NarrowPart,
-    PairPart,
     Plan,
+    ScatteredPart,
     chunk_of,
     plan_of_part,
 )
-from clsim.render.source_filters import Emission, SourceFilters, design_source_filters
+from clsim.render.source_filters import Emission, SourceFilters
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.tail.design import ULTRASOUND, SourceTail, TailOptions, find_tail, searched_order
@@ -43,7 +43,6 @@ from clsim.tail.zones import DiffuseField, Zones
 from clsim.tracks.pruning import pruned
 from clsim.tracks.tracks import SceneTracks, Tracks, track
 
-_Part = TypeVar("_Part", NarrowPart, ChannelPart, PairPart)
 _MUCH_DB = -20.0  # of the reverberation, above which a note gives it
 _FAINT_DB = -60.0  # of all energy, below which a tail is not rendered
 
@@ -122,23 +121,13 @@ def plan_tracks(
     rate = options.sampling_rate
     receiver_at = rate if options.baseband is None else options.baseband[2] or rate
     samples = _samples(emissions, tracks, receiver_at, options.duration, ringing, tails.duration)
-    filters, allocation = allocate(emissions, tracks, options, samples)
+    filters, allocation = _Request(emissions, tracks, options, samples).allocated()
     carrier = None if options.baseband is None else options.baseband[0]
     segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, receiver_at, carrier)
     chunk = chunk_of(options, samples, receiver_at, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
-    allocation = allocation.with_tails(tails.of_sources, tails.notes)
+    allocation = replace(allocation, tails=tails.of_sources, notes=(*allocation.notes, *tails.notes))
     return Plan(
-        options,
-        tracks,
-        allocation,
-        filters,
-        receiver_at,
-        samples,
-        chunk,
-        segment,
-        blocks,
-        _builders(),
-        left_out=left_out,
+        options, tracks, allocation, filters, receiver_at, samples, chunk, segment, blocks, _builders(), left_out
     )
 
 
@@ -229,106 +218,98 @@ def _without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
     return (f'{much} (tail="auto" adds it)',) if left > _MUCH_DB else ()
 
 
-def allocate(
-    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, options: RenderOptions, samples: int
-) -> tuple[tuple[SourceFilters, ...], Allocation]:
-    """Return the filters of what each source emits, and the allocation, for a recording of a length in samples."""
-    convolved = Allocation(static.pairs_at_rest(tracks, options))
-    parts, rest = ears.parts_of(emissions, tracks, options, samples, convolved.convolved)
-    convolved = replace(convolved, ears=parts)
-    groups = per_sample.scattered_groups(tracks, convolved, options)
-    if not groups or tracks.of_scene is None:
-        return _allocated(emissions, tracks, options, samples, convolved, rest)
-    # Their responses need many more functions of frequency than others, which these would all have to take.
-    all_of_it, alone = frozenset(range(len(tracks.pairs))), frozenset[int]().union(*(g.pairs for g in groups))
-    others = replace(convolved, convolved=convolved.convolved | alone)
-    rest = tracks.of_scene.among(sorted(all_of_it - alone - convolved.claimed | convolved.convolved))
-    made, others = _allocated(emissions, tracks, options, samples, others, rest)
-    for name, within, pairs, blocks in groups:
-        own = tracks.of_scene.among(sorted(pairs))
-        filters, part = _allocated(emissions, tracks, within, samples, Allocation(all_of_it - pairs), own, costly=True)
-        plan = plan_of_part(within, tracks, replace(part, narrow=()), filters, samples, blocks, [PER_SAMPLE])
-        more: dict[str, Any] = {name: (PairPart(plan, pairs),), "narrow": others.narrow + part.narrow}
-        others = replace(others, notes=tuple(dict.fromkeys(others.notes + part.notes)), **more)
-    return made, replace(others, convolved=convolved.convolved)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Request:
+    """What is to be rendered."""
 
+    emissions: Sequence[tuple[Signal, float]]  # by source: the signal, and its start, s
+    tracks: Tracks
+    options: RenderOptions
+    samples: int  # of the recording
 
-def _allocated(
-    emissions: Sequence[tuple[Signal, float]],
-    tracks: Tracks,
-    options: RenderOptions,
-    samples: int,
-    claimed: Allocation,
-    drawn_from: Tracks,
-    costly: bool = False,
-) -> tuple[tuple[SourceFilters, ...], Allocation]:
-    """Return filters and allocation of pairs that are not claimed, by responses on some tracks; by few, if costly."""
-    rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
-    made: list[SourceFilters] = []
-    narrow: list[tuple[int, NarrowFilters]] = []
-    channels: list[tuple[int, sampled_channel.ChannelOffer]] = []
-    notes: list[str] = []
-    with with_blas_threads(1):
-        for i, emitted in enumerate(emissions):
-            mine = {k for k, pair in enumerate(tracks.pairs) if pair.source == i}
-            pairs = sorted(mine - claimed.claimed)
-            emission = Emission.of(
-                i, emitted, tracks, options, samples / rate, drawn_from, static=bool(mine) and not pairs, costly=costly
-            )
-            split, why = narrow_part.cheapest_split(emission, pairs)
-            notes += [why] if why else []
-            if split is None:
-                made.append((design_source_filters if options.baseband is None else design_envelope)(emission))
-                offer, why = sampled_channel.offer(emission, made[-1], pairs)
+    def allocated(self) -> tuple[tuple[SourceFilters, ...], Allocation]:
+        """Return the filters of what each source emits, and the allocation."""
+        tracks, options = self.tracks, self.options
+        convolved = Allocation(static.pairs_at_rest(tracks, options))
+        parts = ears.parts_of(self.emissions, tracks, options, self.samples, convolved.convolved)
+        convolved = replace(convolved, ears=parts)
+        groups = per_sample.scattered_groups(tracks, convolved, options)
+        # Their responses need many more functions of frequency than others, which these would all have to take.
+        everyone, alone = frozenset(range(len(tracks.pairs))), frozenset[int]().union(*(g.pairs for g in groups))
+        others = replace(convolved, convolved=convolved.convolved | alone)
+        made, others = self._of(others, everyone - alone.union(*(part.pairs for part in parts)))
+        for name, within, pairs, blocks in groups:
+            filters, part = replace(self, options=within)._of(Allocation(everyone - pairs), pairs, costly=True)
+            alike = replace(part, narrow=())
+            plan = plan_of_part(within, tracks, alike, filters, self.samples, blocks, [PER_SAMPLE])
+            scattered, narrow = (*others.scattered, ScatteredPart(plan, pairs, name)), others.narrow + part.narrow
+            notes = tuple(dict.fromkeys(others.notes + part.notes))
+            others = replace(others, scattered=scattered, narrow=narrow, notes=notes)
+        return made, replace(others, convolved=convolved.convolved)
+
+    def _of(
+        self, claimed: Allocation, drawn: frozenset[int], costly: bool = False
+    ) -> tuple[tuple[SourceFilters, ...], Allocation]:
+        """Return filters and allocation of pairs that are not claimed, by responses of some; by few, if costly."""
+        tracks, options = self.tracks, self.options
+        rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
+        drawn_from = tracks
+        if tracks.of_scene is not None and len(drawn) < len(tracks.pairs):
+            drawn_from = tracks.of_scene.among(sorted(drawn))
+        made: list[SourceFilters] = []
+        narrow: list[tuple[int, NarrowFilters]] = []
+        channels: list[tuple[int, sampled_channel.ChannelOffer]] = []
+        notes: list[str] = []
+        with with_blas_threads(1):
+            for i, emitted in enumerate(self.emissions):
+                mine = {k for k, pair in enumerate(tracks.pairs) if pair.source == i}
+                pairs = sorted(mine - claimed.claimed)
+                at_rest, until = bool(mine) and not pairs, self.samples / rate
+                emission = Emission.of(i, emitted, tracks, options, until, drawn_from, static=at_rest, costly=costly)
+                split, why = narrow_part.cheapest_split(emission, pairs)
                 notes += [why] if why else []
-                channels += [(i, offer)] if offer else []
-            else:
-                rest, bands = design_split(emission, split)
-                made.append(rest)
-                narrow += [(i, filters) for filters in bands]
-    carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
-    parts = tuple(_narrow_part(carrier, narrow, tracks, claimed, options, samples) for carrier in carriers)
-    sampled = tuple(_channel_part(i, offer, tuple(made), options, samples) for i, offer in channels)
-    return tuple(made), replace(claimed, narrow=parts, channels=sampled, notes=tuple(notes))
+                if split is None:
+                    made.append(emission.source_filters() if options.baseband is None else design_envelope(emission))
+                    offer, why = sampled_channel.offer(emission, made[-1], pairs)
+                    notes += [why] if why else []
+                    channels += [(i, offer)] if offer else []
+                else:
+                    rest, bands = design_split(emission, split)
+                    made.append(rest)
+                    narrow += [(i, filters) for filters in bands]
+        carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
+        parts = tuple(self._narrow_part(carrier, narrow, claimed) for carrier in carriers)
+        sampled = tuple(self._channel_part(i, offer, tuple(made)) for i, offer in channels)
+        return tuple(made), replace(claimed, narrow=parts, channels=sampled, notes=tuple(notes))
 
+    def _narrow_part(
+        self, carrier: tuple[float, float], narrow: list[tuple[int, NarrowFilters]], claimed: Allocation
+    ) -> NarrowPart:
+        """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
+        tracks, rate = self.tracks, self.options.sampling_rate
+        mine = {i: filters for i, filters in narrow if (filters.carrier, filters.rate) == carrier}
+        # Others have no paths in it; what stands for their filters is not looked at.
+        first = next(iter(mine.values()))
+        filters = tuple(mine.get(i, first) for i in range(tracks.source_count))
+        band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
+        upsampler = Upsampler.about(carrier[0], rate, first.mixer.every, 0.5 * band.bandwidth)
+        within = replace(self.options, baseband=band, narrowband=None, chunk=None)
+        others = claimed.claimed | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
+        blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
+        count, segment = math.ceil(self.samples / upsampler.every) + upsampler.reach, segment_of(blocks)
+        chunk = chunk_of(within, count, carrier[1], segment, sum(map(len, tracks.channels)), tracks.longest_delay)
+        alone, builders = Allocation(frozenset(others)), [PER_SAMPLE]
+        plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
+        return NarrowPart(plan, tuple(mine), upsampler)
 
-def _narrow_part(
-    carrier: tuple[float, float],
-    narrow: list[tuple[int, NarrowFilters]],
-    tracks: Tracks,
-    claimed: Allocation,
-    options: RenderOptions,
-    samples: int,
-) -> NarrowPart:
-    """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
-    mine = {i: filters for i, filters in narrow if (filters.carrier, filters.rate) == carrier}
-    # Others have no paths in it; what stands for their filters is not looked at.
-    first = next(iter(mine.values()))
-    filters = tuple(mine.get(i, first) for i in range(tracks.source_count))
-    band = Baseband(carrier[0], 2.0 * max(f.band - f.carrier for f in mine.values()), carrier[1])
-    upsampler = Upsampler.about(carrier[0], options.sampling_rate, first.mixer.every, 0.5 * band.bandwidth)
-    within = replace(options, baseband=band, narrowband=None, chunk=None)
-    others = claimed.claimed | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
-    blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
-    count, segment = math.ceil(samples / upsampler.every) + upsampler.reach, segment_of(blocks)
-    chunk = chunk_of(within, count, carrier[1], segment, sum(map(len, tracks.channels)), tracks.longest_delay)
-    alone, builders = Allocation(frozenset(others)), [PER_SAMPLE]
-    plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
-    return NarrowPart(plan, tuple(mine), upsampler)
-
-
-def _channel_part(
-    source: int,
-    offer: sampled_channel.ChannelOffer,
-    filters: tuple[SourceFilters, ...],
-    options: RenderOptions,
-    samples: int,
-) -> ChannelPart:
-    """Return the pairs of a source whose impulse responses are sampled, with a plan of their own for their tracks."""
-    pairs, tracks = frozenset(offer.pairs), offer.tracks
-    alone = Allocation(frozenset(range(len(tracks.pairs))) - pairs)
-    plan = plan_of_part(options, tracks, alone, filters, samples, LONG_BLOCKS, [PER_SAMPLE])
-    return ChannelPart(plan, pairs, source, offer.spacing, offer.error_db)
+    def _channel_part(
+        self, source: int, offer: sampled_channel.ChannelOffer, filters: tuple[SourceFilters, ...]
+    ) -> ChannelPart:
+        """Return pairs of a source whose impulse responses are sampled, with a plan of their own for their tracks."""
+        pairs, tracks = frozenset(offer.pairs), offer.tracks
+        alone = Allocation(frozenset(range(len(tracks.pairs))) - pairs)
+        plan = plan_of_part(self.options, tracks, alone, filters, self.samples, LONG_BLOCKS, [PER_SAMPLE])
+        return ChannelPart(plan, pairs, source, offer.spacing, offer.error_db)
 
 
 def on_device(plan: Plan, device: str | None) -> Plan:
@@ -342,26 +323,20 @@ def on_device(plan: Plan, device: str | None) -> Plan:
 def moved_to(allocation: Allocation, device: str) -> Allocation:
     """Return the same allocation with envelopes rendered on a device."""
 
-    def moved(parts: tuple[_Part, ...]) -> tuple[_Part, ...]:
-        return tuple(
-            replace(
-                part, plan=replace(part.plan, options=replace(part.plan.options, device=device), builders=[PER_SAMPLE])
-            )
-            for part in parts
-        )
+    def moved(part: Any) -> Any:
+        options = replace(part.plan.options, device=device)
+        return replace(part, plan=replace(part.plan, options=options, builders=[PER_SAMPLE]))
 
-    return replace(
-        allocation, narrow=moved(allocation.narrow), channels=moved(allocation.channels), ears=moved(allocation.ears),
-        shadows=moved(allocation.shadows), scattered=moved(allocation.scattered),
-    )  # fmt: skip
+    parts: dict[str, Any] = {name: tuple(map(moved, getattr(allocation, name))) for name in WITH_PLANS}
+    return replace(allocation, **parts)
 
 
 PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,
-    methodcaller("where_claimed", "shadows", partial(per_sample.of_pairs, "shadows")),
-    methodcaller("where_claimed", "scattered", partial(per_sample.of_pairs, "scattered")),
+    methodcaller("where_scattered", "shadows", per_sample.PathSum),
+    methodcaller("where_scattered", "scattered", per_sample.PathSum),
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
     methodcaller("where_claimed", "channels", sampled_channel.build),

@@ -17,9 +17,8 @@ from clsim.opencl.device import find_device
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
 from clsim.render.contributions import State
-from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
-from clsim.render.plan import SEGMENT, Plan
+from clsim.render.plan import SEGMENT, Plan, within_memory
 from clsim.render.planning import plan_paths, plan_tracks
 from clsim.scene.ends import Receiver
 from clsim.scene.signal.signal import Signal

@@ -23,8 +23,7 @@ from clsim.render.methods.costs import measured_costs
 from clsim.render.options import RenderOptions
 from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share_removed, shares, spectra
 from clsim.scene.signal.signal import Signal
-from clsim.tracks.band_sample import band_of
-from clsim.tracks.basis import NO_TILT, Basis, Tilt, flat_basis
+from clsim.tracks.basis import NO_TILT, Basis, Tilt, band_of, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
 from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import Tracks
@@ -105,6 +104,19 @@ class Emission:
         if of_scene.paths.is_complex:
             return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)
         return flat
+
+    def source_filters(self) -> SourceFilters:
+        """Design filters for the band of the signal and for how paths move."""
+        signal, interpolator = self.signal, self.options.interpolator
+        sampling_rate, sound = signal.sampling_rate, self.sound
+        times = _oversampling(sound, interpolator, self.max_rate, sampling_rate)
+        high, removed_db, limit = self.band_limited(times)
+        rate = times * sampling_rate
+        basis = self.basis((0.0, high), rate)
+        banks = self.banks(basis.filters, basis.loudness, high, rate, times)
+        filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])
+        swiftness = min(sound.swiftness(), high) or high
+        return SourceFilters(signal, self.start, banks, basis, filters, limit, high, swiftness, times, removed_db)
 
     def cost_of_whole(self) -> float:
         """Processor time of a path in a sample of all that is emitted, ns."""
@@ -334,20 +346,6 @@ class SourceFilters:
         """Processor time of a path in a sample, ns."""
         known = measured_costs()
         return known.branch * float(self.rows[-1]) + known.function * len(self.basis)
-
-
-def design_source_filters(emission: Emission) -> SourceFilters:
-    """Return a source's signal, with filters for its band and for how its paths move."""
-    signal, sound, interpolator = emission.signal, emission.sound, emission.options.interpolator
-    sampling_rate, max_rate = signal.sampling_rate, emission.max_rate
-    times = _oversampling(sound, interpolator, max_rate, sampling_rate)
-    high, removed_db, limit = emission.band_limited(times)
-    rate = times * sampling_rate
-    basis = emission.basis((0.0, high), rate)
-    banks = emission.banks(basis.filters, basis.loudness, high, rate, times)
-    filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])
-    swiftness = min(sound.swiftness(), high) or high
-    return SourceFilters(signal, emission.start, banks, basis, filters, limit, high, swiftness, times, removed_db)
 
 
 def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:

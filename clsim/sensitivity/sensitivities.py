@@ -12,8 +12,8 @@ from clsim.arrays import LOUDEST, QUIETEST, Complexes, Floats, as_floats, read_o
 from clsim.errors import InputError, not_one_of
 from clsim.packages import check_packages
 from clsim.paths.path_set import PathSet
-from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
+from clsim.render.plan import within_memory
 from clsim.sensitivity.adjoint import adjoint, adjoint_signal
 from clsim.sensitivity.linear_map import LinearMap, plan_of
 from clsim.sensitivity.parameters import Parameter, check_names, check_once, parameters_of

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
+from clsim.numerics.band_filters import chebyshev_points
+from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
+
+GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
+IN_CACHE = 8192  # arrivals that are worked on together: larger arrays are fresh memory at every step
+_QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
+_FAINTEST = 1e-4  # energy received of a window, relative to its centre frequency, that is requested
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,3 +97,125 @@ def flat_basis(frequency: float) -> Basis:
 def in_parts(values: Floats | Complexes, parts: int) -> Floats:
     """Return real parts (..., M), followed by the imaginary ones for two parts."""
     return np.asarray(values.real if parts == 1 else np.concatenate([values.real, values.imag], axis=-1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """Band of a signal."""
+
+    low: float  # ends, Hz
+    high: float  # likewise
+    frequencies: Floats  # (F,) Chebyshev points from high to low, Hz
+    energy: Floats  # (W, F) of short windows of the signal near them, relative to what sounds about the window
+    late: float = 0.0  # delay that is taken out of responses, s
+    tilt: Tilt = NO_TILT  # absorption of the air that is taken out of them
+
+    @property
+    def turn(self) -> Complexes:
+        """Phase factor of the delay at the frequencies, (F,)."""
+        return np.asarray(np.exp(-2j * math.pi * self.late * self.frequencies))
+
+    @property
+    def rest(self) -> Floats:
+        """Energy (W,) about each window, outside it."""
+        return np.asarray(np.maximum(1.0 - self.energy.sum(axis=1), 0.0))
+
+
+def band_of(low: float, high: float, sound: ShortTimeSpectra, tilt: Tilt = NO_TILT, count: int = GRIDS[0]) -> Band:
+    """Return a signal's band from its short-time spectra; `low` and `high` in Hz."""
+    high = max(high, low * (1.0 + 1e-6))
+    grid = chebyshev_points(low, high, count)
+    return Band(low, high, grid, sound.near(grid[::-1], low, high)[:, ::-1], tilt=tilt)
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Responses (n, F) of paths at instants, relative to the level then, weighted by the number each represents.
+
+    A frame is an instant at one channel of a receiver; `first` is where the responses of each begin. The sum of
+    squares over the rows of a frame is that over all of its paths.
+    """
+
+    band: Band
+    responses: Floats | Complexes
+    first: NDArray[np.int64]
+    beyond: Floats  # (n,) length of each path less 1 m, by which the band's tilt acts on it
+
+    def received_of(self, values: Floats | Complexes, at: slice | NDArray[np.int64] = slice(None)) -> Any:
+        """Return values (n, m) at some of the frequencies with the tilt that was taken out of responses."""
+        of_air = self.band.tilt.at(self.band.frequencies[at])
+        return values * np.exp(-np.outer(self.beyond, of_air)) if self.band.tilt.slope else values
+
+    def by_frame(self, values: Floats | Complexes) -> Floats:
+        """Return the sums of the squares of values (n, m) over each frame's rows, some at a time."""
+        ends, made = np.append(self.first, len(values)), []
+        step = max(1, IN_CACHE * 8 * len(self.first) // max(values.size, 1))
+        for i in range(0, len(self.first), step):
+            first = ends[i : i + step + 1]
+            some = values[first[0] : first[-1]]
+            squares = some.real**2 + some.imag**2 if np.iscomplexobj(some) else some**2
+            made.append(np.add.reduceat(squares, first[:-1] - first[0], axis=0))
+        return np.concatenate(made)
+
+    @cached_property
+    def received(self) -> Floats:
+        """Return the received energy (frames, W) of each window and of its neighbourhood."""
+        return np.asarray(self.by_frame(self.received_of(self.responses)) @ self.band.energy.T + self.band.rest)
+
+    def loudness(self) -> Floats:
+        """Return the inverse (W,) of the received energy of each window, as a mean over the frames."""
+        return np.asarray(np.mean(1.0 / np.maximum(self.received, _FAINTEST), axis=0))
+
+    def relative(self, left: Floats | Complexes) -> Floats:
+        """Return the largest error over all windows of each frame, of errors (n, F) of its rows."""
+        left = self.received_of(left)
+        return np.asarray(np.sqrt((self.by_frame(left) @ self.band.energy.T / self.received).max(axis=1)))
+
+    def sizes(self, shapes: Floats | Complexes, together: Floats) -> Floats:
+        """Return the largest share of each function (K, F) in the received energy, of squared gains (frames, K)."""
+        shares = np.abs(shapes) ** 2 @ self.band.energy.T  # (K, W)
+        received = self.received
+        return np.sqrt([(np.outer(g, share) / received).max() for g, share in zip(together.T, shares, strict=True)])
+
+    def left(self, shapes: Floats | Complexes) -> float:
+        """Return the error of functions that are wrong by so much (K, F), each with a gain of 1 at every instant."""
+        return float(np.linalg.norm(self.sizes(shapes, np.ones((len(self.first), len(shapes))))))
+
+    def wrong(self, left: Floats | Complexes, nodes: NDArray[np.int64]) -> Floats:
+        """Largest error over all windows of each frame, (frames,), of errors (n, F) of its rows.
+
+        The error over nodes, by their indices, counts as well: the OpenCL engine measures it as it renders.
+        """
+        weight = self.importance[nodes]
+        at_nodes, received = (
+            self.by_frame(self.received_of(r[:, nodes] * weight, nodes)).sum(axis=1) for r in (left, self.responses)
+        )
+        return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(received, 1e-300))))
+
+    @cached_property
+    def importance(self) -> Floats:
+        """Weight (F,) of errors at each frequency: largest energy in any window, relative to its received energy."""
+        energy, count = self.band.energy, len(self.band.frequencies)
+        weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
+        return np.asarray(np.maximum(weight, _QUIETEST))
+
+    def frames(self, which: slice) -> Sample:
+        """Return some of the frames."""
+        ends = np.append(self.first, len(self.responses))[1:]
+        chosen = list(zip(self.first[which].tolist(), ends[which].tolist(), strict=True))
+        firsts = np.cumsum([0, *(end - begin for begin, end in chosen)])[:-1]
+        rows = np.concatenate([np.arange(begin, end) for begin, end in chosen])
+        return Sample(self.band, self.responses[rows], firsts, self.beyond[rows])
+
+    def with_frames(self, other: Sample, which: NDArray[np.int64]) -> Sample:
+        """Return the sample with some frames of another one."""
+        rows, first, ends = [self.responses], [self.first], [*other.first[1:].tolist(), len(other.responses)]
+        count, beyond = len(self.responses), [self.beyond]
+        for frame in which.tolist():
+            part = other.responses[other.first[frame] : ends[frame]]
+            rows.append(part)
+            beyond.append(other.beyond[other.first[frame] : ends[frame]])
+            first.append(np.array([count]))
+            count += len(part)
+        together: Any = np.concatenate(rows)
+        return Sample(self.band, together, np.concatenate(first), np.concatenate(beyond))

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import LONGEST, BandFilters, band_filters
-from clsim.tracks.band_sample import Band, Sample
-from clsim.tracks.basis import Basis, in_parts
+from clsim.tracks.basis import Band, Basis, Sample, in_parts
 from clsim.tracks.sampled import Draw
 
 MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 samples at 44.1 kHz that turn take 240

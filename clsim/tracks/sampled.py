@@ -17,12 +17,13 @@ from clsim.paths.arrivals import Arrivals
 from clsim.paths.family import PairPaths
 from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
+from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.curves import CONTINUATION, onward
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.faces import NEAREST
-from clsim.tracks.band_sample import GRIDS, IN_CACHE, Band, Sample
+from clsim.tracks.basis import GRIDS, IN_CACHE, Band, Sample
 from clsim.tracks.tracks import SceneTracks, Tracks
 
 End = TypeVar("End", Source, Receiver)
@@ -96,7 +97,9 @@ class Draw:
         counts, grids = (_COSTLY, (_FEWER, *GRIDS)) if costly else ((_ROWS, _HELD_OUT), GRIDS)
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
-        total, outlined = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source), _outlined(of_scene)
+        total = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source)
+        vertices = (getattr(pair.family, "vertex", None) for pair in of_scene.pair_paths)
+        outlined = all(getattr(vertex, "outlined", False) for vertex in vertices)
         if costly and _LEAST_WHOLE * total <= min(counts):
             together = sum(counts) * (1 if outlined else _CHEAPER)
             rows = tuple(picked_paths(of_scene, source, until, together, rng, whole=True))
@@ -118,7 +121,13 @@ class Draw:
         at = SceneResponse(scene, self.source, band.frequencies, band.tilt.at(band.frequencies))
         middle = int(np.abs(band.frequencies - scene.sources[self.source].emitted.centre_frequency).argmin())
         for some in self.held_out if held_out else self.rows:
-            shapes = some.paths.shapes(some.found, some.times, at)
+            family = some.paths.family
+            directivity = family.scene.receivers[some.paths.receiver].directivity
+            alike = not isinstance(directivity, ChannelDirectivity) or directivity.is_flat
+            if alike and not family.shapes_channels:  # channels do not differ over frequency: one stands for all
+                shapes = family.response(some.paths.rows, some.found, some.times, at)[None]
+            else:
+                shapes = family.of_channels(some.paths, some.found, some.times, at)
             along = np.swapaxes(shapes, 1, 2).reshape(len(shapes), -1, shapes.shape[3])
             if band.late != 0.0:
                 along = along * np.conj(band.turn)
@@ -164,11 +173,6 @@ class Draw:
         return samples / sampling_rate if abs(samples) >= _LEAST_LATE else 0.0
 
 
-def _outlined(tracks: SceneTracks) -> bool:
-    vertices = (getattr(pair.family, "vertex", None) for pair in tracks.pair_paths)
-    return all(getattr(vertex, "outlined", False) for vertex in vertices)
-
-
 def picked_paths(
     tracks: SceneTracks, source: int, until: float, count: int, rng: np.random.Generator, whole: bool = False
 ) -> Iterator[Picked]:
@@ -198,7 +202,7 @@ def picked_paths(
         for part in (times[i : i + together] for i in range(0, instants, together)):
             found = paths.arrivals(part, tracks.kinematics)
             received = (part >= start[:, None]) & (part < end[:, None])
-            level = np.ones(received.shape) if whole else np.abs(paths.response(found, part, at_centre)[..., 0])
+            level = 1.0 if whole else np.abs(paths.family.response(paths.rows, found, part, at_centre)[..., 0])
             level = np.where(received, level, 0.0)
             level[level < _SILENT] = 0.0
             if paths.family.varies and not paths.family.one_by_one and len(start) <= share and level.all():

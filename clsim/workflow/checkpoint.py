@@ -19,8 +19,7 @@ from clsim.errors import ClsimError, InputError, warn
 from clsim.files.atomic import remove_leftovers
 from clsim.output.stores import SoundStore
 from clsim.render.contributions import State
-from clsim.render.memory import within_memory
-from clsim.render.plan import Plan
+from clsim.render.plan import Plan, within_memory
 from clsim.render.render import PressureSum, ReceiverChain, Rendering
 from clsim.scene_file.scene import referenced_files
 from clsim.workflow.console import progress

@@ -31,8 +31,7 @@ from clsim.numerics.blas import blas_threads, with_blas_threads
 from clsim.opencl.device import find_device
 from clsim.output.stores import SoundStore
 from clsim.render.contributions import State
-from clsim.render.memory import within_memory
-from clsim.render.plan import Plan
+from clsim.render.plan import Plan, within_memory
 from clsim.render.planning import on_device
 from clsim.render.render import PressureSum, ReceiverChain, receivers_with_ends
 from clsim.version import __version__

@@ -19,9 +19,8 @@ from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import DirectPath, EchoTruth, body_truth, direct_path, scatterer_truth
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import PathTable
-from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions
-from clsim.render.plan import Plan
+from clsim.render.plan import Plan, within_memory
 from clsim.render.planning import plan_paths
 from clsim.render.render import Rendering, render_chunks
 from clsim.scene.scene import Scene

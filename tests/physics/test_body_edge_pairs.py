@@ -68,7 +68,7 @@ def test_drawn_ways_over_two_edges_are_the_earliest() -> None:
         places = (np.array([-1.0, 0.1, 0.2]), np.array([0.9, -0.1, 0.0]))
         ends = tuple(LINE(*(MIDDLE + place + rng.uniform(-0.1, 0.1, (2, 3))), 0.2) for place in places)
         scene = far_scene((FIXED(MIDDLE + 7.5), FIXED(MIDDLE - 7.5)), [body, wall])
-        lines = EdgeLines.of(scene)
+        lines = EdgeLines.of(scene.room, scene.bodies)
         pairs, faces = lines.pairs()
         upright = np.flatnonzero(np.all(lines.length[pairs] == 3.0, axis=1))
         one = upright[[rng.integers(len(upright))]]

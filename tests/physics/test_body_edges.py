@@ -75,7 +75,7 @@ def test_drawn_ways_over_an_edge_are_the_earliest(rng: np.random.Generator) -> N
         wall = clsim.Body.box("wall", (0.0, 8.0, 8.0), HARD, motions[1], centre=(4.0, 0.0, 0.0))
         ends = tuple(LINE(*(MIDDLE + rng.uniform(-1.0, 1.0, (2, 3))), 0.2) for _ in range(2))
         scene = far_scene((FIXED(MIDDLE + 7.5), FIXED(MIDDLE - 7.5)), [plate, wall])
-        lines = EdgeLines.of(scene)
+        lines = EdgeLines.of(scene.room, scene.bodies)
         mirrored = [draw % 4 in (1, 3), draw % 4 >= 2]
         edge = int(rng.integers(4))
         chains = Chains(*(np.array([[7 if m else -1]], np.int32) for m in mirrored), np.array([edge]), np.array([-1]))

@@ -7,7 +7,7 @@ import oracle
 import pytest
 
 import clsim
-from clsim.paths.search.shoebox import shoebox_image_count, shoebox_images
+from clsim.paths.find_paths import shoebox_image_count, shoebox_images
 
 SIZE = np.array([5.0, 4.0, 3.0])
 WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")

@@ -243,10 +243,7 @@ def _traced(
         apart = near - far
         share = np.where(apart == 0.0, 0.0, near / np.where(apart == 0.0, 1.0, apart))
         part = np.clip(share, -BEYOND_LEG, 1.0 + BEYOND_LEG)
-        time, place = (
-            time + part * (seen.time[k + 1] - time),
-            place + part[..., None] * (seen.place[k + 1] - place),
-        )
+        time, place = (time + part * (seen.time[k + 1] - time), place + part[..., None] * (seen.place[k + 1] - place))
         found.append((time, place + time[..., None] * wind, share))
     times, places, shares = ([each[i] for each in found[::-1]] for i in range(3))
     return times, places, shares

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from clsim.arrays import Floats, read_only
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.scene.body import Body
 from clsim.scene.room.edges import Edges, find_edges
+from clsim.scene.room.protocol import Room
 from clsim.scene.scene import Scene
 
 Integers = NDArray[np.signedinteger[Any]]
@@ -19,7 +21,6 @@ Integers = NDArray[np.signedinteger[Any]]
 
 ROOM = -1  # owner of the walls of the room
 FARTHEST = 2.0  # radii of a body from its origin, beyond which its velocity is not continued
-_ON = 1e-7  # of the room's size; what is nearer to a plane is in it
 
 
 def dot(a: Floats, b: Floats) -> Floats:
@@ -146,22 +147,21 @@ class EdgeLines:
     parts: tuple[Edges, ...]  # edges of the room, and of each body
 
     @staticmethod
-    def of(scene: Scene, of_bodies: bool = True) -> EdgeLines:
-        """Collect the edges of a scene, or of its room alone."""
-        mirrors, bodies = Mirrors.of(scene), tuple(scene.bodies) if of_bodies else ()
-        found = [scene.room.edges()]
+    def of(room: Room, bodies: Sequence[Body] = ()) -> EdgeLines:
+        """Collect the edges of a room and of bodies."""
+        found = [room.edges()]
         for body in bodies:
             found.append(find_edges(body.mesh.walls, replace(body.mesh.faces, names=body.faces), None))
-        first = [0, *mirrors.first.tolist()[: len(bodies)]]
+        first = np.cumsum([0, len(room.faces), *(len(body.mesh.faces) for body in bodies)])
         return EdgeLines(
             read_only(np.concatenate([edges.frames for edges in found])),
             read_only(np.concatenate([edges.length for edges in found])),
             read_only(np.concatenate([edges.n for edges in found])),
-            read_only(np.concatenate([edges.faces + f for edges, f in zip(found, first, strict=True)])),
+            read_only(np.concatenate([edges.faces + f for edges, f in zip(found, first, strict=False)])),
             read_only(np.concatenate([edges.free for edges in found])),
             read_only(np.repeat(np.arange(-1, len(bodies)), [len(edges) for edges in found])),
             tuple(name for edges in found for name in edges.names),
-            bodies,
+            tuple(bodies),
             tuple(found),
         )
 
@@ -206,12 +206,6 @@ class EdgeLines:
                 own[rows] = rotate(turn[..., None, :], own[rows])
         across, out, along = np.moveaxis(own, 2, 0)
         return across, out, along
-
-    def in_planes(self, mirrors: Mirrors, size: float) -> NDArray[np.bool_]:
-        """Mask (E, W) of mirrors that hold edges whatever moves: those of the same object."""
-        ends = np.stack([self.frames[:, 0], self.frames[:, 0] + self.length[:, None] * self.frames[:, 3]], axis=1)
-        height = np.abs(ends @ mirrors.normal.T - mirrors.offset).max(axis=1)
-        return np.asarray((height <= _ON * size) & (self.owner[:, None] == mirrors.owner))
 
     def _of_bodies(self, edge: Integers) -> list[tuple[int, NDArray[np.int64]]]:
         owner = self.owner[edge]

@@ -123,6 +123,8 @@ class BeamTree:
 
     sides: on which side of each wall paths can be, as from `air_sides`; on both when left out.
 
+    hides: whether a wall hides what is behind it.
+
     Attributes
     ----------
     ears : Ears
@@ -142,8 +144,9 @@ class BeamTree:
         limit: int,
         sides: NDArray[np.int64] | None = None,
         lookup: Lookup | None = None,
+        hides: bool = True,
     ) -> None:
-        self._walls, self._limit = walls, limit
+        self._walls, self._limit, self._hides = walls, limit, hides
         self._lookup = lookup or WallLookup(walls)
         self._centre, self._radius = centre, radius + _SLACK * walls.size
         self._sides = np.zeros(len(walls), dtype=np.int64) if sides is None else sides
@@ -223,6 +226,9 @@ class BeamTree:
         """Return the parts of all walls that no other one hides from a ball; see `open_parts`."""
         ring, corners = self._hulls, np.zeros_like(self._widths)
         some = np.flatnonzero(self._faces(np.broadcast_to(centre, (len(corners), 3)), radius, np.arange(len(corners))))
+        if not self._hides:
+            corners[some] = self._widths[some]
+            return ring, corners
         centres, none = np.broadcast_to(centre, (len(some), 3)), np.full(len(some), -1)
         views = Views(centres, radius, centres[:, None], none, self._hulls[some], self._widths[some], some)
         left, corners[some] = open_parts(self._walls, views, self._lookup.crossings)
@@ -275,7 +281,7 @@ class BeamTree:
         ring, corners = clip_rings(self._hulls[wall], self._widths[wall], planes[beam])
         left = np.flatnonzero(corners >= 3)
         ring, corners, beam, wall = ring[left, : int(corners.max(initial=1))], corners[left], beam[left], wall[left]
-        if open_only:
+        if open_only and self._hides:
             before = beams.sequence[beam, -1]
             views = Views(beams.centre[beam], self._radius, beams.ring[beam], before, ring, corners, wall)
             ring, corners = open_parts(walls, views, self._lookup.crossings)

@@ -26,7 +26,7 @@ from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.paths.visibility.mirrors import MirrorEvaluation
 from clsim.paths.visibility.obstacles import Obstacles
-from clsim.paths.visibility.occlusion import WallLookup, air_sides
+from clsim.paths.visibility.occlusion import air_sides
 from clsim.paths.visibility.rates import BodyRates, EndRates
 from clsim.paths.visibility.subdivision import certified, evaluations
 from clsim.scene.ends import Receiver, Source
@@ -63,10 +63,7 @@ class PairQuery:
 
     def bounded(self, begin: Floats, end: Floats) -> tuple[Floats, Floats]:
         """Return intervals that reach from the first look or to the last one as endless."""
-        return (
-            np.where(begin <= self.times[0], -np.inf, begin),
-            np.where(end >= self.times[-1], np.inf, end),
-        )
+        return (np.where(begin <= self.times[0], -np.inf, begin), np.where(end >= self.times[-1], np.inf, end))
 
 
 class _Lifted:
@@ -86,12 +83,16 @@ class _Lifted:
         return self._motion.velocity(times)
 
 
+@dataclass(eq=False)
 class BodySearch:
     """How paths by bodies, and what bodies hide, are looked for in a scene; see `find_paths`."""
 
-    def __init__(self, scene: Scene, search: PathOptions) -> None:
+    scene: Scene
+    search: PathOptions
+
+    def __post_init__(self) -> None:
+        scene, search = self.scene, self.search
         check_support("moving", scene.air)
-        self.scene, self.search = scene, search
         self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)
         self.room = scene.room.as_mesh()
         self.obstacles = Obstacles(Mirrors.of(scene), self.room.walls, scene.room.is_convex)
@@ -247,7 +248,7 @@ class BodySearch:
         ears = ends.receiver_spheres(begin, end)
         start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
         ears = BoundingSpheres(ears.centre, ears.radius + slack)
-        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), UnhiddenLookup(walls))
+        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), hides=False)
         first, width = len(self.scene.room.faces), max(self.order, 1)
         parts = [(np.empty((0, width), dtype=np.int32), np.empty(0, dtype=np.int64))]
         for batch in tree.candidates(self.order):
@@ -302,15 +303,6 @@ class BodySearch:
         }  # fmt: skip
         held = {name: read_only(column) for name, column in columns.items()}
         return moving_paths(self.scene, self.obstacles.mirrors, held, ("surfaces",))
-
-
-class UnhiddenLookup(WallLookup):
-    """Looks up walls of which none hides another."""
-
-    def crossings(self, start: Floats, stop: Floats) -> tuple[Any, Any, Any]:
-        """Return none."""
-        none = np.empty(0, dtype=np.int64)
-        return none, none, none
 
 
 def _runs(

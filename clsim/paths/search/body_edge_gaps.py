@@ -17,8 +17,7 @@ from clsim.paths.legs.mirrors import ROOM, dot
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.body_edge_pairs import EdgePairFinder, PairEvaluation, on_edges
-from clsim.paths.search.body_edges import ABSENT, leg_is_free
-from clsim.paths.search.edge_chains import tied
+from clsim.paths.search.body_edges import ABSENT, leg_is_free, tied
 from clsim.paths.search.gap_parts import cotangents, in_air, open_gaps, segment_off
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.gap_events import GapPairs, GapPairSolver

@@ -17,8 +17,7 @@ from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.bodies import BodySearch, PairQuery
-from clsim.paths.search.body_edges import ABSENT, EdgeFinder, free_legs, halves
-from clsim.paths.search.edge_chains import tied
+from clsim.paths.search.body_edges import ABSENT, EdgeFinder, free_legs, halves, tied
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.vertices.edge_pair_events import EdgePairEvents, EdgePairs, EdgePairSolver

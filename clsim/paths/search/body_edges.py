@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from functools import cache, partial
 from typing import Any
 
@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections, lit_angles, path_over_edge
 from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
+from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
-from clsim.paths.family import PathFamily
+from clsim.paths.family import PairPaths, PathFamily
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.beam_tree import BeamTree
-from clsim.paths.search.bodies import BodySearch, PairQuery, UnhiddenLookup
-from clsim.paths.search.edge_chains import joined_over_ends, tied
+from clsim.paths.search.bodies import BodySearch, PairQuery
+from clsim.paths.search.edge_chains import SAME_DELAY, joined_over_ends
 from clsim.paths.search.mesh import BEAM_LIMIT
 from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
@@ -30,7 +31,9 @@ from clsim.paths.visibility.subdivision import ROUNDS, coded
 Rows = NDArray[np.int64]
 Codes = NDArray[np.signedinteger[Any]]
 
+_ON = 1e-7  # of the room's size; what is nearer to a plane is in it
 _INNER = 1e-9  # share of a way between two hits, from which on the one is not at the other
+_WITHIN = 1e-4  # s between two times at which the same event was found, at most
 ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends
 _END, HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 
@@ -52,9 +55,13 @@ class EdgeFinder:
     """Looks for paths over edges, from each source to each receiver."""
 
     def __init__(self, search: BodySearch) -> None:
-        self._search, self.lines = search, EdgeLines.of(search.scene)
+        self._search, self.lines = search, EdgeLines.of(search.scene.room, search.scene.bodies)
         self._mirrors, self._order = search.obstacles.mirrors, search.order
-        self._held = self.lines.in_planes(self._mirrors, search.room.walls.size)
+        # Mirrors (E, W) that hold edges whatever moves: those of the same object.
+        frames, mirrors = self.lines.frames, self._mirrors
+        ends = np.stack([frames[:, 0], frames[:, 0] + self.lines.length[:, None] * frames[:, 3]], axis=1)
+        height = np.abs(ends @ mirrors.normal.T - mirrors.offset).max(axis=1)
+        self._held = (height <= _ON * search.room.walls.size) & (self.lines.owner[:, None] == mirrors.owner)
         self._reached = cache(self._find_reached)
 
     def every_path(self) -> dict[str, Any]:
@@ -84,7 +91,27 @@ class EdgeFinder:
         return self._columns((source, receiver), met, (begin, end), code)
 
     def _evaluate(self, pair: PairQuery, chains: Chains) -> Callable[[Rows, Floats], Codes]:
-        return _Evaluation(self._search, self.lines, pair, chains)
+        return partial(self._codes, pair, chains)
+
+    def _codes(self, pair: PairQuery, every: Chains, rows: Rows, times: Floats) -> Codes:
+        """Codes (P, T) of paths of a pair at some times: `ABSENT`, or bits for the terms and ends that are seen."""
+        solver = EdgeSolver(self._mirrors, self.lines, pair.ends, pair.medium, rounds=ROUNDS)
+        chains = every.part(rows)
+        events = solver.find(chains, times)
+        length, n, end = self.lines.length[chains.edge], self.lines.n[chains.edge], chains.end
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = events.source, events.receiver
+        on = (end >= 0)[:, None] | (events.along > 0.0) & (events.along < length[:, None])
+        for angle in (t_s, t_r):
+            on &= (angle > 0.0) & (angle < np.pi * n[:, None])
+        p, t = free_legs(self._search, chains, events, times, on)
+        code = np.full(times.shape, ABSENT, dtype=np.int8)
+        seen = lit_angles(n[p], t_s[p, t], t_r[p, t]) >= 0.0
+        apex = path_over_edge(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
+        met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
+        seen &= met[p, None] + adjacent_reflections(n[p]) <= self._order
+        inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
+        code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside + halves((n[p], n[p]), (t_s[p, t], t_r[p, t]))
+        return code
 
     def _columns(
         self, ends: tuple[int, int], chains: Any, received: tuple[Floats, Floats], code: Codes
@@ -163,7 +190,7 @@ class EdgeFinder:
         walls = self._search.posed(middle)
         # What bodies hide in this pose they may not hide in the next: as for `BodySearch`, nothing is.
         spheres = BoundingSpheres(self._middles(middle), 0.5 * self.lines.length + slack)
-        tree = BeamTree(walls, ball[0], ball[1] + slack, spheres, BEAM_LIMIT, None, UnhiddenLookup(walls))
+        tree = BeamTree(walls, ball[0], ball[1] + slack, spheres, BEAM_LIMIT, hides=False)
         found: list[list[Any]] = [[] for _ in range(len(self.lines))]
         for batch in tree.candidates(self._order):
             for edge in np.unique(batch.receiver).tolist():
@@ -184,36 +211,6 @@ class EdgeFinder:
             found[:, : given.shape[1]] = some[:, ::-1] if backwards else some
             padded.append(found)
         return np.concatenate(padded)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Evaluation:
-    """How paths of a pair are at some times, as codes: `ABSENT`, or bits for what of theirs is seen."""
-
-    search: BodySearch
-    lines: EdgeLines
-    pair: PairQuery
-    chains: Chains
-
-    def __call__(self, rows: Rows, times: Floats) -> Codes:
-        obstacles, pair = self.search.obstacles, self.pair
-        solver = EdgeSolver(obstacles.mirrors, self.lines, pair.ends, pair.medium, rounds=ROUNDS)
-        chains = self.chains.part(rows)
-        events = solver.find(chains, times)
-        length, n, end = self.lines.length[chains.edge], self.lines.n[chains.edge], chains.end
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = events.source, events.receiver
-        on = (end >= 0)[:, None] | (events.along > 0.0) & (events.along < length[:, None])
-        for angle in (t_s, t_r):
-            on &= (angle > 0.0) & (angle < np.pi * n[:, None])
-        p, t = free_legs(self.search, chains, events, times, on)
-        code = np.full(times.shape, ABSENT, dtype=np.int8)
-        seen = lit_angles(n[p], t_s[p, t], t_r[p, t]) >= 0.0
-        apex = path_over_edge(r_s[p, t], z_s[p, t], r_r[p, t], z_r[p, t]).apex
-        met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
-        seen &= met[p, None] + adjacent_reflections(n[p]) <= self.search.order
-        inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
-        code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside + halves((n[p], n[p]), (t_s[p, t], t_r[p, t]))
-        return code
 
 
 def halves(n: tuple[Floats, Floats], angles: tuple[Floats, Floats]) -> Any:
@@ -266,3 +263,68 @@ def _joined(chains: Chains, begin: Floats, end: Floats, code: Codes) -> tuple[Ch
     starts = np.flatnonzero(first)
     stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
     return chains.part(starts), begin[starts], end[stops], code[starts]
+
+
+def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
+    """Return the paths with the times at which others begin or end where that is the same event.
+
+    Where sound goes over from one path to another both take the same time: an edge path and the one that passes its
+    edge, or is reflected at it, and a path over an edge and that over the end of it.
+    """
+    start, end = np.array(family.start), np.array(family.end)
+    known: dict[tuple[int, int], list[PairPaths]] = {}
+    for other in others:
+        for pair in other.pairs():
+            known.setdefault((pair.source, pair.receiver), []).append(pair)
+    for pair in family.pairs():
+        rows = pair.index
+        mine = np.concatenate([start[rows], end[rows]])
+        which = np.flatnonzero(np.isfinite(mine))
+        if not len(which):
+            continue
+        at, owner = mine[which], np.concatenate([rows, rows])[which]
+        near = _events_near(known.get((pair.source, pair.receiver), []), at)
+        links: Any = family.links(owner)
+        first = links.events(at[:, None], RETARDED)
+        delay = (first.first.delay + first.last.delay)[:, 0]
+        mine[which] = _converged(at, delay, near)
+        start[rows], end[rows] = mine[: len(rows)], mine[len(rows) :]
+    family = replace(family, start=read_only(start), end=read_only(end))
+    kept = np.flatnonzero(start < end)
+    return family if len(kept) == len(start) else family.part(kept)
+
+
+def _converged(times: Floats, delay: Floats, others: tuple[Floats, Floats, Floats]) -> Floats:
+    """Return the times (n,) at which other paths of the delays (n,) begin or end, or the first of the same event."""
+    found, order = np.array(times), np.argsort(times, kind="stable")
+    theirs, their_delay, their_rate = others
+    for place, i in enumerate(order.tolist()):
+        near = slice(*np.searchsorted(theirs, (times[i] - _WITHIN, times[i] + _WITHIN)).tolist())
+        apart = their_delay[near] + their_rate[near] * (times[i] - theirs[near]) - delay[i]
+        same = theirs[near][np.abs(apart) < SAME_DELAY]
+        if len(same):
+            found[i] = same[np.argmin(np.abs(same - times[i]))]
+            continue
+        before = order[:place][::-1]
+        before = before[: int(np.searchsorted(times[i] - times[before], _WITHIN))]
+        mine = before[np.abs(delay[before] - delay[i]) < SAME_DELAY]
+        found[i] = found[mine[0]] if len(mine) else times[i]
+    return found
+
+
+def _events_near(pairs: Sequence[PairPaths], near: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return when paths begin and end near given times, in order, and their delays and the rates of these, (n,)."""
+    found, near = [np.empty((3, 0))], np.sort(near)
+    for pair in pairs:
+        index = pair.index
+        bounds = np.concatenate([pair.family.start[index], pair.family.end[index]])
+        rows = np.concatenate([index, index])
+        place = np.searchsorted(near, bounds - _WITHIN)
+        close = np.isfinite(bounds) & (np.append(near, np.inf)[place] <= bounds + _WITHIN)
+        for time in np.unique(bounds[close]):
+            here = rows[close & (bounds == time)]
+            arrivals = pair.family.arrivals(here, np.array([time]))
+            found.append(np.stack([np.full(len(here), time), arrivals.delay[:, 0], arrivals.delay_rate[:, 0]]))
+    times, delay, rate = np.concatenate(found, axis=1)
+    order = np.argsort(times, kind="stable")
+    return times[order], delay[order], rate[order]

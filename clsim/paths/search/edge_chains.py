@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,9 +10,8 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EVEN, TERMS
 from clsim.arrays import Floats, read_only
-from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
-from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, PairPaths, PathFamily, ends_at
+from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, ends_at
 from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.legs.static import StaticLeg
 from clsim.paths.search.mesh import image_isometries
@@ -33,12 +31,11 @@ Sides = NDArray[np.int8]
 
 SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 _ROUNDS = 4  # of finding the time of emission
-_WITHIN = 1e-4  # s between two times at which the same event was found, at most
 
 
 def edge_chain(scene: Scene, model: str, order: int, rows: Found) -> Chain:
     """Make paths over one edge with the field of a model."""
-    lines = EdgeLines.of(scene, of_bodies=False)
+    lines = EdgeLines.of(scene.room)
     return _chain(scene, order, rows, EdgeVertex(**_first_edges(rows), lines=lines, model=model))
 
 
@@ -71,7 +68,7 @@ def _gaps(scene: Scene, order: int, rows: Found) -> dict[str, Any]:
 
 def _both_edges(scene: Scene, rows: Found) -> dict[str, Any]:
     """Columns of `EdgePairVertex`."""
-    lines, columns = EdgeLines.of(scene, of_bodies=False), _first_edges(rows)
+    lines, columns = EdgeLines.of(scene.room), _first_edges(rows)
     second = {
         "edge": np.array([r["edges"][1] for r in rows], dtype=np.int64),
         "lit": np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS),
@@ -250,67 +247,3 @@ def delays_of(family: Chain, rows: Rows, times: Floats) -> Floats:
     for _ in range(_ROUNDS):
         delay = family.lengths(rows, ends_at(scene.sources, source, times - delay), receiver) / scene.air.speed_of_sound
     return delay
-
-
-def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
-    """Return the paths with the times at which others begin or end where that is the same event.
-
-    Where sound goes over from one path to another both take the same time: an edge path and the one that passes its
-    edge, or is reflected at it, and a path over an edge and that over the end of it.
-    """
-    start, end = np.array(family.start), np.array(family.end)
-    known: dict[tuple[int, int], list[PairPaths]] = {}
-    for other in others:
-        for pair in other.pairs():
-            known.setdefault((pair.source, pair.receiver), []).append(pair)
-    for pair in family.pairs():
-        rows = pair.index
-        mine = np.concatenate([start[rows], end[rows]])
-        which = np.flatnonzero(np.isfinite(mine))
-        if not len(which):
-            continue
-        at, owner = mine[which], np.concatenate([rows, rows])[which]
-        links: Any = family.links(owner)
-        first = links.events(at[:, None], RETARDED)
-        delay = (first.first.delay + first.last.delay)[:, 0]
-        mine[which] = _converged(at, delay, _events_near(known.get((pair.source, pair.receiver), []), at))
-        start[rows], end[rows] = mine[: len(rows)], mine[len(rows) :]
-    family = replace(family, start=read_only(start), end=read_only(end))
-    kept = np.flatnonzero(start < end)
-    return family if len(kept) == len(start) else family.part(kept)
-
-
-def _converged(times: Floats, delay: Floats, others: tuple[Floats, Floats, Floats]) -> Floats:
-    """Return the times (n,) at which other paths of the delays (n,) begin or end, or the first of the same event."""
-    found, order = np.array(times), np.argsort(times, kind="stable")
-    theirs, their_delay, their_rate = others
-    for place, i in enumerate(order.tolist()):
-        near = slice(*np.searchsorted(theirs, (times[i] - _WITHIN, times[i] + _WITHIN)).tolist())
-        apart = their_delay[near] + their_rate[near] * (times[i] - theirs[near]) - delay[i]
-        same = theirs[near][np.abs(apart) < SAME_DELAY]
-        if len(same):
-            found[i] = same[np.argmin(np.abs(same - times[i]))]
-            continue
-        before = order[:place][::-1]
-        before = before[: int(np.searchsorted(times[i] - times[before], _WITHIN))]
-        mine = before[np.abs(delay[before] - delay[i]) < SAME_DELAY]
-        found[i] = found[mine[0]] if len(mine) else times[i]
-    return found
-
-
-def _events_near(pairs: Sequence[PairPaths], near: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return when paths begin and end near given times, in order, and their delays and the rates of these, (n,)."""
-    found, near = [np.empty((3, 0))], np.sort(near)
-    for pair in pairs:
-        index = pair.index
-        bounds = np.concatenate([pair.family.start[index], pair.family.end[index]])
-        rows = np.concatenate([index, index])
-        place = np.searchsorted(near, bounds - _WITHIN)
-        close = np.isfinite(bounds) & (np.append(near, np.inf)[place] <= bounds + _WITHIN)
-        for time in np.unique(bounds[close]):
-            here = rows[close & (bounds == time)]
-            arrivals = pair.family.arrivals(here, np.array([time]))
-            found.append(np.stack([np.full(len(here), time), arrivals.delay[:, 0], arrivals.delay_rate[:, 0]]))
-    times, delay, rate = np.concatenate(found, axis=1)
-    order = np.argsort(times, kind="stable")
-    return times[order], delay[order], rate[order]

@@ -18,21 +18,14 @@ from clsim.paths.options import PathOptions
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, gap_chain, with_swaps
 from clsim.paths.search.edge_gaps import gap_candidates
-from clsim.paths.search.mesh import (
-    BEAM_LIMIT,
-    LARGEST_MESH_ORDER,
-    float64_device,
-    sides_of_air,
-    visibility_query,
-)
+from clsim.paths.search.mesh import BEAM_LIMIT, LARGEST_MESH_ORDER, float64_device, sides_of_air, visibility_query
 from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.vertices.edge_end import ends_of
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.device import DeviceSearch
-from clsim.paths.visibility.edge_intervals import EdgeSearch, Pieces, find_pieces
+from clsim.paths.visibility.edge_intervals import EdgeSearch, find_pieces
 from clsim.paths.visibility.edges import ENDS_BESIDE, EdgeCandidates
-from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.paths.visibility.occlusion import Ears
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
@@ -104,13 +97,7 @@ def rows_of(
 
 
 def _source_rows(
-    scene: Scene,
-    edges: Edges,
-    source: int,
-    order: int,
-    search: PathOptions,
-    adjacent: _AdjacentPaths,
-    kind: Kind,
+    scene: Scene, edges: Edges, source: int, order: int, search: PathOptions, adjacent: _AdjacentPaths, kind: Kind
 ) -> tuple[list[dict[str, Any]], float]:
     """Return the paths of a source, one by one, and to which time their ends are found, s."""
     room = scene.room.as_mesh()
@@ -124,8 +111,8 @@ def _source_rows(
     done = source / len(scene.sources)
     sides = from_source, to_receivers
     for share, candidates in kind(finder, sides, reached, order, longest):
-        pieces = find_pieces(finder, candidates, order, partial(search.notify, done))
-        found += [{**row, "source": source} for row in _rows(query, edges, pieces, adjacent)]
+        notify = partial(search.notify, done)
+        found += [{**row, "source": source} for row in _rows(finder, candidates, order, adjacent, notify)]
         if len(found) > search.path_limit:
             raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
         done = (source + share) / len(scene.sources)
@@ -262,9 +249,12 @@ class _AdjacentPaths:
         return event if abs(event - time) <= within else time
 
 
-def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, adjacent: _AdjacentPaths) -> Iterator[dict[str, Any]]:
-    """Yield paths, with the times of their partners."""
-    wanted, within = pieces.candidates, max(_SAME_EVENT, _FARTHEST * query.resolution)
+def _rows(
+    finder: EdgeSearch, wanted: EdgeCandidates, order: int, adjacent: _AdjacentPaths, notify: Callable[[], None]
+) -> Iterator[dict[str, Any]]:
+    """Yield paths that candidates give, with the times of their partners."""
+    pieces, query = find_pieces(finder, wanted, order, notify), finder.query
+    within = max(_SAME_EVENT, _FARTHEST * query.resolution)
     begin, end, of_pairs = pieces.begin.copy(), pieces.end.copy(), wanted.over_ends_of_pairs
     for i in range(1, len(pieces.row)):
         row = pieces.row[i]
@@ -275,7 +265,7 @@ def _rows(query: VisibilityQuery, edges: Edges, pieces: Pieces, adjacent: _Adjac
         time = float(begin[i])
         for term in np.flatnonzero(pieces.sides[i] != pieces.sides[i - 1]).tolist():
             if term not in ENDS_BESIDE and (term != TERMS or of_pairs):
-                through = (*before, *_instead(edges, wanted, row, term), *after)
+                through = (*before, *_instead(finder.edges, wanted, row, term), *after)
                 time = adjacent.nearest(int(wanted.receiver[row]), through, float(begin[i]), within)
             if time != begin[i]:
                 break

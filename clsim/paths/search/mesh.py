@@ -51,20 +51,19 @@ class MeshSearch:
     """How paths are looked for in a room of any shape; see `find_paths`."""
 
     max_order: int
-    finder: str
-    resolution: float | None
-    path_limit: int
-    engine: str
-    device: str | None
+    search: PathOptions
 
     def paths(self, scene: Scene, room: MeshRoom, source: Source, progress: Progress) -> FoundPaths:
         """Return every path from one source to all receivers."""
-        query, longest = visibility_query(scene, room, source, self.max_order, self.resolution)
+        query, longest = visibility_query(scene, room, source, self.max_order, self.search.resolution)
         if scene.panels:
             query = replace(query, walls=see_through(room.walls, scene.panels))
         ends, last = query.trajectory_tables, query.last
-        device, air = float64_device(self.engine, self.device), sides_of_air(query)
-        plant = _planter(query.walls, air, device)
+        device, air = float64_device(self.search.engine, self.search.device), sides_of_air(query)
+        walls = query.walls
+        of_device = None if len(walls) <= _FEW_WALLS else device
+        lookup = WallLookup(walls) if of_device is None else DeviceLookup(walls, of_device)
+        plant = partial(BeamTree, walls, limit=BEAM_LIMIT, sides=air, lookup=lookup)
         shoot = self._shoots(plant, room.walls.size, ends)
         if shoot and scene.panels:
             raise InputError("finder", 'must be "beam-tree" where walls let sound pass; or lower max_order')
@@ -94,12 +93,12 @@ class MeshSearch:
 
     def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> str:
         """Return why rays are shot, because of a tree that would be far too large or as asked; else nothing."""
-        if self.finder == "auto":
+        if self.search.finder == "auto":
             centre, radius = ends.sphere(0)
             tree = plant(centre, min(radius, _SMALLEST_CELL * size), BoundingSpheres.none())
             beams = tree.estimate(self.max_order)
             return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
-        return "" if self.finder == "beam-tree" else "rays are shot, as asked"
+        return "" if self.search.finder == "beam-tree" else "rays are shot, as asked"
 
     def _with_intervals(self, search: Search, finder: BeamTree | ShotRays, name: str, progress: Progress) -> FoundPaths:
         """Return a finder's candidates with the intervals in which they are heard."""
@@ -112,10 +111,10 @@ class MeshSearch:
             order = np.full(len(found.path), sequence.shape[1])
             parts.append(FoundPaths(receiver[found.path], order, walls, found.begin, found.end))
             count += len(order)
-            if count > self.path_limit:
+            if count > (most := self.search.path_limit):
                 raise InputError(
                     "max_order",
-                    f"must give at most {self.path_limit} paths (path_limit), but {self.max_order} gives more from "
+                    f"must give at most {most} paths (path_limit), but {self.max_order} gives more from "
                     f"{name!r}, after {finder.share:.0%} of the search",
                 )
             done += len(receiver)
@@ -148,7 +147,10 @@ def visibility_query(
     trajectories = [r.trajectory for r in scene.receivers]
     mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
     ends = trajectory_tables(source.trajectory, trajectories, mounts)
-    longest = (legs + 1) * _diameter(room, ends) / scene.air.slowest
+    spheres = [ends.sphere(row) for row in range(len(ends.places))]
+    low = np.minimum(room.extent[0], np.min([c - r for c, r in spheres], axis=0))
+    high = np.maximum(room.extent[1], np.max([c + r for c, r in spheres], axis=0))
+    longest = (legs + 1) * float(np.linalg.norm(high - low)) / scene.air.slowest  # no leg is longer than that
     last = np.array([_last(source.trajectory, longest, t) for t in trajectories])
     fastest = float(ends.scales[0, 2])
     if fastest >= medium.slowest:  # a bound: at a sharp corner up to twice the speed
@@ -169,10 +171,9 @@ def resolution_of(scene: Scene, resolution: float | None) -> float:
 def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
     """Return every path of a mesh up to an order, a row for every interval in which it is heard."""
     order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
-    mesh = MeshSearch(order, search.finder, search.resolution, search.path_limit, search.engine, search.device)
     count = len(scene.sources)
     found = [
-        mesh.paths(scene, room, source, partial(report, search.notify, i / count, (i + 1) / count))
+        MeshSearch(order, search).paths(scene, room, source, partial(report, search.notify, i / count, (i + 1) / count))
         for i, source in enumerate(scene.sources)
     ]
     walls = np.concatenate([f.walls for f in found])
@@ -249,12 +250,6 @@ def sides_of_air(query: VisibilityQuery) -> NDArray[np.int64]:
     return air_sides(query.walls, start)
 
 
-def _planter(walls: Walls, air: NDArray[np.int64], device: tuple[DeviceInfo, Any] | None) -> Callable[..., BeamTree]:
-    """Return a function that makes beam trees in a room, from a sphere to others, as in `BeamTree`."""
-    lookup = DeviceLookup(walls, device) if device is not None and len(walls) > _FEW_WALLS else WallLookup(walls)
-    return partial(BeamTree, walls, limit=BEAM_LIMIT, sides=air, lookup=lookup)
-
-
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:
     """Join candidates of the same order until they are worth a launch; yield also how many others wait."""
     waiting: dict[int, list[Candidates]] = {}
@@ -281,11 +276,3 @@ def _last(source: Motion, longest: float, receiver: Motion) -> float:
     if math.isinf(source.end) and math.isinf(receiver.end):
         return 1.0  # nothing ever changes
     return max(last, 1e-3)
-
-
-def _diameter(room: MeshRoom, ends: TrajectoryTables) -> float:
-    """Return a bound on the length of a leg, m."""
-    spheres = [ends.sphere(row) for row in range(len(ends.places))]
-    low = np.minimum(room.extent[0], np.min([c - r for c, r in spheres], axis=0))
-    high = np.maximum(room.extent[1], np.max([c + r for c, r in spheres], axis=0))
-    return float(np.linalg.norm(high - low))

@@ -15,7 +15,7 @@ from clsim.arrays import Floats
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.family import Instant, Rows
 from clsim.paths.legs.mirrors import dot
-from clsim.paths.legs.places import path_vertices
+from clsim.paths.legs.static import path_vertices
 from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse

@@ -43,7 +43,9 @@ from clsim.paths.visibility.intervals import (
 from clsim.paths.visibility.occlusion import in_air
 from clsim.scene.room.edges import Edges
 
+Bools = NDArray[np.bool_]
 Rows = NDArray[np.int64]
+Sides = NDArray[np.int8]
 
 
 _CHUNK = 20_000  # intervals looked at at a time, which bounds what waits
@@ -162,11 +164,10 @@ class EdgeSearch:
 class Pieces:
     """Stretches of candidates between boundaries of their terms."""
 
-    candidates: EdgeCandidates  # the paths
     row: NDArray[np.int64]  # (n,) of the candidates
     begin: Floats  # (n,) s
     end: Floats  # likewise
-    sides: NDArray[np.int8]  # (n, 11) see `EdgeVisibility.sides`
+    sides: Sides  # (n, 11) see `EdgeVisibility.sides`
 
 
 def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, notify: Callable[[], None]) -> Pieces:
@@ -212,7 +213,8 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
         row, begin, end = row[~done], begin[~done], end[~done]
         if len(row):
             stack.append(divided(row, begin, end, 2, _PARTS if candidates.over_ends_of_pairs else 2))
-    return _joined_pieces(candidates, *(np.concatenate(column) for column in zip(*found, strict=True)))
+    over = (candidates.end >= 0) & (not candidates.over_ends_of_pairs)
+    return Pieces(*_joined_pieces(over, *(np.concatenate(column) for column in zip(*found, strict=True))))
 
 
 def _refuse_endless(evaluations: NDArray[np.int64], name: Callable[[int], str]) -> None:
@@ -228,16 +230,26 @@ def _refuse_endless(evaluations: NDArray[np.int64], name: Callable[[int], str]) 
         )
 
 
-def _joined_pieces(
-    candidates: EdgeCandidates, row: NDArray[np.int64], begin: Floats, end: Floats, sides: NDArray[np.int8]
-) -> Pieces:
-    """Sort intervals by path and time, and join those that touch and have the same sides."""
+def _joined_pieces(over: Bools, row: Rows, begin: Floats, end: Floats, sides: Sides) -> tuple[Any, Any, Any, Any]:
+    """Sort intervals by path and time, and join those that touch and have the same sides.
+
+    Those of candidates that run over the end of one edge, masked by `over`, are joined by `joined_over_ends`.
+    """
     rank = np.lexsort((begin, row))
     row, begin, end, sides = row[rank], begin[rank], end[rank], sides[rank]
     first = np.append(True, (row[1:] != row[:-1]) | (begin[1:] != end[:-1]) | np.any(sides[1:] != sides[:-1], axis=1))
     starts = np.flatnonzero(first[: len(row)])
     stops = np.append(starts[1:], len(row))[: len(starts)] - 1
-    return _over_ends(Pieces(candidates, row[starts], begin[starts], end[stops], sides[starts]))
+    row, begin, end, sides = row[starts], begin[starts], end[stops], sides[starts]
+    some, others = np.flatnonzero(over[row]), np.flatnonzero(~over[row])
+    of_ends = sides[some, :TERMS], sides[some, TERMS], sides[some][:, ENDS_BESIDE]
+    kept, starting, ending, lit = joined_over_ends(row[some], begin[some], end[some], *of_ends)
+    joined = np.array(sides[some[kept]])
+    joined[:, :TERMS] = lit
+    columns = ((row, row[some[kept]]), (begin, starting), (end, ending), (sides, joined))
+    row, begin, end, sides = (np.concatenate([column[others], more]) for column, more in columns)
+    rank = np.lexsort((begin, row))
+    return row[rank], begin[rank], end[rank], sides[rank]
 
 
 def indistinct(moved: Floats, resolution: float, size: float) -> Floats:
@@ -247,18 +259,3 @@ def indistinct(moved: Floats, resolution: float, size: float) -> Floats:
     """
     slowest = NEAR * size / LONGEST * STEP
     return np.asarray(APART * resolution + NEAR * size * STEP / np.maximum(moved, slowest))
-
-
-def _over_ends(pieces: Pieces) -> Pieces:
-    """Join the pieces of paths over ends of edges, see `joined_over_ends`."""
-    row, begin, end, sides = pieces.row, pieces.begin, pieces.end, pieces.sides
-    over = (pieces.candidates.end[row] >= 0) & (not pieces.candidates.over_ends_of_pairs)
-    some, others = np.flatnonzero(over), np.flatnonzero(~over)
-    of_ends = sides[some, :TERMS], sides[some, TERMS], sides[some][:, ENDS_BESIDE]
-    kept, starting, ending, lit = joined_over_ends(row[some], begin[some], end[some], *of_ends)
-    joined = np.array(sides[some[kept]])
-    joined[:, :TERMS] = lit
-    columns = ((row, row[some[kept]]), (begin, starting), (end, ending), (sides, joined))
-    row, begin, end, sides = (np.concatenate([column[others], more]) for column, more in columns)
-    rank = np.lexsort((begin, row))
-    return Pieces(pieces.candidates, row[rank], begin[rank], end[rank], sides[rank])

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, read_only
-from clsim.paths.family import PairPaths, PathFamily
+from clsim.paths.family import PathFamily
 from clsim.paths.legs.events import find_events
-from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.legs.places import path_vertices
+from clsim.paths.legs.static import path_vertices
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.mesh import report
@@ -37,14 +36,13 @@ def behind_bodies(search: BodySearch, family: PathFamily, progress: Progress = l
     for number, pair in enumerate(pairs):
         part = partial(report, progress, number / len(pairs), (number + 1) / len(pairs))
         query = search.pair(pair.source, pair.receiver)
-        status = _Status(pair, search)
+        past = PastBodies(family, pair.index, search.obstacles, query)
         if family.is_specular:
-            evaluate = _Evaluation(status, search.obstacles, query)
             every = np.arange(len(pair.index))
             spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
-            path, begin, end = certified(evaluate.evaluate, evaluate.status, spans, query.resolution, part)
+            path, begin, end = certified(past.evaluate, past.status, spans, query.resolution, part)
         else:
-            path, begin, end = sampled(status, pair.index, query.times, query.resolution, status.nearby)
+            path, begin, end = sampled(past.free, pair.index, query.times, query.resolution, past.nearby)
             part(1.0)
         begin, end = query.bounded(begin, end)
         path = pair.index[path]
@@ -58,25 +56,49 @@ def behind_bodies(search: BodySearch, family: PathFamily, progress: Progress = l
     return replace(cut, start=read_only(begin[order]), end=read_only(end[order]))
 
 
-class _Status:
-    """Whether paths of a pair are free of all bodies."""
+@dataclass(frozen=True, slots=True, eq=False)
+class PastBodies:
+    """Whether bodies are in the way of paths of one pair; of those by walls alone, for how long that is certain."""
 
-    def __init__(self, pair: PairPaths, search: BodySearch) -> None:
-        self._family, self._bodies, self._mirrors = pair.family, search.scene.bodies, search.obstacles.mirrors
-        self.index = pair.index
+    family: PathFamily
+    index: Rows  # (P,) of the pair in it
+    obstacles: Obstacles  # of the scene
+    query: PairQuery
 
     def polylines(self, rows: Rows, times: Floats) -> tuple[Floats, Floats]:
-        """Return the corners of paths, and when sound is there; see `polylines`."""
-        return polylines(self._family, self._mirrors, rows, times)
+        """Return the corners (P, T, V, 3) of paths, m, and when sound is there (P, T, V), s.
 
-    def __call__(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
+        It is received at times (P, T), which may differ from path to path where walls alone reflect these. Behind the
+        receiver of paths of fewer corners stands NaN.
+        """
+        family, (count, every) = self.family, times.shape
+        sender = family.scene.sources[family.source[rows][0]]
+        source, receiver = sender.trajectory, family.scene.receivers[family.receiver[rows][0]].trajectory
+        if family.is_specular:  # whatever the order of walls, their image is one and the same
+            medium = mean_medium_of(family.scene.air, sender.emitted.centre_frequency)
+            met = family.walls[rows]
+            met = np.take_along_axis(met, np.argsort(met < 0, axis=1, kind="stable"), axis=1)
+            delay = find_events(self.obstacles.mirrors, met, (source, receiver), medium, times, rounds=ROUNDS).delay
+            faces, walls = family.scene.room.faces, np.repeat(met, every, axis=0)
+            ends = source.position((times - delay).ravel()), receiver.position(times.ravel())
+            corners = path_vertices((faces.normals, faces.offsets), walls, *ends).reshape(count, every, -1, 3)
+        else:
+            delay = family.arrivals(rows, times[0]).delay
+            corners = np.stack([family.vertices(rows, float(time)) for time in times[0]], axis=1)
+        steps = np.linalg.norm(np.diff(corners, axis=2), axis=3)
+        along = np.concatenate([np.zeros((count, every, 1)), np.cumsum(steps, axis=2)], axis=2)
+        whole = np.nanmax(along, axis=2, keepdims=True)
+        return corners, (times - delay)[..., None] + delay[..., None] * along / np.maximum(whole, 1e-300)
+
+    def free(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
+        """Mask of paths (P,) that are free of all bodies at times (P, T)."""
         free = np.ones(times.shape, dtype=bool)
         shared = np.zeros(len(rows), dtype=np.int64)
-        if not self._family.is_specular:  # those looked at at the same times are so together
+        if not self.family.is_specular:  # those looked at at the same times are so together
             shared = np.unique(times[:, [0, -1]], axis=0, return_inverse=True)[1].ravel()
         for group in range(int(shared.max(initial=-1)) + 1):
             some = np.flatnonzero(shared == group)
-            free[some] = self._free(*polylines(self._family, self._mirrors, rows[some], times[some]))
+            free[some] = self._passes(*self.polylines(rows[some], times[some]))
         return free
 
     def nearby(self, rows: Rows, times: Floats) -> Status:
@@ -94,35 +116,26 @@ class _Status:
             share = np.where(exact.any(axis=2, keepdims=True), exact, share)
             share /= share.sum(axis=2, keepdims=True)
             corners = np.einsum("ptn,pnvx->ptvx", share, place[some])
-            return self._free(corners, np.einsum("ptn,pnv->ptv", share, when[some]))
+            return self._passes(corners, np.einsum("ptn,pnv->ptv", share, when[some]))
 
         return status
 
-    def _free(self, place: Floats, when: Floats) -> NDArray[np.bool_]:
+    def _passes(self, place: Floats, when: Floats) -> NDArray[np.bool_]:
         """Mask (P, T) of polylines (P, T, V, 3) of events at times (P, T, V) that pass all bodies."""
         shape = when.shape[:2]
         free = np.ones(shape[0] * shape[1], dtype=bool)
         flat, at = place.reshape(-1, *place.shape[2:]), when.reshape(-1, when.shape[2])
         for leg in range(at.shape[1] - 1):
-            for body in self._bodies:
+            for body in self.family.scene.bodies:
                 rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
                 legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
                 none = np.full(len(rows), -1)
                 free[rows] = ~hidden_by(body, legs, none, none)[0]
         return free.reshape(shape)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Evaluation:
-    """Whether bodies are in the way of paths by walls of one pair, and for how long that is certain."""
-
-    free: _Status
-    obstacles: Obstacles
-    query: PairQuery
-
     def status(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
         """Mask of paths (n,) that are free at times (n,)."""
-        return self.free(self.free.index[rows], times[:, None])[:, 0]
+        return self.free(self.index[rows], times[:, None])[:, 0]
 
     def evaluate(self, rows: Rows, times: Floats, half: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
         """Mask of free paths (n,), the time for which that is certain, s, and the speed of what decides, m/s.
@@ -130,7 +143,7 @@ class _Evaluation:
         Walls rest: every point at a fixed share of a path moves by no more than its ends, see `certainty`, and a corner
         along the wall by as much again over the cosine of the angle of incidence.
         """
-        place, when = (x[:, 0] for x in self.free.polylines(self.free.index[rows], times[:, None]))
+        place, when = (x[:, 0] for x in self.polylines(self.index[rows], times[:, None]))
         first = np.zeros(len(rows), dtype=np.int64)
         pace = self.query.rates.over(first, times - _EARLIER * (half + times - when[:, 0]), times, half)
         medium = self.query.medium
@@ -167,29 +180,3 @@ def _slides(place: Floats, most: Floats) -> Floats:
         bends = 1.0 + 2.0 / np.linalg.norm(np.diff(steps, axis=1), axis=2)
         slides = np.multiply(most[:, None], bends, out=np.zeros_like(bends), where=most[:, None] > 0.0)
     return np.where(most[:, None] > 0.0, slides, 0.0)
-
-
-def polylines(family: PathFamily, mirrors: Mirrors, rows: Rows, times: Floats) -> tuple[Floats, Floats]:
-    """Return the corners (P, T, V, 3) of paths of one pair, m, and when sound is there (P, T, V), s.
-
-    It is received at times (P, T), which may differ from path to path where these are reflected by nothing but walls.
-    Behind the receiver of paths of fewer corners stands NaN.
-    """
-    count, every = times.shape
-    sender = family.scene.sources[family.source[rows][0]]
-    source, receiver = sender.trajectory, family.scene.receivers[family.receiver[rows][0]].trajectory
-    if family.is_specular:  # whatever the order of walls, their image is one and the same
-        medium = mean_medium_of(family.scene.air, sender.emitted.centre_frequency)
-        met = family.walls[rows]
-        met = np.take_along_axis(met, np.argsort(met < 0, axis=1, kind="stable"), axis=1)
-        delay = find_events(mirrors, met, (source, receiver), medium, times, rounds=ROUNDS).delay
-        faces, walls = family.scene.room.faces, np.repeat(met, every, axis=0)
-        ends = source.position((times - delay).ravel()), receiver.position(times.ravel())
-        corners = path_vertices((faces.normals, faces.offsets), walls, *ends).reshape(count, every, -1, 3)
-    else:
-        delay = family.arrivals(rows, times[0]).delay
-        corners = np.stack([family.vertices(rows, float(time)) for time in times[0]], axis=1)
-    steps = np.linalg.norm(np.diff(corners, axis=2), axis=3)
-    along = np.concatenate([np.zeros((count, every, 1)), np.cumsum(steps, axis=2)], axis=2)
-    whole = np.nanmax(along, axis=2, keepdims=True)
-    return corners, (times - delay)[..., None] + delay[..., None] * along / np.maximum(whole, 1e-300)

@@ -158,19 +158,19 @@ class Lookup(Protocol):
         """Return pairs of a beam and a wall that it may meet."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class WallLookup:
     """Looks up walls in NumPy."""
 
-    def __init__(self, walls: Walls) -> None:
-        self._walls = walls
+    walls: Walls  # of the room
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
         """Crossings (m,) of segments (n, 3) and walls strictly between their endpoints; see `crossed_pieces`."""
-        return crossed_pieces(self._walls, start, stop)
+        return crossed_pieces(self.walls, start, stop)
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
         """Return pairs (m,) of a beam and a wall off its last plane; with `ears` those that a receiver sees."""
-        walls = self._walls
+        walls = self.walls
         beam, wall = walls.tree.meeting_planes(beams.planes, beams.slack)
         height = np.einsum("ni,ni->n", beams.centre[beam], walls.normal[wall]) - walls.offset[wall]
         meets = (walls.plane[beams.last[beam]] != walls.plane[wall]) & (sides[wall] * height >= -beams.radius)
@@ -185,7 +185,7 @@ class WallLookup:
 
         They touch the receiver's sphere mirrored by the wall, and what the receiver sees in it touches their ball.
         """
-        walls, found, seen = self._walls, np.zeros(len(beam), dtype=bool), ears.seen
+        walls, found, seen = self.walls, np.zeros(len(beam), dtype=bool), ears.seen
         some = np.flatnonzero(np.any(seen[:, wall], axis=0))
         step = max(1, _PAIRS // max(len(ears.radius), 1))
         for pair in (some[i : i + step] for i in range(0, len(some), step)):

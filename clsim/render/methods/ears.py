@@ -20,7 +20,7 @@ from clsim.render.opencl.batches import Fades
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.options import RenderOptions
 from clsim.render.plan import Allocation, PairPart, Plan, plan_of_part
-from clsim.render.source_filters import Emission, design_source_filters
+from clsim.render.source_filters import Emission
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.scene import Scene
@@ -65,25 +65,21 @@ def centre_tracks(tracks: SceneTracks, pairs: Sequence[int]) -> SceneTracks:
 
 
 def parts_of(
-    emissions: Sequence[tuple[Signal, float]],
-    tracks: Tracks,
-    options: RenderOptions,
-    samples: int,
+    emissions: Sequence[tuple[Signal, float]], tracks: Tracks, options: RenderOptions, samples: int,
     others: frozenset[int],
-) -> tuple[tuple[PairPart, ...], Tracks]:
-    """Return pairs with receivers whose channels differ over frequency, with a plan, and the tracks of all others."""
+) -> tuple[PairPart, ...]:  # fmt: skip
+    """Return pairs with receivers whose channels differ over frequency, with a plan."""
     pairs = [i for i in range(len(tracks.pairs)) if i not in others and can(tracks, options, i) is None]
     if not pairs or tracks.of_scene is None:
-        return (), tracks
+        return ()
     centres, until, made = centre_tracks(tracks.of_scene, pairs), samples / options.sampling_rate, []
     with with_blas_threads(1):
         for i, emitted in enumerate(emissions):
             silent = all(pair.source != i for pair in centres.pairs)
             emission = Emission.of(i, emitted, centres, options, until, centres, static=silent)
-            made.append(design_source_filters(emission))
+            made.append(emission.source_filters())
     plan = plan_of_part(options, centres, Allocation(), tuple(made), samples)
-    left = sorted(set(range(len(tracks.pairs))) - set(pairs))
-    return (PairPart(plan, frozenset(pairs)),), tracks.of_scene.among(left)
+    return (PairPart(plan, frozenset(pairs)),)
 
 
 def build(plan: Plan) -> Ears:

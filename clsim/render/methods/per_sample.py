@@ -65,13 +65,8 @@ class PathSum:
         return _Sum(self.plan)
 
 
-def of_pairs(name: str, plan: Plan) -> PathSum:
-    """Make the sum over the paths of a field of the allocation, with a plan of their own."""
-    return PathSum(getattr(plan.allocation, name)[0].plan, name)
-
-
 class Group(NamedTuple):
-    """Pairs with filters of their own: the field of the allocation, their options, indices and lengths of blocks."""
+    """Pairs with filters of their own: name of their part, options, indices and lengths of blocks."""
 
     name: str
     options: RenderOptions
@@ -98,35 +93,30 @@ def scattered_groups(tracks: Tracks, convolved: Allocation, options: RenderOptio
     return found
 
 
+@dataclass(eq=False)
 class _Sum(Stateless):
     """Adds the sum over paths; the engine starts with the first piece."""
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        self._engine: OpenclEngine | ReferenceEngine | None = None
-        self._last = plan.samples
+    plan: Plan
+    engine: OpenclEngine | ReferenceEngine | None = None
+    last: int | None = None  # sample from which on the engine prepares nothing; None: prepares all
 
     def until(self, last: int) -> None:
         """Have the engine prepare nothing from sample `last` on."""
-        self._last = last
+        self.last = last
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         """Add the sum of paths from sample `start` on to the pressure (receivers, n), Pa."""
-        if self._engine is None:
-            self._engine = _engine(self._plan)
-        self._engine.until(self._last)
-        self._engine.add(pressure, start)
+        if self.engine is None:
+            on_device = OpenclEngine if self.plan.baseband is None else BasebandEngine
+            self.engine = (ReferenceEngine if self.plan.options.engine == "reference" else on_device)(self.plan)
+        self.engine.until(self.plan.samples if self.last is None else self.last)
+        self.engine.add(pressure, start)
 
     def warn(self) -> None:
         """Warn of residuals above the requested error."""
-        if self._engine is not None:
-            self._engine.warn()
-
-
-def _engine(plan: Plan) -> OpenclEngine | ReferenceEngine:
-    if plan.options.engine == "reference":
-        return ReferenceEngine(plan)
-    return OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
+        if self.engine is not None:
+            self.engine.warn()
 
 
 _NUMBERS = 2**22  # gains held at a time

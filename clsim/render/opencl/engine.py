@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,14 +175,19 @@ class OpenclEngine:
         return upload(self._context, array)
 
 
+@dataclass(eq=False)
 class Run:
     """Carries out a task, choosing the block length for each segment."""
 
-    _apart = False  # whether each path has a row of its own
-    _divides = True  # whether a few paths can be taken out of a batch
+    _engine: OpenclEngine
+    _task: Task
 
-    def __init__(self, engine: OpenclEngine, task: Task) -> None:
-        self._engine, self._plan, self._task = engine, engine._plan, task
+    _apart: ClassVar[bool] = False  # whether each path has a row of its own
+    _divides: ClassVar[bool] = True  # whether a few paths can be taken out of a batch
+
+    def __post_init__(self) -> None:
+        engine, task = self._engine, self._task
+        self._plan = engine._plan
         self._source, self._batch, self._branches = task.source, task.batch, task.branches
         self._pressure, self._length, self._start = task.pressure, task.length, task.start
         self._origin, self._stride = 0, task.length  # first sample of the chunk in the pressure, and samples of a row
@@ -340,7 +345,9 @@ class Run:
 
     def _branch_arguments(self, begin: int) -> dict[str, Any]:
         """Return the branch signals for samples of the chunk from `begin` on, as kernels take them."""
-        return {"branches": self._branches.rows, "stride": self._branches.stride, "lead": self._lead(begin)}
+        # Place in a branch signal of the recording's sample `begin` of the chunk, without delay.
+        lead = self._start + begin - self._branches.first // self._plan.source_filters[self._source].oversampling
+        return {"branches": self._branches.rows, "stride": self._branches.stride, "lead": lead}
 
     def _block_arguments(self, nodes: Any, first_block: int) -> dict[str, Any]:
         """Return the polynomials of blocks from one on, as kernels take them."""
@@ -361,10 +368,6 @@ class Run:
     def _fade_work(self, fades: Fades, block: int) -> WorkItems:
         """Return the work-items of blocks in which paths begin or end: samples, places and channels."""
         return work(block, len(fades.row), self._channels, group=math.gcd(block, 32))
-
-    def _lead(self, begin: int) -> int:
-        """Return the place in a branch signal of the recording's sample `begin` of the chunk, without delay."""
-        return self._start + begin - self._branches.first // self._plan.source_filters[self._source].oversampling
 
     def _clear_gains(self, nodes: Any, slot: Any, at: Any, count: int) -> None:
         """Clear the gains of paths, by slot and block."""

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import clsim
+from clsim.paths.find_paths import shoebox_image_count, shoebox_images
 from clsim.paths.response import SceneResponse
-from clsim.paths.search.shoebox import shoebox_image_count, shoebox_images
 
 SIZE = np.array([8.0, 6.0, 3.0])
 

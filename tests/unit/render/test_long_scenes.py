@@ -16,7 +16,7 @@ from clsim.cli import main
 from clsim.commands import run as run_command
 from clsim.paths.path_set import PathSet
 from clsim.paths.trajectory_tables import trajectory_tables
-from clsim.render.memory import within_memory
+from clsim.render.plan import within_memory
 from clsim.render.planning import plan_render
 from clsim.scene.motion.motion import Instants, Motion
 from clsim.scene.placement import first_approach, first_refused, nearest_within
