@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_number, read_only, short_repr
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, settle, warn
 from clsim.numerics.quaternions import rotate
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class Piecewise:
         knots = self.derivative.x
         slices = np.split(np.arange(len(knots) - 1), range(_SLICE, len(knots) - 1, _SLICE))
         fastest = [self._within(pieces, knots[pieces], knots[pieces + 1]) for pieces in slices]
-        object.__setattr__(self, "_fastest", read_only(np.concatenate(fastest)))
+        settle(self, _fastest=read_only(np.concatenate(fastest)))
 
     def position(self, time: Floats) -> Floats:
         return np.asarray(self.polynomial(time), dtype=np.float64)

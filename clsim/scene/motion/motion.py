@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_number, read_only
+from clsim.errors import InputError
 from clsim.numerics.quaternions import inverse, rotate
 from clsim.scene.motion.curves import CONTINUATION, Curve, is_static
 from clsim.scene.motion.orientation import Hinge, Turning, quaternion_product
@@ -81,10 +82,6 @@ def _halves(first: Indices, middle: Indices, last: Indices) -> Any:
     return halves[halves[:, 0] <= halves[:, 1]]
 
 
-def _no_breaks() -> Floats:
-    return read_only(np.empty(0))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """A motion from `start` to `end`, s; its fields are those of `Trajectory`.
@@ -99,7 +96,7 @@ class Motion:
     end: float
     turning: Turning | None = None
     notes: tuple[str, ...] = ()
-    breaks: Floats = field(default_factory=_no_breaks)
+    breaks: Floats = field(default_factory=lambda: read_only(np.empty(0)))
     residual: Floats | None = None
     # By range and rate: every scene that the motion is in asks, and each of its scatterers' ways.
     _peaks: dict[tuple[float, float, float], tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
@@ -123,6 +120,11 @@ class Motion:
     def turns(self) -> bool:
         """Whether the orientation changes."""
         return self.turning is not None and self.turning.turns
+
+    def check_start(self) -> None:
+        """Refuse a motion that begins after 0 s."""
+        if self.start > 0.0:
+            raise InputError("trajectory", f"must begin at 0 s or before, but begins at {self.start:g} s")
 
     def position(self, t: ArrayLike) -> Floats:
         """Return positions (..., 3), m: of the shape of `t` with one more axis.

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_rising, warn
 from clsim.numerics.quaternions import same_hemisphere
 from clsim.scene.motion.curves import Piecewise
 
@@ -53,15 +53,8 @@ def as_increasing(times: Any) -> Floats:
     t = as_floats("times", times, (None,))
     if len(t) < 2:
         raise InputError("times", f"must hold at least two, but holds {len(t)}")
-    if np.abs(t).max() > 2.0 * LONGEST:  # seconds since 1970 pass
-        i = int(np.argmax(np.abs(t)))
-        raise InputError(f"times[{i}]", f"must be within {2.0 * LONGEST:g} s, but is {t[i]:g} s")
-    close = np.flatnonzero(np.diff(t) < SHORTEST)
-    if len(close):
-        i = int(close[0])
-        raise InputError(
-            "times", f"must increase strictly, but [{i + 1}] = {t[i + 1]:.12g} s follows [{i}] = {t[i]:.12g} s"
-        )
+    as_floats("times", t, (None,), within=2.0 * LONGEST, unit="s")  # seconds since 1970 pass
+    check_rising("times", t, np.diff(t) >= SHORTEST, " s", ".12g")
     return t
 
 
@@ -233,11 +226,9 @@ def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> 
     """Return unit quaternions x y z w, freed of rounding in their norm."""
     quaternions = as_floats(field, value, shape, within=1e100)  # whose squares are numbers
     norm = np.linalg.norm(quaternions, axis=-1, keepdims=True)
-    bad = np.argwhere(np.abs(norm[..., 0] - 1.0) > _UNIT_TOLERANCE)
-    if len(bad):
-        index = tuple(bad[0])
+    for index in np.argwhere(np.abs(norm[..., 0] - 1.0) > _UNIT_TOLERANCE)[:1].tolist():
         name = field + "".join(f"[{i}]" for i in index)
-        raise InputError(name, f"must be a unit quaternion x y z w, but its norm is {norm[index][0]:.6g}")
+        raise InputError(name, f"must be a unit quaternion x y z w, but its norm is {norm[tuple(index)][0]:.6g}")
     unit: Floats = quaternions / norm
     return unit
 

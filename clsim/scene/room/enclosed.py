@@ -47,7 +47,7 @@ class Shells:
 
     def volume_between(self) -> float:
         """Return the volume that is in an odd number of shells, none of which cross, m³."""
-        low, high = self._boxes()
+        low, high = self.boxes()
         normal = cross_products(self.corners)
         area = np.linalg.norm(normal, axis=1)
         total = 0.0
@@ -76,18 +76,12 @@ class Shells:
 
     def rooms(self) -> Ints | None:
         """Return the shells with few holes or none, if one of them reaches over all of the mesh; else None."""
-        low, high = self._boxes()
+        low, high = self.boxes()
         nearly = self.holes <= _LEAK
         whole = np.all(high - low >= _WHOLE * (high.max(axis=0) - low.min(axis=0)), axis=1)
         return np.flatnonzero(nearly) if np.any(nearly & whole) else None
 
-    def box_of_largest(self) -> tuple[Floats, Floats]:
-        """Return the lowest and highest corner of the shell with the largest volume, (3,) m each."""
-        low, high = self._boxes()
-        largest = int(np.argmax(self.volume))
-        return low[largest], high[largest]
-
-    def _boxes(self) -> tuple[Floats, Floats]:
+    def boxes(self) -> tuple[Floats, Floats]:
         """Return the lowest and highest corner of every shell, (S, 3) m each."""
         order = np.argsort(self.shell, kind="stable")
         first = np.searchsorted(self.shell[order], np.arange(len(self.volume)))
@@ -107,7 +101,9 @@ def enclosed_volume(
     shells = Shells.of(vertices, triangles)
     between = None if shells is None or np.any(shells.holes) else shells.volume_between()
     if between is None or (crossing and shells is not None and len(shells.volume) > 1):
-        low, high = shells.box_of_largest() if shells is not None else (vertices.min(axis=0), vertices.max(axis=0))
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        if shells is not None:
+            low, high = (corners[np.argmax(shells.volume)] for corners in shells.boxes())
         # Kronecker's lattice of the plastic number's next one, whose points are spread evenly in three dimensions.
         share = (0.5 + np.arange(_POINTS)[:, None] * 1.2207440846057596 ** -np.arange(1.0, 4.0)) % 1.0
         found = float(np.mean(contains(low + share * (high - low))) * np.prod(high - low))

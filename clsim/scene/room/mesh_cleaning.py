@@ -222,7 +222,10 @@ def describe_mesh(
         f"{len(triangles)} triangles, {len(plane_of_wall)} walls in {plane_of_wall.max() + 1} planes, "
         f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} m from ({low[0]:.4g}, {low[1]:.4g}, {low[2]:.4g}) m"
     ]
-    shells, closed = _shells(triangles)
+    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    shells, part = clusters(int(triangles.max()) + 1, edges)
+    closed = shells - len(np.unique(part[edges[uses % 2 == 1, 0]]))
     if shells > 1:
         lines.append(f"{shells} separate shells, {closed} of them closed")
     sheets = f", but for sheets of {shape.sheets.sum()} triangles in it" if shape.sheets.any() else ""
@@ -232,14 +235,6 @@ def describe_mesh(
     elif shape.inwards:
         lines.append("all triangles face inwards; harmless, since walls are two-sided")
     return [f"room: {line}" for line in (*lines, *notes)]
-
-
-def _shells(triangles: NDArray[np.int64]) -> tuple[int, int]:
-    """Return number of parts of a mesh that share no vertex, and the number of watertight ones."""
-    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
-    count, part = clusters(int(triangles.max()) + 1, edges)
-    return count, count - len(np.unique(part[edges[uses % 2 == 1, 0]]))
 
 
 def _openings(edges: Floats) -> list[str]:

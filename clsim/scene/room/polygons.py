@@ -156,7 +156,9 @@ def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tup
             if not flat:
                 flat.append(Polygon(((corners[polygon] - centre) @ axes.T)[:, :2]))
             shape = Polygon(local[:, :2])
-            if _lies_in(shape, flat[0], _GRID * area**0.5):
+            # Without a grid, intersections of polygons that share an edge but for rounding may be wrong.
+            valid = shape.is_valid and flat[0].is_valid
+            if valid and flat[0].intersection(shape, grid_size=_GRID * area**0.5).area > _MOSTLY * shape.area:
                 flat.append(shape)
                 inner.append(other)
         if not inner:
@@ -180,15 +182,6 @@ def _triangles(shape: Any, places: Floats, near: float) -> Iterator[Ints]:
         apart = np.linalg.norm(places - ring[:, None], axis=2)
         if np.all(apart.min(axis=1) <= near):
             yield apart.argmin(axis=1)
-
-
-def _lies_in(inner: Any, outer: Any, grid: float) -> bool:
-    """Test whether most of a polygon of shapely lies in another one, on a grid, m.
-
-    Without a grid, intersections of polygons that share an edge but for rounding may be wrong.
-    """
-    valid = inner.is_valid and outer.is_valid
-    return bool(valid and outer.intersection(inner, grid_size=grid).area > _MOSTLY * inner.area)
 
 
 def _plane(corners: Floats) -> tuple[Floats, Floats, float]:

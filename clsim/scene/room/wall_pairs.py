@@ -154,7 +154,10 @@ class WallTree:
         """
         order = np.arange(len(low))
         if len(low) > _TOP:
-            order = np.lexsort((_curve(0.5 * (low + high)), -_octave(high - low)))
+            length = (high - low).max(axis=1)
+            share = np.maximum(length / max(float(length.max()), 1e-300), 2.0**-_OCTAVES)
+            octave = np.floor(np.log2(share)).astype(np.int64)  # below the largest wall
+            order = np.lexsort((_curve(0.5 * (low + high)), -octave))
         middle, half = [0.5 * (low + high)[order]], [0.5 * (high - low)[order]]
         while len(middle[-1]) > _TOP:
             starts = np.arange(0, len(middle[-1]), GROUP)
@@ -257,13 +260,6 @@ class WallTree:
             near = meets(row, self.middle[below][box], self.half[below][box])
             row, box = row[near], box[near]
         return row, self.wall[box]
-
-
-def _octave(extent: Floats) -> Ints:
-    """Return size class (n,) of walls of an extent (n, 3): octaves below the largest wall."""
-    length = extent.max(axis=1)
-    share = np.maximum(length / max(float(length.max()), 1e-300), 2.0**-_OCTAVES)
-    return np.asarray(np.floor(np.log2(share)).astype(np.int64))
 
 
 def _curve(points: Floats) -> Ints:
