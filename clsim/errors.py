@@ -73,6 +73,15 @@ def inside(parent: str) -> Iterator[None]:
         raise error.within(parent) from error
 
 
+@contextmanager
+def with_field(field: str, head: str = "") -> Iterator[None]:
+    """Raise an InputError of the block with another field, and with a head before its problem."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(field, head + error.problem) from error
+
+
 def check_kind(field: str, value: Any, kind: type[Any] | UnionType, called: str) -> None:
     """Refuse a value of another type than a kind; messages call it by its name with an article."""
     if not isinstance(value, kind):

@@ -60,13 +60,9 @@ class StoredSound:
 
     def attributes(self) -> dict[str, Any]:
         """Attributes at the root of a store."""
-        root = {
-            "clsim_store_format": STORE_FORMAT,
-            "clsim_version": self.version,
-            "sampling_rate": self.sampling_rate,
-            "scene": self.scene,
-        }
-        return root if self.carrier is None else root | {"carrier": self.carrier}
+        root = {"clsim_store_format": STORE_FORMAT, "clsim_version": self.version, "scene": self.scene}
+        rates = {"sampling_rate": self.sampling_rate, "carrier": self.carrier}
+        return root | {name: rate for name, rate in rates.items() if rate is not None}
 
     def coordinates(self) -> Any:
         """Return all but the sound as an xarray Dataset."""
@@ -305,11 +301,15 @@ class _ZarrStore(SoundStore):
 
     def create(self) -> None:
         """Write coordinates, and an array without chunks yet, of one receiver and one chunk of the run each."""
+        import zarr
+
         path = self.paths[0]
         shutil.rmtree(path, ignore_errors=True)
         write_zarr(self._sound.coordinates(), path, "w-")
         self._create_array("r+")
-        consolidate(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know this yet
+            uninterrupted(zarr.consolidate_metadata, path)
         tree_to_disk(path)
 
     def _create_array(self, mode: Literal["r+", "w-"]) -> None:
@@ -408,11 +408,8 @@ def _compressors() -> list[Any]:
 
 
 def write_zarr(content: Any, path: Path, mode: Literal["a", "w-"]) -> None:
-    """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum.
-
-    The metadata of arrays that are there already are gathered with the others. Zarr writes into memory: for many small
-    arrays its threads take longer than all else.
-    """
+    """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum."""
+    # Zarr writes into memory: for many small arrays its threads take longer than all else.
     import zarr
     from zarr.core.buffer import default_buffer_prototype
 
@@ -435,12 +432,3 @@ def write_zarr(content: Any, path: Path, mode: Literal["a", "w-"]) -> None:
         if name not in there:
             (path / name).parent.mkdir(parents=True, exist_ok=True)
             (path / name).write_bytes(buffer.to_bytes())
-
-
-def consolidate(path: Path) -> None:
-    """Gather a Zarr store's metadata in one place, for fast opening."""
-    import zarr
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know this yet
-        uninterrupted(zarr.consolidate_metadata, path)

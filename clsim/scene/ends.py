@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_choice, as_count, as_flag, as_floats, as_number, short_repr
-from clsim.errors import InputError, check_kind, check_name, settle
+from clsim.errors import InputError, check_kind, check_name, settle, with_field
 from clsim.numerics.quaternions import normalised, quaternion_from_direction, rotate
 from clsim.scene.directivity.directivity import ChannelDirectivity, Directivity
 from clsim.scene.directivity.head_related import EARS, HeadRelated, SphericalHead
@@ -329,10 +329,8 @@ class Receiver:
         """
         ears = SphericalHead() if hrtf is None else hrtf
         if isinstance(ears, str | PathLike):
-            try:
+            with with_field("hrtf"):
                 ears = HeadRelated.from_sofa(ears)
-            except InputError as error:
-                raise InputError("hrtf", error.problem) from error
         if not isinstance(ears, ChannelDirectivity) or ears.channels != EARS:
             raise InputError("hrtf", f"must be a SOFA file or a directivity of two ears, but is {ears!r:.80}")
         return Receiver(name, trajectory, ears, **options)

@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from clsim.arrays import as_number
-from clsim.errors import InputError
-from clsim.scene_file.model import Model, Vector, within
+from clsim.errors import InputError, inside
+from clsim.scene_file.model import Model, Vector
 from clsim.scene_file.rooms import RoomModel
 
 _MOST_DRAWN = 10**7  # numbers
@@ -69,7 +69,8 @@ def draws(random: RandomModel, fields: list[str], seed: int, count: int, folder:
     seeds = seed, zlib.crc32(fields[0].encode())
     generator = np.random.default_rng(seeds)
     if name == "inside":
-        return within(field, lambda: _places(value, len(fields), seeds, count))
+        with inside(field):
+            return _places(value, len(fields), seeds, count)
     if name == "file":
         value = _files(value, field, folder, base)
     if name in ("choice", "file"):

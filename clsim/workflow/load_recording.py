@@ -16,9 +16,10 @@ from clsim.errors import InputError, not_one_of
 from clsim.files.names import file_names
 from clsim.files.sound import EnvelopeFile, SoundFile
 from clsim.output.open_store import open_store
-from clsim.output.record import Record, changed_results, load_record
+from clsim.output.record import changed_results, load_record
 from clsim.output.stores import STORES
 from clsim.recording import Recording
+from clsim.scene.receiver_array import row_receivers
 from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
 from clsim.workflow.result_folder import COMPLETED
@@ -66,11 +67,16 @@ def load_recording(
     sounds = [] if stores else _sounds(file.scene, rows)
     files = stores or list(dict.fromkeys(name for name, _ in sounds))
     if verify:
-        _refuse_changed(folder, record, [COMPLETED, *files])
+        wanted_files = [COMPLETED, *files]
+        unknown = [name for name in wanted_files if name not in record.files]
+        for name in [*unknown, *changed_results(folder, record, wanted_files)]:
+            how = "was not written by clsim" if name in unknown else "has changed since it was written, or is missing"
+            raise InputError("folder", f"must hold what was written, but {folder / name} {how}")
     chosen = [file.scene.receivers[r] for r in rows]
     channels = [row for end in chosen for row in end.rows]
+    of_row = row_receivers(file.scene.receivers)
     samples, rate = (
-        _stored(folder, _rows_of(file.scene, rows)) if stores
+        _stored(folder, [k for r in rows for k in np.flatnonzero(of_row == r).tolist()]) if stores
         else _read([(folder / name, channel) for name, channel in sounds], carrier)
     )  # fmt: skip
     found = None
@@ -84,14 +90,6 @@ def load_recording(
     )  # fmt: skip
 
 
-def _refuse_changed(folder: Path, record: Record, names: list[str]) -> None:
-    """Refuse files that are not what the record of their folder says, or of which it says nothing."""
-    unknown = [name for name in names if name not in record.files]
-    for name in [*unknown, *changed_results(folder, record, names)]:
-        how = "was not written by clsim" if name in unknown else "has changed since it was written, or is missing"
-        raise InputError("folder", f"must hold what was written, but {folder / name} {how}")
-
-
 def _stored(folder: Path, rows: list[int]) -> tuple[NDArray[Any], float]:
     """Return the samples (rows, n) of a Zarr or HDF5 store, and their rate, Hz."""
     try:
@@ -101,12 +99,6 @@ def _stored(folder: Path, rows: list[int]) -> tuple[NDArray[Any], float]:
         raise InputError("folder", error.problem) from error
     except (OSError, ValueError, RuntimeError, KeyError, TypeError) as error:  # of what unpacks a damaged chunk
         raise InputError("folder", f"must hold the sound that was written, but {error}") from error
-
-
-def _rows_of(scene: Scene, receivers: list[int]) -> list[int]:
-    """Rows of the channels of some receivers of a scene."""
-    counts = [len(receiver.directivity.channels) for receiver in scene.receivers]
-    return [sum(counts[:r]) + channel for r in receivers for channel in range(counts[r])]
 
 
 def _sounds(scene: Scene, receivers: list[int]) -> list[tuple[str, int]]:
