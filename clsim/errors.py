@@ -7,6 +7,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from types import UnionType
 from typing import Any, TypeVar
@@ -187,3 +188,23 @@ def warn(message: str, category: type[Warning] = ClsimWarning) -> None:
     while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "clsim":
         level, frame = level + 1, frame.f_back
     warnings.warn(message, category, stacklevel=level)
+
+
+def check_packages(field: str, what: str, extra: str, *packages: str) -> None:
+    """Raise an InputError if a package that a feature needs is not installed.
+
+    Examples
+    --------
+    >>> check_packages("path", "a table", "tables", "pandas_of_nobody")
+    Traceback (most recent call last):
+        ...
+    clsim.errors.InputError: path: a table needs pandas_of_nobody: pip install 'clsim[tables]'
+    """
+    missing = [name for name in packages if find_spec(name) is None]
+    if missing:
+        raise InputError(field, f"{what} needs {' and '.join(missing)}: pip install 'clsim[{extra}]'")
+
+
+def check_pictures(field: str) -> None:
+    """Raise an InputError for `field` if the plotting packages are not installed."""
+    check_packages(field, "a picture", "pictures", "matplotlib")

@@ -11,8 +11,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from clsim.cluster.dispatch import Call, Dispatch, Row, Tasks, WorkersLostError
-from clsim.errors import ClsimError, DeviceError, InputError, in_one_line, warn
-from clsim.packages import check_packages
+from clsim.errors import ClsimError, DeviceError, InputError, check_packages, in_one_line, warn
 
 _STORES = ("xarray", "zarr")  # packages by which workers write together
 _SCHEDULERS = ("dask", "distributed")  # packages by which a scheduler is reached

@@ -12,13 +12,12 @@ import numpy as np
 from clsim.acoustics.room_acoustics import before_noise, decay_curve, is_clipped
 from clsim.arrays import Floats, as_index
 from clsim.commands.arguments import add_force, as_path, as_whole
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_pictures, warn
 from clsim.files.atomic import NewFile, atomic_path
 from clsim.files.sound import read_sound_file
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.measured.page import comparison_picture
 from clsim.measured.simulated import Aligned, Reflection, align, checked, noticeable, reflections
-from clsim.packages import check_pictures
-from clsim.pictures.measured import comparison_picture
 from clsim.room_measures import BANDS, RoomMeasures, band_centres, cut_to_band, room_measures
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress

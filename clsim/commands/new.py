@@ -14,8 +14,7 @@ from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile, atomic_path
-from clsim.files.input_files import LARGEST_TEXT, read_file
-from clsim.files.names import shown
+from clsim.files.input_files import LARGEST_TEXT, read_file, shown
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom

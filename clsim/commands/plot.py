@@ -10,10 +10,9 @@ import numpy as np
 
 from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force, as_path
-from clsim.errors import InputError, inside, not_one_of, with_field
+from clsim.errors import InputError, check_pictures, inside, not_one_of, with_field
 from clsim.files.atomic import NewFile
 from clsim.output.plots import DirectivityDiagram, air_picture, directivity_picture
-from clsim.packages import check_pictures
 from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source

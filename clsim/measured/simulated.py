@@ -50,11 +50,9 @@ class Reflection:
 
 
 def align(measured: Floats, simulated: ImpulseResponses, images: ImpulseResponses) -> Aligned:
-    """Move a measured response (n,) to the time axis of a simulated one (1, 1, m), and scale it.
-
-    The delay is where the correlation with the images is largest in magnitude, between samples by a parabola; the gain
-    is by least squares there. Where the coefficient is below 0.2, both are by the beginnings and the energies.
-    """
+    """Move a measured response (n,) to the time axis of a simulated one (1, 1, m), and scale it."""
+    # The delay is where the correlation with the images is largest in magnitude, between samples by a parabola; the
+    # gain is by least squares there. Where the coefficient is below 0.2, both are by the beginnings and the energies.
     from scipy.fft import irfft, next_fast_len, rfft
 
     rate, known = simulated.sampling_rate, images.samples[0, 0]

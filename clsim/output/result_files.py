@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import Floats
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages
 from clsim.files.atomic import atomic_path, not_written
-from clsim.files.names import file_names
+from clsim.files.input_files import file_names
 from clsim.files.sound import WavWriter
 from clsim.impulse_responses import ImpulseResponses
 from clsim.numerics.quaternions import rotate
-from clsim.packages import check_packages
 from clsim.paths.ground_truth import DirectPath, EchoTruth
 from clsim.paths.path_table import PathTable, long_columns
 from clsim.scene.ends import Receiver, Source

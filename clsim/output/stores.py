@@ -18,12 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, row_name
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages
 from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
-from clsim.output.raw_files import CHECKSUM_BYTES, LARGEST_CHUNK, RawRows, chunk_places, create_file, fletcher32
-from clsim.output.zarr_files import ALL_CHUNKS
-from clsim.packages import check_packages
+from clsim.output.raw_files import (
+    ALL_CHUNKS,
+    CHECKSUM_BYTES,
+    LARGEST_CHUNK,
+    RawRows,
+    chunk_places,
+    create_file,
+    fletcher32,
+)
 from clsim.plugins import STORES as STORE_PLUGINS
 from clsim.plugins import with_plugins
 from clsim.recording import sound_attributes, sound_coordinates

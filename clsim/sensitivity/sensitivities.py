@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import LOUDEST, QUIETEST, Complexes, Floats, as_floats, read_only, short_repr
-from clsim.errors import InputError, not_one_of
-from clsim.packages import check_packages
+from clsim.errors import InputError, check_packages, not_one_of
 from clsim.paths.path_set import PathSet
 from clsim.render.memory import within_memory
 from clsim.render.options import RenderOptions

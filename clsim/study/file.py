@@ -17,13 +17,11 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from clsim.arrays import as_count, as_number
-from clsim.errors import InputError, inside
+from clsim.errors import InputError, check_packages, inside
 from clsim.files.input_files import read_toml
-from clsim.packages import check_packages
 from clsim.scene_file.model import UNKNOWN, Model, explain
 from clsim.scene_file.scene import SceneFile, build_scene, referenced_files
-from clsim.study.draws import Place, RandomModel, draws
-from clsim.study.noise import NoiseModel
+from clsim.study.draws import NoiseModel, Place, RandomModel, draws
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)|\[(\d+|\*)\]")
 Keep = Literal["recording", "direct", "reverberant", "noise", "ground_truth", "paths", "room_measures", "metrics"]

@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 
 from clsim.cluster.dispatch import Call, Row
-from clsim.errors import ClsimWarning, DeviceError, in_one_line
+from clsim.errors import ClsimWarning, DeviceError, check_packages, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.numerics.blas import with_blas_threads
+from clsim.output.raw_files import arrays_with_missing_chunks, is_sealed, seal
 from clsim.output.stores import STORE_FORMAT, write_zarr
-from clsim.output.zarr_files import arrays_with_missing_chunks, is_sealed, seal
-from clsim.packages import check_packages
 from clsim.study.content import Computed, computed, metrics_function
 from clsim.study.file import Member, ShardsModel, Study
 from clsim.study.shards import Shards

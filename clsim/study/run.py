@@ -19,8 +19,8 @@ from clsim.cluster.dispatch import Dispatch
 from clsim.cluster.workers import Workers
 from clsim.errors import InputError, in_one_line, warn
 from clsim.files.atomic import locked, remove_leftovers, safe_path, uninterrupted
+from clsim.output.raw_files import is_sealed, seal
 from clsim.output.stores import write_zarr
-from clsim.output.zarr_files import is_sealed, seal
 from clsim.study.content import metrics_function
 from clsim.study.file import DEFAULT_LIMIT, Member, Study, checked, load_study
 from clsim.study.member import (

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_packages, warn
 from clsim.exchange import decoded_frames, flac_bytes
 from clsim.files.atomic import safe_path
 from clsim.files.sound import as_frames, wav_header
-from clsim.packages import check_packages
 from clsim.study.content import Computed
 from clsim.study.file import Study
 

@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from clsim.errors import ClsimWarning
-from clsim.files.names import shown
+from clsim.files.input_files import shown
 from clsim.scene_file import as_toml
 
 Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]

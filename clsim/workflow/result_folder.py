@@ -33,7 +33,7 @@ from clsim.files.atomic import (
     temporary_path,
     to_disk,
 )
-from clsim.files.names import file_names
+from clsim.files.input_files import file_names
 from clsim.output.record import RECORD, Record, fingerprint, load_record, save_record
 from clsim.output.stores import store_kinds
 from clsim.scene_file.scene import SceneFile

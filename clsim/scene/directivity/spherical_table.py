@@ -27,7 +27,7 @@ from clsim.scene.directivity.directivity import (
     table_band,
     unit_directions,
 )
-from clsim.scene.directivity.sofa_files import axes_of, cartesian, opened_sofa, sampling_rate_of
+from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, sampling_rate_of
 
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
 _MOST_SCATTERED = 4000  # directions off a grid, whose equations take 0.2 GB and two seconds
