@@ -174,10 +174,9 @@ def _environment(number: int) -> dict[str, str]:
 
 @contextmanager
 def _heirs(environment: dict[str, str]) -> Iterator[None]:
-    """Have processes that start here find the packages of this one, and never see Ctrl-C: this process ends them.
-
-    A terminal sends Ctrl-C to all processes. Blocked, it waits for this one until the block ends; ignored, it was lost.
-    """
+    """Have processes that start here find the packages of this one, and never see Ctrl-C: this process ends them."""
+    # A terminal sends Ctrl-C to all processes. Blocked, it waits for this one until the block ends; ignored, it was
+    # lost.
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
     mask = None

@@ -88,10 +88,8 @@ def align(measured: Floats, simulated: ImpulseResponses, images: ImpulseResponse
 def reflections(
     table: PathTable, simulated: ImpulseResponses, measured: ImpulseResponses, until: float
 ) -> list[Reflection]:
-    """List paths up to a delay, s, by time, with the energies about their delays in both responses, dB re the first.
-
-    Paths that arrive within 0.5 ms of each other share their sound.
-    """
+    """List paths up to a delay, s, by time, with the energies about their delays in both responses, dB re the first."""
+    # Paths that arrive within 0.5 ms of each other share their sound.
     rows = [int(p) for p in np.argsort(table.delay[:, 0]) if table.audible[p, 0] and table.delay[p, 0] <= until]
     found: list[Reflection] = []
     first = np.ones(2)

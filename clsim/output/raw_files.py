@@ -178,11 +178,9 @@ class _Image(io.RawIOBase):
 def create_file(
     path: Path, content: Any, shape: tuple[int, int], chunk: int, sample_type: str, attributes: dict[str, Any]
 ) -> None:
-    """Write a netCDF-4 file of an xarray Dataset and of ``sound`` `shape`, zeros in chunks of one receiver.
-
-    A process that dies within the HDF5 library can leave a file that no longer opens, and a full disk can end the
-    process within the library. Here the library writes into memory, and all chunks get their places at once.
-    """
+    """Write a netCDF-4 file of an xarray Dataset and of ``sound`` `shape`, zeros in chunks of one receiver."""
+    # A process that dies within the HDF5 library can leave a file that no longer opens, and a full disk can end the
+    # process within the library. Here the library writes into memory, and all chunks get their places at once.
     import h5netcdf
     import h5py
     from xarray.backends import H5NetCDFStore
@@ -263,12 +261,10 @@ def _check_heaps(data: bytes) -> None:
 
 
 def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,).
-
-    H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535. Four
-    words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
-    follows. Modulo 65535 a factor of 256 exchanges the bytes of a word.
-    """
+    """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,)."""
+    # H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535. Four
+    # words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
+    # follows. Modulo 65535 a factor of 256 exchanges the bytes of a word.
     missing = -len(data) % (8 * _COLUMNS)
     if missing:  # zeros before the first word change neither sum
         data = np.concatenate([np.zeros(missing, np.uint8), data])
@@ -304,10 +300,8 @@ _BLANK = "0" * 64  # stands in its place where the digest is computed
 
 
 def arrays_with_missing_chunks(group: Path, metadata: dict[str, Any] | None = None) -> list[str]:
-    """List the arrays of a group whose chunks are not all there; none of a group that left out zeros.
-
-    Names of files are counted, no chunk is opened. `metadata` is the group's ``zarr.json``, with that of all arrays.
-    """
+    """List the arrays of a group whose chunks are not all there; none of a group that left out zeros."""
+    # Names of files are counted, no chunk is opened. `metadata` is the group's ``zarr.json``, with that of all arrays.
     found = json.loads((group / "zarr.json").read_bytes()) if metadata is None else metadata
     if not ALL_CHUNKS.items() <= found.get("attributes", {}).items():
         return []

@@ -32,10 +32,8 @@ _REPEATING = ["times", "path", "source", "receiver", "order", "objects"]  # colu
 
 
 def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
-    """Write a path table as ``.npz`` (arrays as in `PathTable`) or ``.parquet`` (a row per path and time).
-
-    A complex gain is two columns in Parquet: magnitude, and ``gain_phase`` in rad.
-    """
+    """Write a path table as ``.npz`` (arrays as in `PathTable`) or ``.parquet`` (a row per path and time)."""
+    # A complex gain is two columns in Parquet: magnitude, and ``gain_phase`` in rad.
     check_table(str(path))
     if Path(path).suffix == ".npz":
         with atomic_path(path) as temporary:

@@ -181,11 +181,9 @@ class _RowStore(SoundStore):
 
 
 class _WavStore(_RowStore):
-    """One file per receiver, of all its channels; its header comes first and says how long it will be.
+    """One file per receiver, of all its channels; its header comes first and says how long it will be."""
 
-    Envelopes have two channels, real part (I) and imaginary part (Q): the bytes of complex numbers.
-    """
-
+    # Envelopes have two channels, real part (I) and imaginary part (Q): the bytes of complex numbers.
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
         super().__init__(folder, sound, receivers)
         names: dict[str, list[str]] = {}  # of the channels of each receiver
@@ -230,11 +228,9 @@ class _WavStore(_RowStore):
 
 
 class _Hdf5Store(_RowStore):
-    """A netCDF-4 file whose sound is in chunks of one receiver with checksums, written past the HDF5 library.
+    """A netCDF-4 file whose sound is in chunks of one receiver with checksums, written past the HDF5 library."""
 
-    What the library wrote is on the disk before the first sample, and does not change any more.
-    """
-
+    # What the library wrote is on the disk before the first sample, and does not change any more.
     packages = ("h5netcdf", "h5py", "xarray")
 
     @staticmethod

@@ -42,11 +42,10 @@ class ViewedWall:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewedEnd:
-    """A source or receiver: name, kind, positions (F, 3) at the frames and its whole trajectory (M, 3), m.
+    """A source or receiver: name, kind, positions (F, 3) at the frames and its whole trajectory (M, 3), m."""
 
-    A position that is not known is NaN: nothing is drawn there. `aims` (F, 3) are unit vectors of what it is aimed at.
-    """
-
+    # A position that is not known is NaN: nothing is drawn there. `aims` (F, 3) are unit vectors of what it is aimed
+    # at.
     name: str
     kind: str
     positions: Floats

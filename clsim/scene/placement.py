@@ -165,10 +165,8 @@ def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float
 
 
 def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
-    """Refuse sources and receivers that walls separate from the others; warn of those connected by a hole alone.
-
-    An open mesh, or one with large holes, has no inside; positions in a convex room are checked elsewhere.
-    """
+    """Refuse sources and receivers that walls separate from the others; warn of those connected by a hole alone."""
+    # An open mesh, or one with large holes, has no inside; positions in a convex room are checked elsewhere.
     if room.is_convex:
         return
     places = np.array([first_place(room, item) for _, item in ends])

@@ -332,10 +332,8 @@ def source_index(paths: PathSet, source: int | str) -> int:
 def direct_delays(
     paths: PathSet, source: int, emitted: Floats, kinematics: Kinematics
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return delays (receivers, K) of the direct sound emitted at times (K,), s, and a mask of those in sight.
-
-    Delays are known where a wall is in the way, too; they are NaN beyond the end of a receiver's trajectory.
-    """
+    """Return delays (receivers, K) of the direct sound emitted at times (K,), s, and a mask of those in sight."""
+    # Delays are known where a wall is in the way, too; they are NaN beyond the end of a receiver's trajectory.
     receivers = paths.scene.receivers
     received = np.empty((len(receivers), len(emitted)))
     for pair in direct_paths(paths.scene).pairs():

@@ -215,10 +215,8 @@ _OF_PAIRS = ("source", "receiver", "times")
 def with_parts(
     study: Study, member: Member, planned: PlannedScene, recording: Recording, noise: NoiseModel | None
 ) -> tuple[Recording, dict[str, NDArray[Any]]]:
-    """Return a member's recording with its noise, and all sounds that are kept, by their word in `keep`.
-
-    The recording is the sum of its direct sound, what is reverberant, and noise.
-    """
+    """Return a member's recording with its noise, and all sounds that are kept, by their word in `keep`."""
+    # The recording is the sum of its direct sound, what is reverberant, and noise.
     clean, found = recording.samples, dict[str, Any]()
     if PARTS & set(study.keep):
         direct = _direct_sound(planned)

@@ -229,11 +229,9 @@ class NoiseModel(Model):
     def coherence(
         self, frequency: NDArray[np.floating], distance: NDArray[np.floating], speed_of_sound: float
     ) -> Floats:
-        """Return the coherence of pressure at two places of a diffuse field.
-
-        ``sin(kd) / (kd)`` where sound comes from all directions, ``J0(kd)`` from all horizontal ones (R. K. Cook et
-        al., "Measurement of correlation coefficients in reverberant sound fields", JASA 27, 1955).
-        """
+        """Return the coherence of pressure at two places of a diffuse field."""
+        # ``sin(kd) / (kd)`` where sound comes from all directions, ``J0(kd)`` from all horizontal ones (R. K. Cook et
+        # al., "Measurement of correlation coefficients in reverberant sound fields", JASA 27, 1955).
         from scipy.special import j0
 
         phase = 2.0 * math.pi * frequency * distance / speed_of_sound

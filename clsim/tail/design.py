@@ -38,11 +38,9 @@ DEPARTURES = 32  # directions of departure that are told apart
 
 @dataclass(frozen=True, eq=False)
 class TailEnergy:
-    """Energy of a tail from one zone to another, by time, direction of arrival and band.
+    """Energy of a tail from one zone to another, by time, direction of arrival and band."""
 
-    Energies are those of the received over those of what was emitted, Pa² s / (Pa² s).
-    """
-
+    # Energies are those of the received over those of what was emitted, Pa² s / (Pa² s).
     early: NDArray[np.float32]  # (T0, M, B) of the zone itself
     late: NDArray[np.float32]  # (T1, M, B) after that; zones in which it is alike share it
     departed: Floats  # (Q,) shares of it by direction of departure
@@ -261,11 +259,9 @@ _LEAST = 2  # bins, half of a window for directions at the beginning
 
 
 def smoothed(energy: NDArray[Any]) -> NDArray[np.float32]:
-    """Return energies (T, M, B) by bin of time, direction and band, smoothed over times that grow with time.
-
-    The sum over directions is kept, but for a short window in which it is smoothed; how it is spread over them is taken
-    from a longer one, for it changes slowly.
-    """
+    """Return energies (T, M, B) by bin of time, direction and band, smoothed over times that grow with time."""
+    # The sum over directions is kept, but for a short window in which it is smoothed; how it is spread over them is
+    # taken from a longer one, for it changes slowly.
     total = _smoothed(energy.sum(axis=1, dtype=np.float64), OF_TIME, 0)
     found = np.ascontiguousarray(np.moveaxis(energy, 2, 0), np.float32)
     for of_band, level in zip(found, total.T, strict=True):  # one at a time stays in cache

@@ -160,10 +160,8 @@ def _departures(shares: Floats, count: int, rng: np.random.Generator) -> NDArray
 
 
 def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return noise (K, L) whose energy in bands and bins of time is that of energies (T, K, B).
-
-    A bin of n samples of variance v has the energy n v at every frequency. Low bands are shaped at lower rates.
-    """
+    """Return noise (K, L) whose energy in bands and bins of time is that of energies (T, K, B)."""
+    # A bin of n samples of variance v has the energy n v at every frequency. Low bands are shaped at lower rates.
     from scipy.fft import irfft, next_fast_len, rfft
 
     times, streams, _ = energy.shape
@@ -195,11 +193,9 @@ def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.
 
 
 def _fade(bins: int, slow: int) -> NDArray[np.float32]:
-    """Weights (bins,) of a spectrum up to half of a lower rate, 1 where bands are, that fall off towards its end.
-
-    Envelopes that change within a few samples reach up to there. A spectrum that ends abruptly rings for as long as
-    tails last, and is louder than bands beside it that decay quickly.
-    """
+    """Weights (bins,) of a spectrum up to half of a lower rate, 1 where bands are, that fall off towards its end."""
+    # Envelopes that change within a few samples reach up to there. A spectrum that ends abruptly rings for as long as
+    # tails last, and is louder than bands beside it that decay quickly.
     if slow == 1:
         return np.ones(bins, np.float32)
     beyond = np.clip((np.arange(bins) / (bins - 1) * _ROOM - 1.0) / (_ROOM - 1.0), 0.0, 1.0)

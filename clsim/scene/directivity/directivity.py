@@ -95,10 +95,9 @@ def check_coverage(f: Floats, band: tuple[float, float]) -> None:
 
 
 def joined_over_frequency(frequencies: Floats, values: NDArray[Any], at: Floats, *, monotone: bool = False) -> Any:
-    """Return values (n, f) at other frequencies (u,), those beyond the ends as at the ends, (n, u).
-
-    Sound has no phase at 0 Hz: below half of the lowest frequency, imaginary parts fall to nothing as a raised cosine.
-    """
+    """Return values (n, f) at other frequencies (u,), those beyond the ends as at the ends, (n, u)."""
+    # Sound has no phase at 0 Hz: below half of the lowest frequency, imaginary parts fall to nothing as a raised
+    # cosine.
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
     within = np.clip(at, frequencies[0], frequencies[-1])

@@ -115,11 +115,9 @@ def as_table(arrays: tuple[Any, Any, Any], angle_unit: str) -> tuple[Any, Any, A
 
 @lru_cache(maxsize=4)
 def _mat_variables(path: Path, stamp: tuple[int, ...], names: tuple[str, ...], variable: str) -> dict[str, Any]:
-    """Return content of a MATLAB file, read by `mat_process`.
-
-    Another process reads it, because SciPy can end the one in which it meets a broken file. `stamp` makes a file that
-    is another one now be read again.
-    """
+    """Return content of a MATLAB file, read by `mat_process`."""
+    # Another process reads it, because SciPy can end the one in which it meets a broken file. `stamp` makes a file that
+    # is another one now be read again.
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
     }  # fmt: skip
@@ -256,10 +254,8 @@ def _directions(sofa: Any, measurement: int, emitters: int) -> Floats:
 
 
 def _left_first(directions: Floats, responses: Floats) -> Floats:
-    """Return responses (n, 2, m) with the ear first that is louder for sound from the left.
-
-    Positions of receivers do not tell: files of early versions have them the wrong way round.
-    """
+    """Return responses (n, 2, m) with the ear first that is louder for sound from the left."""
+    # Positions of receivers do not tell: files of early versions have them the wrong way round.
     side = directions[:, 1] @ np.sum(responses**2, axis=2)
     return responses if side[0] >= side[1] else responses[:, ::-1]
 

@@ -195,12 +195,10 @@ class FactorTable:
         return curve_of(self)(frequency)
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
-        """Return the factor as a function of frequency.
-
-        Complex factors lose their mean delay first, so that a delay stays one however coarse the table, and get it
-        back behind. Real and imaginary parts of the rest are joined by monotone cubics: magnitudes and phases would
-        go astray where a factor comes near zero.
-        """
+        """Return the factor as a function of frequency."""
+        # Complex factors lose their mean delay first, so that a delay stays one however coarse the table, and get it
+        # back behind. Real and imaginary parts of the rest are joined by monotone cubics: magnitudes and phases would
+        # go astray where a factor comes near zero.
         if not self.is_complex:
             return over_octaves(self.frequencies, self.factors)
         step = self.factors[1:] * self.factors[:-1].conj()

@@ -50,11 +50,10 @@ class Instants:
         return np.asarray(self.step * np.maximum(middle - first, last - middle))
 
     def first(self, probe: Probe) -> int | None:
-        """Return the first instant for which `probe` reports a hit, the same as by evaluating every instant.
-
-        It takes the first, middle and last instants of ranges (n,), in the order of time. It returns the first that is
-        surely met in each, or -1, and whether others of the range may be met: its halves are then evaluated as well.
-        """
+        """Return the first instant for which `probe` reports a hit, the same as by evaluating every instant."""
+        # It takes the first, middle and last instants of ranges (n,), in the order of time. It returns the first that
+        # is surely met in each, or -1, and whether others of the range may be met: its halves are then evaluated as
+        # well.
         met, waiting = None, [np.array([[0, self.count - 1]])]
         while waiting:
             ranges = waiting.pop()
@@ -260,11 +259,9 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swung:
-    """A point that swings about an axis, whose nearest point is `foot` (3,) m.
+    """A point that swings about an axis, whose nearest point is `foot` (3,) m."""
 
-    `along` and `across` (3,) m lead from there to the point at angle 0, and at a quarter turn.
-    """
-
+    # `along` and `across` (3,) m lead from there to the point at angle 0, and at a quarter turn.
     foot: Floats
     along: Floats
     across: Floats

@@ -120,14 +120,12 @@ class Turning(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GreatArcs:
-    """Spherical linear interpolation between orientations, held before the first and after the last.
+    """Spherical linear interpolation between orientations, held before the first and after the last."""
 
-    On each piece ``q(u) = base cos(u Ω) + side sin(u Ω)``, u from 0 to 1, with the angle Ω between both quaternions and
-    the unit quaternion `side` at a right angle to `base`; the last piece does not turn. The sign never jumps. Shapes:
-    times (n,) s; base, side (n, 4); angle (n,) rad. K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH
-    Computer Graphics 19(3), 1985.
-    """
-
+    # On each piece ``q(u) = base cos(u Ω) + side sin(u Ω)``, u from 0 to 1, with the angle Ω between both quaternions
+    # and the unit quaternion `side` at a right angle to `base`; the last piece does not turn. The sign never jumps.
+    # Shapes: times (n,) s; base, side (n, 4); angle (n,) rad. K. Shoemake, "Animating rotation with quaternion curves",
+    # SIGGRAPH Computer Graphics 19(3), 1985.
     times: Floats
     base: Floats
     side: Floats
@@ -159,10 +157,8 @@ class GreatArcs:
         return turned
 
     def angular_velocity(self, time: Floats) -> Floats:
-        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns.
-
-        At the end of a piece it is that of the next one; before the first and from the last orientation on it is 0.
-        """
+        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns."""
+        # At the end of a piece it is that of the next one; before the first and from the last orientation on it is 0.
         inverse = self.base * np.array([-1.0, -1.0, -1.0, 1.0])
         step = np.append(np.diff(self.times), np.inf)
         turns = 2.0 * (self.angle / step)[:, None] * quaternion_product(self.side, inverse)[:, :3]

@@ -61,14 +61,12 @@ class Shells:
         return float(total)
 
     def holds(self, shell: int, points: Floats) -> NDArray[np.bool_]:
-        """Return a mask of the points (n, 3) that a shell, which may have holes, surrounds more than half.
-
-        The generalised winding number: the share of all directions in which rays leave through the shell, those that
-        enter it counted off; 1 inside a closed shell and 0 outside. A. Jacobson, L. Kavan, O. Sorkine-Hornung, "Robust
-        inside-outside segmentation using generalized winding numbers", ACM Transactions on Graphics 32(4), 2013; solid
-        angles: A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on Biomedical
-        Engineering 30(2), 1983.
-        """
+        """Return a mask of the points (n, 3) that a shell, which may have holes, surrounds more than half."""
+        # The generalised winding number: the share of all directions in which rays leave through the shell, those that
+        # enter it counted off; 1 inside a closed shell and 0 outside. A. Jacobson, L. Kavan, O. Sorkine-Hornung,
+        # "Robust inside-outside segmentation using generalized winding numbers", ACM Transactions on Graphics 32(4),
+        # 2013; solid angles: A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on
+        # Biomedical Engineering 30(2), 1983.
         corners = self.corners[self.shell == shell]
         step = max(1, _PAIRS // len(corners))
         parts = [_winding(points[i : i + step], corners) for i in range(0, len(points), step)]
@@ -113,10 +111,8 @@ def enclosed_volume(
 
 
 def held_by_rooms(vertices: Floats, triangles: Ints, points: Floats) -> tuple[NDArray[np.bool_], bool] | None:
-    """Return mask of points (n, 3), m, in an odd number of nearly closed shells, and whether all these are closed.
-
-    Sheets and shells with large holes do not count. None if none of the others reaches over all of the mesh.
-    """
+    """Return mask of points (n, 3), m, in an odd number of nearly closed shells, and whether all these are closed."""
+    # Sheets and shells with large holes do not count. None if none of the others reaches over all of the mesh.
     shells = Shells.of(vertices, triangles)
     rooms = None if shells is None else shells.rooms()
     if shells is None or rooms is None:
@@ -126,10 +122,8 @@ def held_by_rooms(vertices: Floats, triangles: Ints, points: Floats) -> tuple[ND
 
 
 def _oriented(triangles: Ints) -> tuple[Ints, Ints] | None:
-    """Return 1 or -1 for each triangle (T,), by which all of a shell turn alike, and the shell of each; or None.
-
-    Triangles are nodes of a graph twice, as they are and turned over: a shell with two sides is two parts of it.
-    """
+    """Return 1 or -1 for each triangle (T,), by which all of a shell turn alike, and the shell of each; or None."""
+    # Triangles are nodes of a graph twice, as they are and turned over: a shell with two sides is two parts of it.
     count = len(triangles)
     edge, rising, owner = _edges(triangles)
     shared = np.flatnonzero((np.bincount(edge) == 2)[edge])

@@ -18,11 +18,9 @@ _FINEST = 1e-8  # of the room's size: less could not be distinguished from round
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faces:
-    """The F walls of a room, in the order of their indices: unit normals (F, 3) and offsets (F,), m.
+    """The F walls of a room, in the order of their indices: unit normals (F, 3) and offsets (F,), m."""
 
-    Normals point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
-    """
-
+    # Normals point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
     normals: Floats
     offsets: Floats
     names: tuple[str, ...]

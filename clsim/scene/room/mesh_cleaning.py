@@ -21,12 +21,10 @@ _HOLES_LISTED = 5
 def outward_sides(
     corners: Floats, triangles: Ints, neighbours: Ints, of_triangle: Ints, normal: Floats, crossing: Ints, level: Ints
 ) -> tuple[Ints, Ints]:
-    """Return the shell (W,) of each wall, and the side (W,) of the wall on which the outside of this shell lies.
-
-    The side is 1 if the normal of the wall points out of the shell, -1 if into it, and 0 where there is no such side:
-    in a shell that is open, runs through itself, lies on itself the other way round, or whose triangles turn both ways.
-    Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); crossing (m, 2); level (k, 2).
-    """
+    """Return the shell (W,) of each wall, and the side (W,) of the wall on which the outside of this shell lies."""
+    # The side is 1 if the normal of the wall points out of the shell, -1 if into it, and 0 where there is no such side:
+    # in a shell that is open, runs through itself, lies on itself the other way round, or whose triangles turn both
+    # ways. Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); crossing (m, 2); level (k, 2).
     count, of_face = clusters(len(triangles), neighbours)
     shell = np.empty(len(normal), dtype=np.int64)
     shell[of_triangle] = of_face
@@ -99,10 +97,8 @@ def _panels(
 
 
 def _side(corners: Floats, area: Floats) -> tuple[NDArray[np.int64], Floats, float]:
-    """Return triangles (n,) of one side of a panel, the shift (3,) to its middle, m, and its thickness, m.
-
-    The thickness is 0 for a flat shell, or one that is no panel.
-    """
+    """Return triangles (n,) of one side of a panel, the shift (3,) to its middle, m, and its thickness, m."""
+    # The thickness is 0 for a flat shell, or one that is no panel.
     largest = corners[np.argmax(area)]
     normal = np.cross(largest[1] - largest[0], largest[2] - largest[0])
     normal /= np.linalg.norm(normal)

@@ -42,10 +42,8 @@ def polygon_notes(counts: dict[str, int]) -> tuple[str, ...]:
 
 
 def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
-    """Cut a polygon, corners (n, 3) in order, into triangles (T, 3) of their indices, which turn as it does.
-
-    It may be concave, and touch itself along a seam, as polygons with holes are written; one without area gives none.
-    """
+    """Cut a polygon, corners (n, 3) in order, into triangles (T, 3) of their indices, which turn as it does."""
+    # It may be concave, and touch itself along a seam, as polygons with holes are written; one without area gives none.
     from mapbox_earcut import triangulate_float64
 
     flat, depth, size = _project(corners)
@@ -130,10 +128,8 @@ def triangulated(corners: Floats, polygons: list[Ints], which: list[int], near: 
 
 
 def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tuple[list[list[Ints]], list[int]]:
-    """Cut out of each polygon, corner numbers (k,), the smaller ones that lie in it, within a distance, m.
-
-    Returns for each polygon its triangles (T, 3) by part if it was cut, else none, and the polygons that were.
-    """
+    """Cut out of each polygon, corner numbers (k,), the smaller ones that lie in it, within a distance, m."""
+    # Returns for each polygon its triangles (T, 3) by part if it was cut, else none, and the polygons that were.
     from shapely import Polygon
 
     planes = [_plane(corners[polygon]) for polygon in polygons]

@@ -32,12 +32,11 @@ def touching_pairs(tree: WallTree, low: Floats, high: Floats, slack: float) -> I
 
 
 def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, size: float) -> Ints:
-    """Return numbers that are equal for walls in one plane, (W,).
-
-    If all corners of each of two walls lie within a distance t of the plane of the other, the sine of the angle between
-    the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle of all
-    walls differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each other.
-    """
+    """Return numbers that are equal for walls in one plane, (W,)."""
+    # If all corners of each of two walls lie within a distance t of the plane of the other, the sine of the angle
+    # between the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle
+    # of all walls differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each
+    # other.
     from scipy.spatial import cKDTree
 
     tolerance = SAME_PLANE * size
@@ -148,10 +147,8 @@ class WallTree:
 
     @staticmethod
     def around(low: Floats, high: Floats) -> WallTree:
-        """Return the tree of walls with given lowest and highest corners, (W, 3) m.
-
-        Large walls are grouped apart from small ones, and walls of a size along a curve that fills the room.
-        """
+        """Return the tree of walls with given lowest and highest corners, (W, 3) m."""
+        # Large walls are grouped apart from small ones, and walls of a size along a curve that fills the room.
         order = np.arange(len(low))
         if len(low) > _TOP:
             length = (high - low).max(axis=1)

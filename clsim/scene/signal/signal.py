@@ -504,10 +504,8 @@ class Signal:
 
 
 def _picked_segments(count: int, hop: int) -> tuple[NDArray[np.int64], Floats]:
-    """Return segments of `hop` samples, those before the onset included, and how many each stands for.
-
-    Of many segments the first, the last and equally spaced ones between them are taken.
-    """
+    """Return segments of `hop` samples, those before the onset included, and how many each stands for."""
+    # Of many segments the first, the last and equally spaced ones between them are taken.
     last = -(-count // hop)
     if last + 1 <= _ALL_SEGMENTS:
         return np.arange(-1, last), np.ones(last + 1)
@@ -534,10 +532,8 @@ def _hann(length: int) -> Floats:
 
 
 def _question_level(field: str, pressure: NDArray[Any]) -> None:
-    """Warn of samples above 160 dB SPL: of a converter's steps, or of another unit.
-
-    A signal does not know whether it drives a transducer, so the message names both units.
-    """
+    """Warn of samples above 160 dB SPL: of a converter's steps, or of another unit."""
+    # A signal does not know whether it drives a transducer, so the message names both units.
     peak = float(np.abs(pressure).max())
     level = 20.0 * math.log10(max(peak, _REFERENCE) / (math.sqrt(2.0) * _REFERENCE))
     if level > _LOUD:

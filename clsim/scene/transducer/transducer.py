@@ -69,12 +69,10 @@ class Filtered:
 
 
 class StreamFilter:
-    """Filters what comes in blocks of a fixed length by taps (n,), the last one perhaps shorter.
+    """Filters what comes in blocks of a fixed length by taps (n,), the last one perhaps shorter."""
 
-    `ringing` (n - 1,) is what it remembers: the part of its output so far that is still to come. The rounding is the
-    same whatever the length of the pieces that it is given.
-    """
-
+    # `ringing` (n - 1,) is what it remembers: the part of its output so far that is still to come. The rounding is the
+    # same whatever the length of the pieces that it is given.
     def __init__(self, taps: Floats, block: int) -> None:
         from scipy.fft import next_fast_len, rfft
 
@@ -129,12 +127,10 @@ class Resonance:
         return 0.0, math.inf
 
     def taps(self, sampling_rate: float) -> Floats:
-        """Return the impulse response.
-
-        With three samples a period or more the response is the band-pass's own, phase included, at both -6 dB points,
-        and within 0.05 dB and 2 degrees between them. With fewer, magnitudes are its own everywhere and the phase is
-        the least, which is early by up to half a sample.
-        """
+        """Return the impulse response."""
+        # With three samples a period or more the response is the band-pass's own, phase included, at both -6 dB points,
+        # and within 0.05 dB and 2 degrees between them. With fewer, magnitudes are its own everywhere and the phase is
+        # the least, which is early by up to half a sample.
         top = self.frequency + self.width
         if top > 0.5 * sampling_rate:
             raise InputError(
