@@ -95,14 +95,8 @@ class SourceTail:
         found = hashlib.sha256(repr((self.time_step, self.seed, sorted(self.pairs))).encode())
         for key in sorted(self.pairs):
             pair = self.pairs[key]
-            for part in (
-                pair.early,
-                pair.late,
-                pair.departed,
-                self.centres,
-                self.zones.poses,
-                self.receiver_zones.poses,
-            ):
+            of_pair = pair.early, pair.late, pair.departed
+            for part in (*of_pair, self.centres, self.zones.poses, self.receiver_zones.poses):
                 found.update(np.ascontiguousarray(part).tobytes())
         return found.hexdigest()
 
@@ -302,6 +296,7 @@ def modal_shares(room: Room, energies: WallEnergies, centres: Floats, times: Flo
     if axes is None:
         return shares
     sizes, walls = axes
+    root = (np.arange(ANGLES) + 0.5) / ANGLES
     for band in np.flatnonzero(centres < _HIGHEST):
         centre = float(centres[band])
 
@@ -313,7 +308,9 @@ def modal_shares(room: Room, energies: WallEnergies, centres: Floats, times: Flo
 
         modal = _modal(sizes, centre, c, times, damping)
         if modal is not None:
-            mirrored = np.exp(-_scattered_per_second(sizes, walls, energies, int(band), c) * times)
+            share = energies.scattered[:, :, band] @ root**3 / np.sum(root**3)  # in the mean of diffuse incidence
+            per_second = float(0.5 * c * share[energies.kind[walls]].sum(axis=1) @ (0.5 / sizes))
+            mirrored = np.exp(-per_second * times)
             shares[:, band] += mirrored * (modal / _continuous(sizes, centre, c, times, damping) - 1.0)
     return shares
 
@@ -386,12 +383,3 @@ def _decay(rates: Floats, weights: Floats, times: Floats) -> Floats:
     rate, _ = np.histogram(rates, edges, weights=weights * rates)
     some = weight > 0.0
     return np.asarray(np.exp(-np.multiply.outer(times, rate[some] / weight[some])) @ weight[some])
-
-
-def _scattered_per_second(
-    sizes: Floats, walls: NDArray[np.int64], energies: WallEnergies, band: int, c: float
-) -> float:
-    """Scatterings of a ray, 1/s: its share of reflections, in the mean of diffuse incidence."""
-    root = (np.arange(ANGLES) + 0.5) / ANGLES
-    share = energies.scattered[:, :, band] @ root**3 / np.sum(root**3)
-    return float(0.5 * c * share[energies.kind[walls]].sum(axis=1) @ (0.5 / sizes))

@@ -98,19 +98,15 @@ def joined_bands(centres: Floats, energy: NDArray[Any]) -> tuple[Floats, Iterato
         return found
 
     parts = [in_sixths(energy[:, k : k + TOGETHER]) for k in range(0, energy.shape[1], TOGETHER)]
-    steep = _steep(sum(part.sum(axis=1) for part in parts))
+    total = np.asarray(sum(part.sum(axis=1) for part in parts))
+    left = np.cumsum(total[::-1], axis=0)[::-1]
+    times = np.maximum(np.count_nonzero(left > _DECAYED * left[:1], axis=0), 1)
+    steep = np.abs(np.diff(np.log(times))) > _STEEP  # decay times of neighbours differ
     if not steep.any():
         return sixths, iter(parts)
     kept = np.ones(2 * len(sixths) - 1, np.bool_)
     kept[1::2] = steep
     return with_middles(sixths)[kept], (at_middles(part)[..., kept] for part in parts)
-
-
-def _steep(energy: Floats) -> NDArray[np.bool_]:
-    """Mask (B - 1,) of neighbouring bands of energies (T, B) whose decay times differ."""
-    left = np.cumsum(energy[::-1], axis=0)[::-1]
-    times = np.maximum(np.count_nonzero(left > _DECAYED * left[:1], axis=0), 1)
-    return np.asarray(np.abs(np.diff(np.log(times))) > _STEEP)
 
 
 _ANGLES = 32  # over which absorption is averaged
