@@ -5,7 +5,6 @@ from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.exchange import array_signals, write_acoular, write_flac, write_mat, write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
 from clsim.opencl.device import list_devices
-from clsim.output.open_store import open_store
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import BodyTruth, EchoTruth, ScattererTruth, body_truth, direct_path, scatterer_truth
 from clsim.paths.path_set import PathSet
@@ -46,7 +45,7 @@ from clsim.study.run import run_study
 from clsim.study.shards import read_shards
 from clsim.tracks.tracks import Tracks, track
 from clsim.version import __version__ as __version__
-from clsim.workflow.load_recording import load_recording
+from clsim.workflow.load_recording import load_recording, open_store
 
 __all__ = [
     "Air",

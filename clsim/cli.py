@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 from clsim.commands import COMMANDS, GROUPS
 from clsim.errors import ClsimError, InputError, meant, not_one_of
-from clsim.files.names import shown
+from clsim.files.input_files import shown
 from clsim.scene_file import as_toml
 from clsim.version import __version__
 from clsim.workflow.console import built_programs, one_line_warnings

@@ -5,8 +5,11 @@ from __future__ import annotations
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
+from types import UnionType
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -60,6 +63,50 @@ class InputError(ClsimError, ValueError):
         """
         joint = "" if self.field.startswith("[") or not self.field else "."
         return InputError(f"{parent}{joint}{self.field}", self.problem)
+
+
+@contextmanager
+def inside(parent: str) -> Iterator[None]:
+    """Raise an InputError of the block as seen from the value that holds the field, whose path is `parent`."""
+    try:
+        yield
+    except InputError as error:
+        raise error.within(parent) from error
+
+
+@contextmanager
+def with_field(field: str, head: str = "") -> Iterator[None]:
+    """Raise an InputError of the block with another field, and with a head before its problem."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(field, head + error.problem) from error
+
+
+def check_kind(field: str, value: Any, kind: type[Any] | UnionType, called: str) -> None:
+    """Refuse a value of another type than a kind; messages call it by its name with an article."""
+    if not isinstance(value, kind):
+        raise InputError(field, f"must be {called}, but is {value!r:.80}")
+
+
+def check_name(value: Any) -> None:
+    """Refuse a field ``name`` that is no text or empty."""
+    if not isinstance(value, str) or not value.strip():
+        raise InputError("name", f"must be a text that is not empty, but is {value!r:.80}")
+
+
+def settle(thing: Any, **values: Any) -> None:
+    """Set fields of a frozen dataclass that is being made."""
+    for name, value in values.items():
+        object.__setattr__(thing, name, value)
+
+
+def check_rising(field: str, values: Any, rises: Any, unit: str, form: str = "g") -> None:
+    """Refuse values (n,) unless each rises (n - 1,) enough from the one before."""
+    if not rises.all():
+        i = int(rises.argmin())
+        after, before = (f"[{k}] = {values[k]:{form}}{unit}" for k in (i + 1, i))
+        raise InputError(field, f"must increase strictly, but {after} follows {before}")
 
 
 def not_one_of(value: Any, names: Iterable[str]) -> str:
@@ -141,3 +188,23 @@ def warn(message: str, category: type[Warning] = ClsimWarning) -> None:
     while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == "clsim":
         level, frame = level + 1, frame.f_back
     warnings.warn(message, category, stacklevel=level)
+
+
+def check_packages(field: str, what: str, extra: str, *packages: str) -> None:
+    """Raise an InputError if a package that a feature needs is not installed.
+
+    Examples
+    --------
+    >>> check_packages("path", "a table", "tables", "pandas_of_nobody")
+    Traceback (most recent call last):
+        ...
+    clsim.errors.InputError: path: a table needs pandas_of_nobody: pip install 'clsim[tables]'
+    """
+    missing = [name for name in packages if find_spec(name) is None]
+    if missing:
+        raise InputError(field, f"{what} needs {' and '.join(missing)}: pip install 'clsim[{extra}]'")
+
+
+def check_pictures(field: str) -> None:
+    """Raise an InputError for `field` if the plotting packages are not installed."""
+    check_packages(field, "a picture", "pictures", "matplotlib")

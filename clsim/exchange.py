@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import LOUDEST, Floats, as_count, as_number, texts
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages
 from clsim.files.atomic import atomic_path, not_written
-from clsim.files.names import file_names
+from clsim.files.input_files import file_names
 from clsim.files.sound import as_frames
-from clsim.packages import check_packages
 from clsim.paths.ground_truth import direct_path
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording, as_recording

@@ -190,7 +190,8 @@ def impulse_responses(
     )
     as_choice("lead", lead, LEADS)
     with_tail = as_choice("tail", tail, TAILS) == "auto" and kept.low < ULTRASOUND
-    options = _tail_options(paths, tail_seed, tail_scattering)
+    scattering = as_choice("tail_scattering", tail_scattering, SCATTERINGS)
+    options = TailOptions(searched_order(paths), seed=as_count("tail_seed", tail_seed), scattering=scattering)
     audible = _active_pairs(paths, time)
     if not audible:
         raise InputError("paths", f"must hold paths that are active at {time:g} s, but hold none")
@@ -199,12 +200,13 @@ def impulse_responses(
     found, shape = {}, (len(scene.sources), int(first_row[-1]))
     first_arrivals, cut_db = np.full(shape, math.nan), np.full(shape, -math.inf)
     for i, ((source, receiver), kinds) in enumerate(audible.items()):
-        now = np.array([time])
+        arrived = [(kind, kind.arrivals(np.array([time]), QUASI_STATIC)) for kind in kinds]
+        earliest = min(float((one.delay + kind.group_delay_offset(one)).min()) for kind, one in arrived)
         by_kind = [frozen_responses(kind, time, rate, kept) for kind in kinds]
         for row, parts in enumerate(zip(*by_kind, strict=True), first_row[receiver]):
             pair = source, int(row)
             found[pair] = summed(list(parts))
-            first_arrivals[pair] = min(_earliest(kind, now) for kind in kinds)
+            first_arrivals[pair] = earliest
             if lead == "cut":
                 found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
@@ -218,12 +220,6 @@ def impulse_responses(
     if cut_db.max() > _LOUD_LEAD_DB:
         warn(f'lead="cut": {made.describe()[1]}; lead="keep" keeps it')
     return made
-
-
-def _tail_options(paths: PathSet, seed: int, scattering: str) -> TailOptions:
-    """Check the options of tails."""
-    checked = as_choice("tail_scattering", scattering, SCATTERINGS)
-    return TailOptions(searched_order(paths), seed=as_count("tail_seed", seed), scattering=checked)
 
 
 def _add_tails(
@@ -251,12 +247,6 @@ def _left(paths: PathSet, band: ResponseBand) -> tuple[str, ...]:
     field = DiffuseField.of(paths.scene, np.array([middle])) if middle < ULTRASOUND else None
     left = -math.inf if field is None else float(field.left_db(searched_order(paths))[0])
     return (f'images leave some {left:.0f} dB of the reverberation (tail="auto" adds it)',) if left > -20.0 else ()
-
-
-def _earliest(pair: PairPaths, now: Floats) -> float:
-    """Return the delay of the earliest of a pair's paths, s."""
-    found = pair.arrivals(now, QUASI_STATIC)
-    return float((found.delay + pair.group_delay_offset(found)).min())
 
 
 def _on_one_axis(pairs: tuple[int, int], found: dict[tuple[int, int], ImpulseResponse]) -> tuple[Floats, int]:

@@ -54,10 +54,8 @@ def ignore_interrupts() -> None:
 
 
 def end(status: int) -> NoReturn:
-    """End the process once its messages are printed: exit callbacks clean up, and report nothing.
-
-    Zarr gives its threads 0.2 s to end, and fails where they take longer. Threads that still run are not waited for.
-    """
+    """End the process once its messages are printed: exit callbacks clean up, and report nothing."""
+    # Zarr gives its threads 0.2 s to end, and fails where they take longer. Threads that still run are not waited for.
     try:
         sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
         atexit._run_exitfuncs()
@@ -73,10 +71,8 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    """Raise `KeyboardInterrupt`, unless an earlier one is being handled: what cleans up is not interrupted.
-
-    Until an import has ended it waits: some packages turn what is raised meanwhile into errors of their own.
-    """
+    """Raise `KeyboardInterrupt`, unless an earlier one is being handled: what cleans up is not interrupted."""
+    # Until an import has ended it waits: some packages turn what is raised meanwhile into errors of their own.
     error = sys.exc_info()[1]
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
@@ -116,10 +112,8 @@ def _raise_again(found: sys.UnraisableHookArgs) -> None:
 
 
 def _drop_interrupt(found: sys.UnraisableHookArgs) -> None:
-    """Report an error that cannot be raised, unless it is an interrupt, which comes too late.
-
-    Python reports with an OSError of no object that a signal came while its handler was replaced.
-    """
+    """Report an error that cannot be raised, unless it is an interrupt, which comes too late."""
+    # Python reports with an OSError of no object that a signal came while its handler was replaced.
     late = isinstance(found.exc_value, OSError) and found.object is None
     if not (late or isinstance(found.exc_value, KeyboardInterrupt) or _is_half_made(found)):
         sys.__unraisablehook__(found)
@@ -160,12 +154,10 @@ class _UnfailingFile(io.FileIO):
 
 
 def open_streams() -> None:
-    """See that all three standard streams are there, take every text, and that messages never fail a command.
-
-    A closed stream is replaced by one of the null device: else the next file that is opened takes its number, and gets
-    what drivers print. Names that are not UTF-8 are written as the bytes that they are, on terminals as escapes; what
-    else the encoding of the stream does not know, as an escape.
-    """
+    """See that all three standard streams are there, take every text, and that messages never fail a command."""
+    # A closed stream is replaced by one of the null device: else the next file that is opened takes its number, and
+    # gets what drivers print. Names that are not UTF-8 are written as the bytes that they are, on terminals as escapes;
+    # what else the encoding of the stream does not know, as an escape.
     for number in range(3):
         try:
             os.fstat(number)

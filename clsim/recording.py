@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_floats, as_index, as_number, short_repr, texts
-from clsim.errors import InputError, counted
-from clsim.packages import check_packages, check_pictures
+from clsim.errors import InputError, check_packages, check_pictures, counted
 from clsim.paths.path_set import PathSet
 from clsim.pictures.view_page import html_table, inline_sound
 from clsim.scene.ends import Receiver

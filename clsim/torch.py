@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import as_choice, as_count, as_flag
-from clsim.errors import InputError, counted
-from clsim.packages import check_packages
+from clsim.errors import InputError, check_packages, counted
 from clsim.paths.path_set import PathSet
 from clsim.sensitivity.linear_map import plan_of, received
 from clsim.sensitivity.sensitivities import gradient, named, options_of

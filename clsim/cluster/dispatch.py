@@ -23,21 +23,11 @@ class WorkersLostError(ClsimError):
 
 
 class Tasks(Protocol):
-    """Numbered tasks, each a call that any worker can make.
+    """Numbered tasks, each a call that any worker can make."""
 
-    Attributes
-    ----------
-    kind : str
-        Kind of the tasks, one word.
-    several : bool
-        Whether a process does several at a time, if it has threads for them.
-    loads : tuple of str
-        Modules that every worker would load itself: where workers are forked, it is done once for all.
-    """
-
-    kind: str
-    several: bool
-    loads: tuple[str, ...]
+    kind: str  # of the tasks, one word
+    several: bool  # whether a process does several at a time, if it has threads for them
+    loads: tuple[str, ...]  # modules that every worker would load itself: where workers are forked, once for all
 
     def check(self) -> Call:
         """Return the call that checks a new worker: why it cannot work, or "", and if its device is the reason."""
@@ -72,23 +62,14 @@ class Team(Protocol):
 
 
 class Dispatch:
-    """Tasks that are still to be done.
+    """Tasks that are still to be done."""
 
-    A worker is given only what it begins at once. If it dies, what it was at is done again; a task whose workers go on
-    dying is done with nothing else beside it, when all others are done with. Only what dies then too is given up: it
-    needs more than there is, or ends its process.
-
-    Attributes
-    ----------
-    left : int
-        Number of unfinished tasks.
-    begun : bool
-        Whether any was given to a worker.
-    """
-
+    # A worker is given only what it begins at once. If it dies, what it was at is done again; a task whose workers go
+    # on dying is done with nothing else beside it, when all others are done with. Only what dies then too is given up:
+    # it needs more than there is, or ends its process.
     def __init__(self, todo: list[int], patience: float = PATIENCE) -> None:
-        self.left = len(todo)
-        self.begun = False
+        self.left = len(todo)  # unfinished tasks
+        self.begun = False  # whether any was given to a worker
         self._waiting, self._suspects = deque(todo), deque[int]()
         self._running: dict[int, str] = {}
         self._deaths: Counter[int] = Counter()
@@ -110,7 +91,11 @@ class Dispatch:
                 yield from self._died(number, found)
             if not there and time.monotonic() - seen > self._patience:
                 raise WorkersLostError(f"there was no worker for {self._patience:g} s")
-            for number, worker in self._chosen(there):
+            busy = Counter(self._running.values())
+            free = [worker for worker, count in there.items() for _ in range(count - busy[worker])]
+            tasks, free = (self._waiting, free) if self._waiting else (self._suspects, [] if busy else free[:1])
+            for worker in free[: len(tasks)]:
+                number = tasks.popleft()
                 self._running[number], self.begun = worker, True
                 team.begin(number, worker)
             done = team.done(_TICK)
@@ -121,16 +106,6 @@ class Dispatch:
                 yield from self._died(number, found)
             else:
                 yield self._decided(number, row)
-
-    def _chosen(self, there: dict[str, int]) -> Iterator[tuple[int, str]]:
-        """Yield tasks to start and their workers: tasks on all free workers, or one suspect alone."""
-        busy = Counter(self._running.values())
-        free = [worker for worker, count in there.items() for _ in range(count - busy[worker])]
-        if self._waiting:
-            for worker in free[: len(self._waiting)]:
-                yield self._waiting.popleft(), worker
-        elif self._suspects and not self._running and free:
-            yield self._suspects.popleft(), free[0]
 
     def _died(self, number: int, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
         """Repeat a task whose worker died, or yield its row if the results exist."""

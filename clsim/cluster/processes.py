@@ -35,10 +35,6 @@ class _Worker:
     number: int | None = None
     closed: bool = False  # the other end of the pipe is
 
-    def is_gone(self) -> bool:
-        """Return True if the process has died and all that it sent was received."""
-        return self.closed or not (self.process.is_alive() or self.pipe.poll())
-
     def send(self, *call: Any) -> None:
         """Send a call; a dead process is detected later."""
         with suppress(OSError):
@@ -92,8 +88,8 @@ class ProcessTeam:
     def workers(self) -> dict[str, int]:
         """Return the ready processes, each for one task at a time; replace dead ones."""
         for name, worker in list(self._workers.items()):
-            if not worker.is_gone():
-                continue
+            if not worker.closed and (worker.process.is_alive() or worker.pipe.poll()):
+                continue  # it lives, or sent what was not received yet
             del self._workers[name]
             worker.process.join()
             worker.pipe.close()
@@ -120,23 +116,18 @@ class ProcessTeam:
             answer = worker.receive()
             if answer is None:  # it is replaced when workers are looked at
                 continue
-            if not worker.ready:
-                self._take_as_ready(worker, *answer)
-            else:
+            failed, value = answer
+            if worker.ready:
                 number, worker.number = worker.number, None
                 assert number is not None
-                failed, value = answer
                 return number, (self._tasks.found(number) or self._tasks.failed(number, value) if failed else value)
+            problem, is_device = (in_one_line(value), False) if failed else value
+            if is_device:
+                raise DeviceError(problem)
+            if problem:
+                raise InputError("--workers", problem)
+            worker.ready = True
         return None
-
-    def _take_as_ready(self, worker: _Worker, failed: bool, value: Any) -> None:
-        """Mark a process as ready, or raise the error that its check reported."""
-        problem, is_device = (in_one_line(value), False) if failed else value
-        if is_device:
-            raise DeviceError(problem)
-        if problem:
-            raise InputError("--workers", problem)
-        worker.ready = True
 
     def end(self) -> None:
         """End the processes; wait only for tasks that must finish, others are interrupted and clean up."""
@@ -183,10 +174,9 @@ def _environment(number: int) -> dict[str, str]:
 
 @contextmanager
 def _heirs(environment: dict[str, str]) -> Iterator[None]:
-    """Have processes that start here find the packages of this one, and never see Ctrl-C: this process ends them.
-
-    A terminal sends Ctrl-C to all processes. Blocked, it waits for this one until the block ends; ignored, it was lost.
-    """
+    """Have processes that start here find the packages of this one, and never see Ctrl-C: this process ends them."""
+    # A terminal sends Ctrl-C to all processes. Blocked, it waits for this one until the block ends; ignored, it was
+    # lost.
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = environment["PYTHONPATH"]
     mask = None
@@ -216,7 +206,13 @@ def _serve(pipe: Any, device: str | None, environment: dict[str, str]) -> None:
         calls: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         threading.Thread(target=_listen, args=(pipe, calls), daemon=True).start()
         while (call := calls.get()) is not None:
-            _send(pipe, _answer(call, device))
+            answer: tuple[bool, Any]  # whether it is an error, and a value or the error
+            try:
+                function, arguments, on_device = pickle.loads(call)
+                answer = False, function(*arguments, *((device,) if on_device else ()))
+            except (Exception, SystemExit) as error:
+                answer = True, error
+            _send(pipe, answer)
         status = 0
     except (KeyboardInterrupt, OSError):  # signalled to end, or the pipe is closed
         status = 0
@@ -241,16 +237,6 @@ def _listen(pipe: Any, calls: queue.SimpleQueue[bytes | None]) -> None:
             return
 
 
-def _answer(call: bytes, device: str | None) -> tuple[bool, Any]:
-    """Execute a call; return (is an error, value or error)."""
-    try:
-        function, arguments, on_device = pickle.loads(call)
-        more = (device,) if on_device else ()
-        return False, function(*arguments, *more)
-    except (Exception, SystemExit) as error:
-        return True, error
-
-
 def _send(pipe: Any, answer: tuple[bool, Any]) -> None:
     """Send an answer, as text if it cannot be pickled."""
     try:
@@ -263,10 +249,7 @@ def _send(pipe: Any, answer: tuple[bool, Any]) -> None:
 
 
 def local_devices() -> list[str]:
-    """Return the devices over which workers of this machine are to be spread: GPUs, else all of the usual platform.
-
-    Call it before workers are started, so that they keep kernels where this process does.
-    """
+    """Return the devices for workers that are to be started: GPUs, else all of the usual platform."""
     from clsim.opencl.device import find_device, list_devices
 
     found = list_devices()

@@ -11,8 +11,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from clsim.cluster.dispatch import Call, Dispatch, Row, Tasks, WorkersLostError
-from clsim.errors import ClsimError, DeviceError, InputError, in_one_line, warn
-from clsim.packages import check_packages
+from clsim.errors import ClsimError, DeviceError, InputError, check_packages, in_one_line, warn
 
 _STORES = ("xarray", "zarr")  # packages by which workers write together
 _SCHEDULERS = ("dask", "distributed")  # packages by which a scheduler is reached
@@ -34,10 +33,8 @@ class Workers:
             raise InputError("--workers", f"must be at least 1, but is {self.number}")
 
     def check(self, field: str, what: str) -> None:
-        """See that the packages are installed that these workers need, and that a scheduler can be reached.
-
-        A scheduler of another machine that asks for no certificates is warned of: it runs what anybody sends.
-        """
+        """See that the packages are installed that these workers need, and that a scheduler can be reached."""
+        # A scheduler of another machine that asks for no certificates is warned of: it runs what anybody sends.
         check_packages(field, what, "study", *_STORES, *(_SCHEDULERS if self.scheduler else ()))
         if self.scheduler is None:
             return
@@ -96,11 +93,9 @@ def is_open(scheduler: str) -> bool:
 
 
 class DaskTeam:
-    """Workers of a Dask scheduler, none of which is given a task before it can begin.
+    """Workers of a Dask scheduler, none of which is given a task before it can begin."""
 
-    Left to itself Dask gives workers tasks in advance, and if one dies counts it against all that it was given.
-    """
-
+    # Left to itself Dask gives workers tasks in advance, and if one dies counts it against all that it was given.
     def __init__(self, client: Any, tasks: Tasks) -> None:
         self._client, self._tasks = client, tasks
         self._known: set[str] = set()

@@ -19,7 +19,7 @@ from clsim.scene.shaded import shaded_pairs
 from clsim.scene_file import load_scene
 from clsim.scene_file.scene import SceneFile
 from clsim.workflow.console import progress
-from clsim.workflow.pipeline import PlannedScene, plan_scene
+from clsim.workflow.pipeline import plan_scene
 
 _INSTANTS = 10_001  # of a motion at which its speed is looked at
 
@@ -37,16 +37,17 @@ def execute(options: argparse.Namespace) -> int:
         print(*file.scene.room.edges().describe(), *_thin(file), sep="\n", flush=True)
     print(*_facing(file.scene), sep="\n", flush=True)
     planned = plan_scene(file, progress)
-    passing = [] if file.scene.room.is_convex and not file.scene.bodies else [_comings_and_goings(planned.paths)]
-    if passing and not file.paths["diffraction"]:
-        passing += _jump(planned.paths)
-    shaded = shaded_pairs(file.scene, planned.plan.duration)
-    left = _left_by_images(planned)
+    scene, plan = file.scene, planned.plan
+    if not scene.room.is_convex or scene.bodies:
+        print(*_comings_and_goings(planned.paths, file.paths["diffraction"]), sep="\n")
+    left = left_by_images(planned.paths, plan.sampling_rate) if plan.options.tail == "off" else None
     # Rays replace the estimate of the plan's note.
-    of_plan = [line for line in planned.plan.describe() if not (left and line.startswith("images leave"))]
-    for line in [*passing, *shaded, *of_plan, *left]:
+    of_plan = [line for line in plan.describe() if left is None or not line.startswith("images leave")]
+    if left is not None:
+        remedy = ' (tail = "auto" adds it)' if left > -20.0 else ""
+        of_plan.append(f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter{remedy}")
+    for line in [*shaded_pairs(scene, plan.duration), *of_plan]:
         print(line)
-    scene = file.scene
     for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
         for note in [*_motion(item.trajectory), *item.trajectory.notes]:
             print(f"{field}.trajectory: {note}")
@@ -78,16 +79,6 @@ def _facing(scene: Scene) -> list[str]:
     return lines
 
 
-def _left_by_images(planned: PlannedScene) -> list[str]:
-    """Return a note on the energy beyond the image sources, unless the plan has a tail."""
-    options = planned.plan.options
-    left = left_by_images(planned.paths, options.sampling_rate) if options.tail == "off" else None
-    if left is None:
-        return []
-    remedy = ' (tail = "auto" adds it)' if left > -20.0 else ""
-    return [f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter{remedy}"]
-
-
 def _thin(file: SceneFile) -> list[str]:
     """Return notes on panels with two edges within two wavelengths, where paths bend round one edge alone."""
     if file.paths["diffraction"] > 1:
@@ -101,18 +92,17 @@ def _thin(file: SceneFile) -> list[str]:
     ]
 
 
-def _jump(paths: PathSet) -> list[str]:
-    """Report the largest jump of the pressure where paths begin and end, if there is one."""
-    jump = largest_jump_db(paths)
-    jumps = f"paths begin and end at edges: the pressure jumps by up to {jump or 0:.1f} dB of the strongest path"
-    return [] if jump is None else [f"{jumps}; paths over edges make it continuous (diffraction = 1)"]
-
-
-def _comings_and_goings(paths: PathSet) -> str:
+def _comings_and_goings(paths: PathSet, diffraction: int) -> list[str]:
+    """Report paths that begin and end, and without edges the largest jump of the pressure there."""
     always = np.isneginf(paths.start) & np.isposinf(paths.end)
     others = np.column_stack([paths.source, paths.receiver, paths.objects])[~always]
     count = len(np.unique(others, axis=0))
-    return (
+    lines = [
         f"paths: {always.sum() + count}, of which {always.sum()} are active all the time "
         f"and {count} in intervals ({len(others)} of them; the same walls in another order are another path)"
-    )
+    ]
+    jump = None if diffraction else largest_jump_db(paths)
+    if jump is not None:
+        jumps = f"paths begin and end at edges: the pressure jumps by up to {jump:.1f} dB of the strongest path"
+        lines.append(f"{jumps}; paths over edges make it continuous (diffraction = 1)")
+    return lines

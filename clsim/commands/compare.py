@@ -12,16 +12,14 @@ import numpy as np
 from clsim.acoustics.room_acoustics import before_noise, decay_curve, is_clipped
 from clsim.arrays import Floats, as_index
 from clsim.commands.arguments import add_force, as_path, as_whole
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_pictures, warn
 from clsim.files.atomic import NewFile, atomic_path
 from clsim.files.sound import read_sound_file
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
+from clsim.measured.page import comparison_picture
 from clsim.measured.simulated import Aligned, Reflection, align, checked, noticeable, reflections
-from clsim.packages import check_pictures
-from clsim.pictures.measured import comparison_picture
 from clsim.room_measures import BANDS, RoomMeasures, band_centres, cut_to_band, room_measures
 from clsim.scene_file import load_scene
-from clsim.scene_file.scene import SceneFile
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import find_scene_paths, input_files, shares
 
@@ -60,11 +58,13 @@ def execute(options: argparse.Namespace) -> int:
         raise InputError("--channel" if options.channel < 0 else "--seed", "must be at least 0, but is less")
     check_pictures("--output")
     samples, rate = _read(options.measured, options.channel)
-    file = _one_pair(load_scene(options.scene), options.source, options.receiver)
+    file = load_scene(options.scene)
+    sources, receivers = file.scene.sources, file.scene.receivers
+    s = as_index("--source", 0 if options.source is None else options.source, [one.name for one in sources])
+    r = as_index("--receiver", 0 if options.receiver is None else options.receiver, [one.name for one in receivers])
+    file = replace(file, scene=replace(file.scene, sources=[sources[s]], receivers=[receivers[r]]))
     read = [options.measured, *input_files(options.scene, file)]
-    targets = [
-        NewFile(path, read, options.force) for path in (options.output, options.output.with_suffix(".csv"))
-    ]  # fmt: skip
+    targets = [NewFile(path, read, options.force) for path in (options.output, options.output.with_suffix(".csv"))]
     paths = find_scene_paths(file, progress)
     band = _LOWEST, min(_HIGHEST, 0.45 * rate)
     with progress("impulse response", 1.0) as advance:
@@ -78,7 +78,12 @@ def execute(options: argparse.Namespace) -> int:
     print(*_parameters(theirs, ours), sep="\n")
     until = float(simulated.first_arrivals[0, 0]) + _EARLY
     found = reflections(paths.table(np.zeros(1), "quasi-static"), simulated, aligned.responses, until)
-    print(*_reflections(found), sep="\n")
+    print(f"{'ms':>8} {'order':>5} {'measured':>9} {'simulated':>9}  dB re the first arrival, by")
+    for one in found[:_LISTED]:
+        levels = f"{one.measured_db:>9.1f} {one.simulated_db:>9.1f}"
+        print(f"{1e3 * one.delay:>8.3f} {one.order:>5} {levels}  {one.objects}")
+    if len(found) > _LISTED:
+        print(f"and {len(found) - _LISTED} more up to {1e3 * _EARLY:.0f} ms after the first")
     _draw(aligned, simulated, found, options, targets[0].ready())
     _write(found, targets[1].ready())
     print(*(target.path for target in targets), sep="\n")
@@ -98,14 +103,6 @@ def _read(path: Path, channel: int) -> tuple[Floats, float]:
     if is_clipped(taps.astype(np.float64)):
         warn(f"{path} is clipped: several samples in a row are at full scale, and levels and early energies are wrong")
     return checked(taps.astype(np.float64), rate, path), rate
-
-
-def _one_pair(file: SceneFile, source: str | None, receiver: str | None) -> SceneFile:
-    """Keep one source and one receiver of a scene."""
-    sources, receivers = file.scene.sources, file.scene.receivers
-    s = as_index("--source", 0 if source is None else source, [one.name for one in sources])
-    r = as_index("--receiver", 0 if receiver is None else receiver, [one.name for one in receivers])
-    return replace(file, scene=replace(file.scene, sources=[sources[s]], receivers=[receivers[r]]))
 
 
 def _given(aligned: Aligned, simulated: ImpulseResponses) -> list[str]:
@@ -133,17 +130,6 @@ def _parameters(measured: RoomMeasures, simulated: RoomMeasures) -> list[str]:
             apart = f"{(got - wanted) / step:+.1f}" if np.isfinite(got - wanted) else "-"
             lines.append(f"{head:<9} {frequency:>6.4g} {scale * wanted:>9.3g} {scale * got:>9.3g} {apart:>6}")
     return lines
-
-
-def _reflections(found: list[Reflection]) -> list[str]:
-    """Table of the first reflections."""
-    lines = [f"{'ms':>8} {'order':>5} {'measured':>9} {'simulated':>9}  dB re the first arrival, by"]
-    for one in found[:_LISTED]:
-        lines.append(
-            f"{1e3 * one.delay:>8.3f} {one.order:>5} {one.measured_db:>9.1f} {one.simulated_db:>9.1f}  {one.objects}"
-        )
-    more = len(found) - _LISTED
-    return [*lines, f"and {more} more up to {1e3 * _EARLY:.0f} ms after the first"] if more > 0 else lines
 
 
 def _draw(

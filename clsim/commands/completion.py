@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clsim.packages import check_packages
+from clsim.errors import check_packages
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -76,7 +76,11 @@ def put_to_test(wanted: str | None = None, notify: Callable[[str], None] = lambd
         engine = OpenclEngine(plan) if plan.baseband is None else BasebandEngine(plan)
         got = engine.render(0, plan.samples)
         first = first or time.perf_counter() - begun
-        apart[name] = _apart_db(got, ReferenceEngine(plan).render(0, plan.samples))
+        wanted_sound = ReferenceEngine(plan).render(0, plan.samples)
+        apart[name] = float("inf")
+        if np.all(np.isfinite(got)) and np.any(wanted_sound):
+            error = np.linalg.norm(got - wanted_sound) / np.linalg.norm(wanted_sound)
+            apart[name] = float(20.0 * np.log10(error + 1e-15))
         notify(f"{name}: {apart[name]:.0f} dB from the reference engine")
     return DeviceReport(info, apart, *_rates(info.id), first)
 
@@ -164,12 +168,6 @@ def _plan(device: str, room: Shoebox | MeshRoom, signal: Signal, beams: tuple[An
     return plan_render(find_paths(scene, 1), RATE, device=device, duration=_DURATION, **options)
 
 
-def _apart_db(got: Any, wanted: Any) -> float:
-    if not (np.all(np.isfinite(got)) and np.any(wanted)):
-        return float("inf")
-    return float(20.0 * np.log10(np.linalg.norm(got - wanted) / np.linalg.norm(wanted) + 1e-15))
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--test", nargs="?", const="", metavar="DEVICE",
@@ -181,7 +179,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """List the devices, or test one; return the exit status, 1 if a test fails."""
     if options.test is not None:
-        return _test(options.test or None)
+        report = put_to_test(options.test or None, lambda text: print(text, flush=True))
+        print(report.line())
+        if not report.passed:
+            print(f"the device is not within {PROMISED_DB:g} dB: please report the line above")
+        return 0 if report.passed else 1
     found = list_devices()
     if not found:
         raise DeviceError(no_device())
@@ -192,12 +194,3 @@ def execute(options: argparse.Namespace) -> int:
             f"{info.memory_bytes / 2**30:.1f} GiB, {tracks})"
         )
     return 0
-
-
-def _test(wanted: str | None) -> int:
-
-    report = put_to_test(wanted, lambda text: print(text, flush=True))
-    print(report.line())
-    if not report.passed:
-        print(f"the device is not within {PROMISED_DB:g} dB: please report the line above")
-    return 0 if report.passed else 1

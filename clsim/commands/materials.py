@@ -7,10 +7,9 @@ import argparse
 import numpy as np
 
 from clsim.commands.arguments import add_force, as_path
-from clsim.errors import InputError, meant
+from clsim.errors import InputError, check_pictures, meant
 from clsim.files.atomic import NewFile
 from clsim.output.plots import reflection_loss, reflection_losses
-from clsim.packages import check_pictures
 from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
 
 

@@ -14,8 +14,7 @@ from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile, atomic_path
-from clsim.files.input_files import LARGEST_TEXT, read_file
-from clsim.files.names import shown
+from clsim.files.input_files import LARGEST_TEXT, read_file, shown
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom
@@ -84,7 +83,10 @@ def execute(options: argparse.Namespace) -> int:
         inside = None
     else:
         inside = MeshRoom.from_file(options.mesh, options.scale, options.up, Material.from_reflection(0.9))
-        (low, high), room = inside.extent, _mesh_text(options, base)
+        low, high = inside.extent
+        walls = "materials = { reflection = 0.9 }   # or by group: { default = { … }, curtain = { … } }"
+        named = f'path = {_relative(options.mesh, base)}\nscale = {options.scale:g}\nup = "{options.up}"'
+        room = f'[room]\nkind = "mesh"\n{named}\n{walls}; `clsim materials`'
     moved = np.zeros(3) if options.mesh is not None or motion is None else _MARGIN - motion[1].min(axis=0)
     duration = _LONGEST if motion is None else min(_LONGEST, 0.9 * motion[2])
     places = _places(low, high, inside)
@@ -137,13 +139,6 @@ def _box(motion: tuple[str, Floats, float] | None) -> tuple[Floats, Floats, str]
     walls = "walls = { reflection = 0.9 }     # or by wall: { default = { … }, z_min = { … } }; `clsim materials`"
     kind = 'kind = "shoebox"                 # or "plan", or "mesh"'
     return np.zeros(3), size, f"[room]\n{kind}\nsize = {_text(size)}\n{walls}"
-
-
-def _mesh_text(options: argparse.Namespace, base: Path) -> str:
-    """Lines of the file about a mesh."""
-    named = _relative(options.mesh, base)
-    walls = "materials = { reflection = 0.9 }   # or by group: { default = { … }, curtain = { … } }; `clsim materials`"
-    return f'[room]\nkind = "mesh"\npath = {named}\nscale = {options.scale:g}\nup = "{options.up}"\n{walls}'
 
 
 def _places(low: Floats, high: Floats, room: MeshRoom | None) -> tuple[Floats, Floats]:

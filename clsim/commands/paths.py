@@ -30,10 +30,9 @@ def execute(options: argparse.Namespace) -> int:
     if options.limit < 0:
         raise InputError("--limit", f"must be at least 0, but is {options.limit}")
     file = load_scene(options.scene)
-    target = (
-        None if options.output is None else NewFile(options.output, input_files(options.scene, file), options.force)
-    )
-    if target is not None:
+    target = None
+    if options.output is not None:
+        target = NewFile(options.output, input_files(options.scene, file), options.force)
         check_table(str(target.path), "--output")
     planned = plan_scene(file, progress)
     duration = planned.plan.duration

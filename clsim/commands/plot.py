@@ -10,10 +10,9 @@ import numpy as np
 
 from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_force, as_path
-from clsim.errors import InputError, not_one_of
+from clsim.errors import InputError, check_pictures, inside, not_one_of, with_field
 from clsim.files.atomic import NewFile
 from clsim.output.plots import DirectivityDiagram, air_picture, directivity_picture
-from clsim.packages import check_pictures
 from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
@@ -49,11 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     air.add_argument(
         "--humidity", type=float, nargs="+", default=[0.1, 0.3, 0.5, 0.7, 0.9], metavar="H", help="relative, 0 to 1"
     )
-    for picture, draw in ((directivity, _draw_directivities), (air, _draw_air)):
+    for picture in (directivity, air):
         file = Path(f"{picture.prog.split()[-1]}.png")
         picture.add_argument("-o", "--output", type=as_path, default=file, metavar="FILE", help=f"default: {file}")
         add_force(picture)
-        picture.set_defaults(draw=draw)
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -61,32 +59,26 @@ def execute(options: argparse.Namespace) -> int:
     if options.output.suffix.lower() != ".png":
         raise InputError("--output", f"must end in .png, but is {options.output}")
     check_pictures("--output")
-    options.draw(options)
+    if hasattr(options, "humidity"):
+        try:
+            airs = [Air(options.temperature, humidity, options.pressure) for humidity in options.humidity]
+        except InputError as error:
+            named = {"temperature_celsius": "temperature", "relative_humidity": "humidity"}
+            raise InputError(f"--{named.get(error.field, error.field)}", error.problem) from error
+        air_picture(airs, NewFile(options.output, [], options.force).ready())
+    else:
+        diagrams, read = _diagrams(options)
+        directivity_picture(diagrams, NewFile(options.output, read, options.force).ready())
     print(options.output)
     return 0
 
 
-def _draw_directivities(options: argparse.Namespace) -> None:
-    diagrams, read = _diagrams(options)
-    directivity_picture(diagrams, NewFile(options.output, read, options.force).ready())
-
-
-def _draw_air(options: argparse.Namespace) -> None:
-    airs = [_air(options, humidity) for humidity in options.humidity]
-    air_picture(airs, NewFile(options.output, [], options.force).ready())
-
-
-def _air(options: argparse.Namespace, humidity: float) -> Air:
-    try:
-        return Air(options.temperature, humidity, options.pressure)
-    except InputError as error:
-        named = {"temperature_celsius": "--temperature", "relative_humidity": "--humidity", "pressure": "--pressure"}
-        raise InputError(named[error.field], error.problem) from error
-
-
 def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], list[Path]]:
     """Return the diagrams to draw, and the files that they were read from."""
-    wanted = None if options.frequencies is None else _checked_frequencies(options.frequencies)
+    wanted = None
+    if options.frequencies is not None:
+        checked = [as_number("--frequencies", f, above=0.0, at_most=50e6, unit="Hz") for f in options.frequencies]
+        wanted = np.array(checked)
     given = [name for name in ("scene", "name", "table") if getattr(options, name) is not None]
     if len(given) != 1:
         raise InputError(
@@ -107,19 +99,15 @@ def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], li
 def _read(options: argparse.Namespace) -> Directivity:
     """Return the directivity of a name or of a table's file."""
     if options.name is not None:
-        try:
+        with with_field("--name"):
             return Directivity.named(options.name, outside="hold" if options.hold else None)
-        except InputError as error:
-            raise InputError(f"--{error.field}", error.problem) from error
     path, outside = str(options.table), "hold" if options.hold else None
-    try:
+    with inside("--table"):
         if options.table.suffix == ".sofa":
             found: Directivity = SofaModel.model_validate({"kind": "sofa", "path": path, "outside": outside}).build()
             return found
         content = {"kind": "table", "path": path, "rear": options.rear, "scale": options.scale, "outside": outside}
         return DirectivityTableModel.model_validate(content).build()
-    except InputError as error:
-        raise error.within("--table") from error
 
 
 def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> list[DirectivityDiagram]:
@@ -128,7 +116,12 @@ def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> lis
     chosen = [item for item in ends if end is None or item.name == end]
     if not chosen:
         raise InputError("--end", not_one_of(end, [item.name for item in ends]))
-    audible = wanted if wanted is not None else _emitted_frequencies(scene)
+    audible = wanted
+    if audible is None:  # the ends and centres of the emitted bands
+        emitted = [source.emitted for source in scene.sources]
+        found = {f for one in emitted for f in (*one.band(), one.centre_frequency) if f > 0.0}
+        kept = np.array(sorted({float(f"{f:.3g}") for f in found}))
+        audible = kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST_CURVES)).round().astype(int)]
     diagrams = []
     for item in chosen:
         frequencies = audible
@@ -143,16 +136,6 @@ def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> lis
     return diagrams
 
 
-def _emitted_frequencies(scene: Scene) -> Floats:
-    """Return the ends and centres of the emitted bands, Hz."""
-    found = set()
-    for source in scene.sources:
-        emitted = source.emitted
-        found |= {*emitted.band(), emitted.centre_frequency}
-    kept: Floats = np.array(sorted({float(f"{f:.3g}") for f in found if f > 0.0}))
-    return np.asarray(kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST_CURVES)).round().astype(int)])
-
-
 def _usual_frequencies(directivity: Directivity) -> Floats:
     """Return frequencies spread over a directivity's band, Hz."""
     low, high = directivity.band
@@ -162,10 +145,6 @@ def _usual_frequencies(directivity: Directivity) -> Floats:
             return np.array(_USUAL)
         low, high = float(table[0]), float(table[-1])
     return np.unique(np.linspace(low, high, _MOST_CURVES))
-
-
-def _checked_frequencies(given: list[float]) -> Floats:
-    return np.array([as_number("--frequencies", f, above=0.0, at_most=50e6, unit="Hz") for f in given])
 
 
 def _checked(diagram: DirectivityDiagram, field: str) -> DirectivityDiagram:

@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile
 from clsim.impulse_responses import TAILS, as_response_band, impulse_responses
 from clsim.output.result_files import response_names, write_response_sounds, write_responses
-from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
 from clsim.tail.design import SCATTERINGS
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import find_scene_paths, input_files, shares
 
-_FIELDS = {
-    "at": "--at",
-    "band": "--band",
-    "band[0]": "--band",
-    "band[1]": "--band",
-    "path": "--output",
-    "tail": "--tail",
-    "tail_seed": "--tail-seed",
-}
+_FIELDS = {"band[0]": "--band", "band[1]": "--band", "path": "--output", "tail_seed": "--tail-seed"}
+_FIELDS |= {name: f"--{name}" for name in ("at", "band", "tail")}
 # Of what is meant as a file, where WAV files need a folder.
 _ENDINGS_OF_FILES = ("npz", "sofa", "wav", "mat", "h5", "hdf5", "csv", "txt", "flac", "json", "parquet")
 
@@ -67,10 +58,9 @@ def execute(options: argparse.Namespace) -> int:
     file = load_scene(options.scene)
     rate = file.render["sampling_rate"]
     read = input_files(options.scene, file)
-    targets = [
-        NewFile(path, read, options.force, new_folder=kind == "wav")
-        for path in _paths(file.scene, kind, options.output)
-    ]
+    sounds = response_names([s.name for s in file.scene.sources], [r.name for r in file.scene.receivers])
+    files = [options.output / name for name in sounds] if kind == "wav" else [options.output]
+    targets = [NewFile(path, read, options.force, new_folder=kind == "wav") for path in files]
     try:
         as_response_band(rate, options.band)  # before paths are searched for
         paths = find_scene_paths(file, progress)
@@ -93,12 +83,6 @@ def execute(options: argparse.Namespace) -> int:
     for line in found.describe():
         print(line)
     return 0
-
-
-def _paths(scene: Scene, kind: str, output: Path) -> list[Path]:
-    """Return the files that will be written."""
-    names = response_names([s.name for s in scene.sources], [r.name for r in scene.receivers])
-    return [output / name for name in names] if kind == "wav" else [output]
 
 
 def _kind(options: argparse.Namespace) -> str:

@@ -8,11 +8,10 @@ from pathlib import Path
 
 from clsim.cluster.workers import Workers
 from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages
 from clsim.files.atomic import safe_path
 from clsim.output.result_files import check_table, write_ground_truth, write_table
 from clsim.output.stores import check_store, store_kinds
-from clsim.packages import check_packages
 from clsim.scene_file import load_scene
 from clsim.scene_file.scene import SceneFile
 from clsim.workflow.checkpoint import render_sound, run_identity

@@ -6,12 +6,11 @@ import argparse
 from pathlib import Path
 
 from clsim.commands.arguments import add_force, as_path, as_whole
-from clsim.errors import InputError, not_one_of
+from clsim.errors import InputError, check_pictures, not_one_of
 from clsim.files.atomic import NewFile, atomic_path
 from clsim.measured.page import Validated, draw, page_text, picture_names, summary
 from clsim.measured.rooms import BUILT_IN, NAME, MeasuredRoom, bras_room, measured_room
 from clsim.measured.simulated import simulate
-from clsim.packages import check_pictures
 from clsim.workflow.console import progress
 
 _PAGE = "measured_rooms.md"

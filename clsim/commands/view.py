@@ -8,7 +8,7 @@ import webbrowser
 from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile
-from clsim.files.names import shown
+from clsim.files.input_files import shown
 from clsim.paths.view import view_scene
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress

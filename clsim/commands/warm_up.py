@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 
 import numpy as np
 
@@ -35,43 +34,23 @@ def execute(options: argparse.Namespace) -> int:
     """Render small scenes of common kinds and forget them; return the exit status."""
     device, _ = find_device(options.device)
     begun = time.monotonic()
-    with progress("building kernels (once)", len(SCENES)) as advance, built_programs() as built:
-        for example in SCENES:
-            example(device.id)
+    wall = Material.from_reflection(0.9)
+    box = Shoebox(size=np.array([8.0, 9.0, 3.0]), walls=wall)
+    corner = MeshRoom.from_plan([(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)], 3.0, wall)
+    chirp = Signal.chirp(30e3, 50e3, 0.002, _RATE, window="tukey")
+    scenes: list[tuple[Room, Signal]] = [
+        (box, Signal.tone(40e3, _DURATION, _RATE, fade=0.01)),  # on and on
+        (box, Signal.tone(40e3, 5.0 * _DURATION, _RATE)),  # abrupt ends: several functions of frequency
+        (box, Signal.pulses(chirp, 0.5 * _DURATION, 2)),  # with pauses
+        (corner, Signal.chirp(30e3, 50e3, _DURATION, _RATE, window="tukey")),  # paths that begin and end
+    ]
+    with progress("building kernels (once)", len(scenes)) as advance, built_programs() as built:
+        for room, signal in scenes:
+            _render(signal, room, device.id)
             advance(1.0)
     spent = time.monotonic() - begun
     print(f"{built.count} programs are ready on {device.name}, in {spent:.1f} s")
     return 0
-
-
-def _tone(device: str) -> None:
-    """Render a tone on and on: one receiver at rest, one that moves."""
-    _render(Signal.tone(40e3, _DURATION, _RATE, fade=0.01), _box(), device)
-
-
-def _abrupt_tone(device: str) -> None:
-    """Render a tone with abrupt ends, which needs several functions of frequency: the README's."""
-    _render(Signal.tone(40e3, 5.0 * _DURATION, _RATE), _box(), device)
-
-
-def _pulses(device: str) -> None:
-    """Render short chirps with pauses."""
-    chirp = Signal.chirp(30e3, 50e3, 0.002, _RATE, window="tukey")
-    _render(Signal.pulses(chirp, 0.5 * _DURATION, 2), _box(), device)
-
-
-def _mesh(device: str) -> None:
-    """Render paths that begin and end: round the corner of a room that is no box."""
-    wall = Material.from_reflection(0.9)
-    plan = MeshRoom.from_plan([(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)], 3.0, wall)
-    _render(Signal.chirp(30e3, 50e3, _DURATION, _RATE, window="tukey"), plan, device)
-
-
-SCENES: tuple[Callable[[str], None], ...] = (_tone, _abrupt_tone, _pulses, _mesh)
-
-
-def _box() -> Shoebox:
-    return Shoebox(size=np.array([8.0, 9.0, 3.0]), walls=Material.from_reflection(0.9))
 
 
 def _render(signal: Signal, room: Room, device: str) -> None:

@@ -1,12 +1,14 @@
-"""Opening the files that users name: nothing but regular files of bounded size, so that none hangs or eats memory."""
+"""Names and contents of files: regular ones of bounded size are opened, so that none hangs or eats memory."""
 
 from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 import tomllib
 import zipfile
+from itertools import count
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,12 +20,7 @@ _LARGEST_TOML = 2**24  # bytes
 _DEEPEST = 64  # tables and lists within each other
 _WHOLE = range(-(2**63), 2**64)  # TOML's whole numbers, and seeds
 
-_KINDS = (
-    (stat.S_ISFIFO, "a named pipe"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISSOCK, "a socket"),
-)
+_KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket"}
 
 
 def check_file(path: str | os.PathLike[str], largest: int) -> None:
@@ -35,7 +32,7 @@ def check_file(path: str | os.PathLike[str], largest: int) -> None:
     if stat.S_ISDIR(found.st_mode):
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
     if not stat.S_ISREG(found.st_mode):
-        kind = next((name for holds, name in _KINDS if holds(found.st_mode)), "something else")
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
         raise OSError(errno.EINVAL, f"it is {kind}, not a file")
     if found.st_size > largest:
         raise OSError(
@@ -94,3 +91,26 @@ def _check_content(content: dict[str, Any] | list[Any], field: str, depth: int) 
             if not inner:
                 raise InputError(name, f"must be a number of 64 bits, but is one of {value.bit_length()}")
             _check_content(value, name, depth + 1)
+
+
+_LONGEST = 200  # letters; file systems take 255 bytes, of which the ends of names need some
+_SPACES = "\u00a0\u2009\u202f"  # which Python does not count as printable
+
+
+def shown(name: str) -> str:
+    r"""Return a name or a line with escapes for bytes that are no UTF-8 and for control characters."""
+    return "".join(c if c.isprintable() or c in _SPACES else c.encode("unicode_escape").decode() for c in name)
+
+
+def file_names(wanted: tuple[str, ...]) -> list[str]:
+    """Return names that any file system takes, each once."""
+    names: list[str] = []
+    taken: set[str] = set()  # in small letters, which some file systems do not tell from large ones
+    numbers: dict[str, count[int]] = {}
+    for text in wanted:
+        name = base = re.sub(r"[^A-Za-z0-9_-]+", "_", text).strip("_")[:_LONGEST] or "receiver"
+        while name.lower() in taken:
+            name = f"{base}-{next(numbers.setdefault(base.lower(), count(2)))}"
+        taken.add(name.lower())
+        names.append(name)
+    return names

@@ -64,14 +64,9 @@ def _declared(frame: bytes) -> tuple[int, int]:
 
 
 def cut_of_mp3(path: str | PathLike[str]) -> tuple[str, bool]:
-    """Look for a cut at the end of an MP3 file: its description, "" for none, and whether the file declares a length.
-
-    Without a declaration a file that was cut between two frames looks whole.
-
-    References
-    ----------
-    ISO/IEC 11172-3, 2.4.2.3, header of a frame; the Xing header as LAME writes it: flags, frames, bytes.
-    """
+    """Look for a cut at the end of an MP3 file: its description, or "", and whether the file declares a length."""
+    # ISO/IEC 11172-3, 2.4.2.3, header of a frame; the Xing header as LAME writes it: flags, frames, bytes. Without a
+    # declaration a file that was cut between two frames looks whole.
     with Path(path).open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as data:
         size, begin = len(data), _begin(data)
         length = _frame_length(data[begin : begin + 4])
@@ -108,18 +103,8 @@ _CHUNKS = {
     "W64": (40, "<16sq", 0, b"data\xf3\xac\xd3\x11\x8c\xd1\x00\xc0\x4f\x8e\xdb\x8a", 8),
     "CAF": (8, ">4sq", 12, b"data", 1),
 }
-_STATES_LENGTH = {
-    "WAV",
-    "WAVEX",
-    "RF64",
-    "AIFF",
-    "W64",
-    "AU",
-    "CAF",
-    "SVX",
-    "OGG",
-    "FLAC",
-}  # formats whose cuts are seen
+# Formats whose cuts are seen.
+_STATES_LENGTH = {"WAV", "WAVEX", "RF64", "AIFF", "W64", "AU", "CAF", "SVX", "OGG", "FLAC"}
 _PADDING = 5000  # samples by which compressed sound can be shorter than its file says
 _LARGEST_WAV = 2**32 - 2**16  # bytes; beyond that RF64
 _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
@@ -136,9 +121,7 @@ def as_scale(value: Any) -> float:
 def missing_bytes(log: str) -> int:
     """Return the number of bytes by which a file is shorter than its header says, by libsndfile's log of its header."""
     found = [(name, int(declared), int(there)) for name, declared, there in _CUT.findall(log)]
-    known = [
-        (name, declared - there) for name, declared, there in found if not any(declared in some for some in _UNKNOWN)
-    ]
+    known = [(name, size - there) for name, size, there in found if not any(size in some for some in _UNKNOWN)]
     return max((less for name, less in known if less > _WHOLE_FILE.get(name, 0)), default=0)
 
 
@@ -363,15 +346,15 @@ class SoundFile:
     def __getitem__(self, part: slice) -> Any:
         import soundfile
 
-        frames = soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32", always_2d=True)[0]
+        frames: Any = soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32", always_2d=True)[0]
+        return self._of(frames)
+
+    def _of(self, frames: Any) -> Any:
         return frames[:, self._channel]
 
 
 class EnvelopeFile(SoundFile):
     """Samples of one channel of a file of real and imaginary parts, complex64, read on slicing."""
 
-    def __getitem__(self, part: slice) -> Any:
-        import soundfile
-
-        frames = soundfile.read(self._path, start=part.start, stop=part.stop, dtype="float32", always_2d=True)[0]
+    def _of(self, frames: Any) -> Any:
         return frames[:, 2 * self._channel] + np.complex64(1j) * frames[:, 2 * self._channel + 1]

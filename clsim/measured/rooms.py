@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -118,7 +117,11 @@ def measured_room(name: str) -> MeasuredRoom:
             if key in by
         }
         scene = load_scene(path.parent / state.scene)
-        _check_pairs(path, file.pairs, scene)
+        names = [end.name for end in scene.scene.sources], [end.name for end in scene.scene.receivers]
+        for i, pair in enumerate(file.pairs):
+            if len(pair) != 2 or pair[0] not in names[0] or pair[1] not in names[1]:
+                problem = f"pairs[{i}] must name a source and a receiver of the scene, but is {pair}"
+                raise InputError(str(path), problem)
         states.append(MeasuredState(key, scene, found["mean"], found["deviation"], theirs))
     key = name if name in BUILT_IN else path.parent.name or path.stem
     return MeasuredRoom(
@@ -167,14 +170,6 @@ def _aim(path: Path, i: int, aim: _Aim, states: list[MeasuredState]) -> Aim:
                 raise InputError(str(path), f"aims[{i}].parameters {not_one_of(parameter, state.mean)}")
     given = aim.arguments()
     return Aim(**given | {"parameters": tuple(aim.parameters), "states": tuple(aim.states)})
-
-
-def _check_pairs(path: Path, pairs: list[list[str]], scene: SceneFile) -> None:
-    """Refuse pairs that a scene does not have."""
-    names = [end.name for end in scene.scene.sources], [end.name for end in scene.scene.receivers]
-    for i, pair in enumerate(pairs):
-        if len(pair) != 2 or pair[0] not in names[0] or pair[1] not in names[1]:
-            raise InputError(str(path), f"pairs[{i}] must name a source and a receiver of the scene, but is {pair}")
 
 
 NAME = "bras-cr2"
@@ -240,14 +235,9 @@ def _measured(folder: Path) -> tuple[Floats, dict[str, Floats]]:
         rows = _rows(_found(folder, f"measured_{name}.csv"))
         # Files give rounded centres, such as 155 Hz: the nearest third is meant.
         rounded, found = _numbers(folder, rows[:2])
-        frequencies = np.array([_third(f) for f in rounded])
+        frequencies = 1000.0 * 2.0 ** (np.round(3.0 * np.log2(np.array(rounded) / 1000.0)) / 3.0)
         values[parameter] = unit * np.array(found)[:, None]
     return frequencies, values
-
-
-def _third(frequency: float) -> float:
-    """Exact centre of the third of an octave nearest to a frequency, Hz."""
-    return float(1000.0 * 2.0 ** (round(3.0 * math.log2(frequency / 1000.0)) / 3.0))
 
 
 def _material(path: Path) -> dict[str, Any]:

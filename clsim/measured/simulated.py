@@ -50,11 +50,9 @@ class Reflection:
 
 
 def align(measured: Floats, simulated: ImpulseResponses, images: ImpulseResponses) -> Aligned:
-    """Move a measured response (n,) to the time axis of a simulated one (1, 1, m), and scale it.
-
-    The delay is where the correlation with the images is largest in magnitude, between samples by a parabola; the gain
-    is by least squares there. Where the coefficient is below 0.2, both are by the beginnings and the energies.
-    """
+    """Move a measured response (n,) to the time axis of a simulated one (1, 1, m), and scale it."""
+    # The delay is where the correlation with the images is largest in magnitude, between samples by a parabola; the
+    # gain is by least squares there. Where the coefficient is below 0.2, both are by the beginnings and the energies.
     from scipy.fft import irfft, next_fast_len, rfft
 
     rate, known = simulated.sampling_rate, images.samples[0, 0]
@@ -90,10 +88,8 @@ def align(measured: Floats, simulated: ImpulseResponses, images: ImpulseResponse
 def reflections(
     table: PathTable, simulated: ImpulseResponses, measured: ImpulseResponses, until: float
 ) -> list[Reflection]:
-    """List paths up to a delay, s, by time, with the energies about their delays in both responses, dB re the first.
-
-    Paths that arrive within 0.5 ms of each other share their sound.
-    """
+    """List paths up to a delay, s, by time, with the energies about their delays in both responses, dB re the first."""
+    # Paths that arrive within 0.5 ms of each other share their sound.
     rows = [int(p) for p in np.argsort(table.delay[:, 0]) if table.audible[p, 0] and table.delay[p, 0] <= until]
     found: list[Reflection] = []
     first = np.ones(2)

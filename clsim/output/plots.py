@@ -42,23 +42,14 @@ class DirectivityDiagram:
 
 
 def directivity_levels(diagram: DirectivityDiagram, angles: Floats, *, upright: bool = False) -> Floats:
-    """Return the level of a directivity in dB by angle from the axis and frequency, (n, f), at most 0 and at least -40.
-
-    angles: (n,) rad from the axis +x, towards +y (to the left) or, if `upright`, towards +z.
-
-    0 dB is the gain 1, or the largest gain shown if that is more.
-    """
+    """Return levels (n, f), -40 to 0 dB re 1 or the largest gain, at angles (n,), rad, to the left or upwards."""
     gain = _gain(diagram, angles, upright)
     level = 20.0 * np.log10(np.maximum(np.abs(gain), 1e-30))
     return np.asarray(np.maximum(level - max(_loudest(diagram), 0.0), _FLOOR_DB))
 
 
 def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathLike[str]) -> None:
-    """Draw polar diagrams, 0 to -40 dB, a curve per frequency.
-
-    diagrams: what is drawn. Directivities that differ round the axis show the horizontal plane, and the vertical one
-    dashed.
-    """
+    """Draw polar diagrams, 0 to -40 dB, a curve per frequency; dashed the vertical plane if it differs."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -72,7 +63,8 @@ def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathL
         axes: Any = figure.add_subplot(rows, columns, k + 1, projection="polar")
         colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(diagram.frequencies)))
         level = directivity_levels(diagram, _ANGLES)
-        above = directivity_levels(diagram, _ANGLES, upright=True) if _is_spherical(diagram) else None
+        even = isinstance(diagram.directivity, AxisymmetricDirectivity)
+        above = None if even else directivity_levels(diagram, _ANGLES, upright=True)
         widths = np.linspace(2.6, 1.2, len(diagram.frequencies))  # so that curves that coincide are seen
         for i, frequency in enumerate(diagram.frequencies):
             axes.plot(_ANGLES, level[:, i], color=colours[i], linewidth=widths[i], label=_in_words(float(frequency)))
@@ -144,10 +136,6 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     save_figure(figure, path, _DPI)
 
 
-def _is_spherical(diagram: DirectivityDiagram) -> bool:
-    return not isinstance(diagram.directivity, AxisymmetricDirectivity)
-
-
 def _gain(diagram: DirectivityDiagram, angles: Floats, upright: bool) -> Any:
     """Return the gain (n, f) in a plane through the axis."""
     cosine, sine = np.cos(angles), np.sin(angles)
@@ -170,10 +158,7 @@ def _in_words(frequency: float) -> str:
 
 
 def reflection_loss(material: Material, frequency: Floats, cosine: Floats) -> Floats:
-    """Return ``-20 log10 |R|``, dB; NaN where the material is unknown. Extrapolation gives no warning.
-
-    frequency, cosine: Hz, and cosine of the angle of incidence; one of them may be a single number.
-    """
+    """Return ``-20 log10 |R|``, dB, without warnings; NaN where the material is unknown."""
     f, cosine = np.broadcast_arrays(frequency, cosine)
     loss = np.full(f.shape, np.nan)
     low, high = material.band
@@ -186,11 +171,7 @@ def reflection_loss(material: Material, frequency: Floats, cosine: Floats) -> Fl
 
 
 def reflection_losses(materials: Sequence[Material], path: str | os.PathLike[str], *, frequency: float = 40e3) -> None:
-    """Draw the reflection loss of materials, by frequency at normal incidence and by angle at one frequency.
-
-    materials: each a line, called by its name; dashed where a table is held beyond its end, left out where it is not
-    known.
-    """
+    """Draw the reflection loss of materials, by frequency at normal incidence and by angle at one frequency."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
@@ -220,17 +201,13 @@ def reflection_losses(materials: Sequence[Material], path: str | os.PathLike[str
     left.set_ylim(_SHOWN[1], _SHOWN[0])  # loud is high
     right.set(xlim=(0.0, 90.0), xlabel="angle of incidence (degrees)", title=f"{frequency / 1e3:g} kHz")
     for axes in (left, right):
-        _dress(axes)
+        axes.grid(alpha=0.25, linewidth=0.6)
+        axes.title.set_fontsize(11)
+        losses = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0]
+        axes.set_yticks(losses, [f"{t:g}" for t in losses])
+    ticks = [0.125, 0.5, 2.0, 8.0, 40.0]
+    left.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    for axes in (left, right):
+        axes.minorticks_off()
     figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     save_figure(figure, path, _FINE)
-
-
-def _dress(axes: Axes) -> None:
-    axes.grid(alpha=0.25, linewidth=0.6)
-    axes.title.set_fontsize(11)
-    losses = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0]
-    axes.set_yticks(losses, [f"{t:g}" for t in losses])
-    if axes.get_xscale() == "log":
-        frequencies = [0.125, 0.5, 2.0, 8.0, 40.0]
-        axes.set_xticks(frequencies, [f"{t:g}" for t in frequencies])
-    axes.minorticks_off()

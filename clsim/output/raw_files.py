@@ -1,9 +1,12 @@
-"""Samples at fixed places of files: rows of numbers, and HDF5 files written past the library, with checksums."""
+"""Stores below their libraries: samples at fixed places of files, HDF5 with checksums, and what Zarr does not check."""
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
+import json
+import math
 import os
 import struct
 from collections.abc import Iterator, Sequence
@@ -175,11 +178,9 @@ class _Image(io.RawIOBase):
 def create_file(
     path: Path, content: Any, shape: tuple[int, int], chunk: int, sample_type: str, attributes: dict[str, Any]
 ) -> None:
-    """Write a netCDF-4 file of an xarray Dataset and of ``sound`` `shape`, zeros in chunks of one receiver.
-
-    A process that dies within the HDF5 library can leave a file that no longer opens, and a full disk can end the
-    process within the library. Here the library writes into memory, and all chunks get their places at once.
-    """
+    """Write a netCDF-4 file of an xarray Dataset and of ``sound`` `shape`, zeros in chunks of one receiver."""
+    # A process that dies within the HDF5 library can leave a file that no longer opens, and a full disk can end the
+    # process within the library. Here the library writes into memory, and all chunks get their places at once.
     import h5netcdf
     import h5py
     from xarray.backends import H5NetCDFStore
@@ -260,12 +261,10 @@ def _check_heaps(data: bytes) -> None:
 
 
 def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,).
-
-    H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535. Four
-    words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
-    follows. Modulo 65535 a factor of 256 exchanges the bytes of a word.
-    """
+    """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,)."""
+    # H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535. Four
+    # words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
+    # follows. Modulo 65535 a factor of 256 exchanges the bytes of a word.
     missing = -len(data) % (8 * _COLUMNS)
     if missing:  # zeros before the first word change neither sum
         data = np.concatenate([np.zeros(missing, np.uint8), data])
@@ -293,3 +292,58 @@ def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _lanes(sums: NDArray[np.uint64]) -> NDArray[np.int64]:
     """Lower and upper 32 bits of numbers (n,), shape (n, 2)."""
     return sums.astype("<u8").view("<u4").reshape(-1, 2).astype(np.int64)
+
+
+ALL_CHUNKS = {"clsim_chunks": "all"}  # attribute of groups whose chunks of zeros are files, too
+SEAL = "clsim_metadata_sha256"  # attribute of a group
+_BLANK = "0" * 64  # stands in its place where the digest is computed
+
+
+def arrays_with_missing_chunks(group: Path, metadata: dict[str, Any] | None = None) -> list[str]:
+    """List the arrays of a group whose chunks are not all there; none of a group that left out zeros."""
+    # Names of files are counted, no chunk is opened. `metadata` is the group's ``zarr.json``, with that of all arrays.
+    found = json.loads((group / "zarr.json").read_bytes()) if metadata is None else metadata
+    if not ALL_CHUNKS.items() <= found.get("attributes", {}).items():
+        return []
+    arrays = found["consolidated_metadata"]["metadata"]
+    return [name for name, array in arrays.items() if _stored(group / name / "c") < _wanted(array)]
+
+
+def _wanted(array: dict[str, Any]) -> int:
+    sizes = array["chunk_grid"]["configuration"]["chunk_shape"]
+    return math.prod(-(-n // size) for n, size in zip(array["shape"], sizes, strict=True))
+
+
+def _stored(folder: Path) -> int:
+    if folder.is_file():  # that of a single number
+        return 1
+    return sum(name.isdigit() for _, _, names in os.walk(folder) for name in names)
+
+
+def seal(group: Path) -> None:
+    """Store the digest of a group's ``zarr.json`` and of those of its arrays in the attributes of the group."""
+    path = group / "zarr.json"
+    metadata = json.loads(path.read_bytes())
+    metadata.setdefault("attributes", {})[SEAL] = _BLANK
+    text = json.dumps(metadata)
+    path.write_text(text.replace(_BLANK, _digest(group, text.encode(), metadata)), "utf-8")
+
+
+def is_sealed(group: Path) -> bool:
+    """Test whether the metadata of a group and its arrays are what was sealed, to the byte."""
+    try:
+        content = (group / "zarr.json").read_bytes()
+        metadata = json.loads(content)
+        digest = metadata["attributes"][SEAL]
+        blank = content.replace(digest.encode(), _BLANK.encode())
+        return bool(digest != _BLANK and digest == _digest(group, blank, metadata))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return False
+
+
+def _digest(group: Path, content: bytes, metadata: dict[str, Any]) -> str:
+    """SHA-256 of a group's metadata, whose own digest is blank, and of the metadata of its arrays."""
+    found = hashlib.sha256(content)
+    for name in sorted(metadata.get("consolidated_metadata", {}).get("metadata", {})):
+        found.update((group / name / "zarr.json").read_bytes())
+    return found.hexdigest()

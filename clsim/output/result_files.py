@@ -13,18 +13,16 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import Floats
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages
 from clsim.files.atomic import atomic_path, not_written
-from clsim.files.names import file_names
+from clsim.files.input_files import file_names
 from clsim.files.sound import WavWriter
 from clsim.impulse_responses import ImpulseResponses
 from clsim.numerics.quaternions import rotate
-from clsim.packages import check_packages
 from clsim.paths.ground_truth import DirectPath, EchoTruth
 from clsim.paths.path_table import PathTable, long_columns
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import row_receivers
-from clsim.scene.room.protocol import Room
 from clsim.scene.scene import Scene
 from clsim.version import __version__
 
@@ -34,10 +32,8 @@ _REPEATING = ["times", "path", "source", "receiver", "order", "objects"]  # colu
 
 
 def write_table(table: PathTable, path: str | os.PathLike[str]) -> None:
-    """Write a path table as ``.npz`` (arrays as in `PathTable`) or ``.parquet`` (a row per path and time).
-
-    A complex gain is two columns in Parquet: magnitude, and ``gain_phase`` in rad.
-    """
+    """Write a path table as ``.npz`` (arrays as in `PathTable`) or ``.parquet`` (a row per path and time)."""
+    # A complex gain is two columns in Parquet: magnitude, and ``gain_phase`` in rad.
     check_table(str(path))
     if Path(path).suffix == ".npz":
         with atomic_path(path) as temporary:
@@ -110,10 +106,7 @@ def response_names(source_names: Sequence[str], receiver_names: Sequence[str]) -
 
 
 def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike[str]) -> list[Path]:
-    """Write a WAV file of 32-bit floats for every source and receiver; return their paths.
-
-    folder: where; made if missing. Files are called ``SOURCE_RECEIVER.wav``; none appears before all are whole.
-    """
+    """Write ``SOURCE_RECEIVER.wav`` of 32-bit floats for every pair, none before all are whole; return their paths."""
     sources, receivers, count = responses.samples.shape
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -125,12 +118,7 @@ def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike
 
 
 def write_responses(responses: ImpulseResponses, path: str | os.PathLike[str]) -> None:
-    """Write impulse responses as ``.npz`` or ``.sofa``.
-
-    path: of the file; its suffix says which it is. An ``.npz`` holds the fields of `ImpulseResponses`, names, positions
-    and orientations. A ``.sofa`` is a SingleRoomSRIR (AES69) with a measurement for every source and receiver,
-    receivers fastest. Each channel of a receiver is a row, at the receiver's place.
-    """
+    """Write impulse responses as ``.npz``, or as ``.sofa``: a SingleRoomSRIR (AES69), receivers fastest."""
     suffix = Path(path).suffix
     if suffix == ".npz":
         with atomic_path(path) as temporary:
@@ -144,16 +132,8 @@ def write_responses(responses: ImpulseResponses, path: str | os.PathLike[str]) -
 
 def _columns(responses: ImpulseResponses) -> dict[str, Any]:
     scene, at = responses.scene, responses.at
-    return {
-        "samples": responses.samples,
-        "sampling_rate": responses.sampling_rate,
-        "lead": responses.lead,
-        "at": at,
-        "band": np.array(responses.band),
-        "first_arrivals": responses.first_arrivals,
-        "cut_db": responses.cut_db,
-        "source_names": np.array(responses.source_names),
-        "receiver_names": np.array(responses.receiver_names),
+    names = ("samples", "sampling_rate", "lead", "at", "band", "first_arrivals", "cut_db", *_NAMES[:2])
+    return {name: np.asarray(getattr(responses, name)) for name in names} | {
         "source_positions": _positions(scene.sources, at),
         "receiver_positions": _positions(scene.receivers, at)[row_receivers(scene.receivers)],
         "source_orientations": _orientations(scene.sources, at),
@@ -189,19 +169,16 @@ def _write_sofa(responses: ImpulseResponses, path: str | os.PathLike[str]) -> No
         ("Source", responses.scene.sources, np.repeat(np.arange(sources), receivers)),
         ("Listener", responses.scene.receivers, np.tile(row_receivers(responses.scene.receivers), sources)),
     )
+    fields = {f"{name}Position": np.zeros((1, 3)) for name in ("Receiver", "Emitter")}  # at the ends' own origins
     for name, ends, rows in pairs:
         turned = _orientations(ends, responses.at)[rows]
-        setattr(sofa, f"{name}Position", _positions(ends, responses.at)[rows])
-        setattr(sofa, f"{name}Position_Type", "cartesian")
-        setattr(sofa, f"{name}Position_Units", "metre")
-        setattr(sofa, f"{name}View", rotate(turned, np.array([1.0, 0.0, 0.0])))
+        fields[f"{name}Position"] = _positions(ends, responses.at)[rows]
+        fields[f"{name}View"] = rotate(turned, np.array([1.0, 0.0, 0.0]))
         setattr(sofa, f"{name}Up", rotate(turned, np.array([0.0, 0.0, 1.0])))
-        setattr(sofa, f"{name}View_Type", "cartesian")
-        setattr(sofa, f"{name}View_Units", "metre")
-    for name in ("Receiver", "Emitter"):  # each at its listener's, or source's, own origin
-        setattr(sofa, f"{name}Position", np.zeros((1, 3)))
-        setattr(sofa, f"{name}Position_Type", "cartesian")
-        setattr(sofa, f"{name}Position_Units", "metre")
+    for name, values in fields.items():
+        setattr(sofa, name, values)
+        setattr(sofa, f"{name}_Type", "cartesian")
+        setattr(sofa, f"{name}_Units", "metre")
     sofa.Data_IR = responses.samples.reshape(sources * receivers, 1, count)
     sofa.Data_SamplingRate = responses.sampling_rate
     sofa.Data_Delay = np.full((1, 1), 0.0 - responses.lead)
@@ -220,7 +197,8 @@ def _describe_room(sofa: Any, scene: Scene) -> None:
     ]  # fmt: skip
     sofa.RoomTemperature = scene.air.state[0] + 273.15
     sofa.RoomTemperature_Units = "kelvin"
-    if _is_box(scene.room):
+    across = np.sort(np.abs(scene.room.faces.normals), axis=1)
+    if scene.room.is_convex and np.array_equal(across, np.tile([0.0, 0.0, 1.0], (6, 1))):  # along the axes
         sofa.GLOBAL_RoomType = "shoebox"
         sofa.RoomCornerA, sofa.RoomCornerB = (corner[None] for corner in scene.room.extent)
         unknown = unknown[:-2]
@@ -229,9 +207,3 @@ def _describe_room(sofa: Any, scene: Scene) -> None:
         unknown += ["RoomCornerA", "RoomCornerB"]
     for name in unknown:
         sofa.delete(name)
-
-
-def _is_box(room: Room) -> bool:
-    """Return True for a room that is a box along the axes."""
-    across = np.sort(np.abs(room.faces.normals), axis=1)
-    return room.is_convex and np.array_equal(across, np.tile([0.0, 0.0, 1.0], (6, 1)))

@@ -18,12 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, row_name
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages
 from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
-from clsim.output.raw_files import CHECKSUM_BYTES, LARGEST_CHUNK, RawRows, chunk_places, create_file, fletcher32
-from clsim.output.zarr_files import ALL_CHUNKS
-from clsim.packages import check_packages
+from clsim.output.raw_files import (
+    ALL_CHUNKS,
+    CHECKSUM_BYTES,
+    LARGEST_CHUNK,
+    RawRows,
+    chunk_places,
+    create_file,
+    fletcher32,
+)
 from clsim.plugins import STORES as STORE_PLUGINS
 from clsim.plugins import with_plugins
 from clsim.recording import sound_attributes, sound_coordinates
@@ -60,13 +66,9 @@ class StoredSound:
 
     def attributes(self) -> dict[str, Any]:
         """Attributes at the root of a store."""
-        root = {
-            "clsim_store_format": STORE_FORMAT,
-            "clsim_version": self.version,
-            "sampling_rate": self.sampling_rate,
-            "scene": self.scene,
-        }
-        return root if self.carrier is None else root | {"carrier": self.carrier}
+        root = {"clsim_store_format": STORE_FORMAT, "clsim_version": self.version, "scene": self.scene}
+        rates = {"sampling_rate": self.sampling_rate, "carrier": self.carrier}
+        return root | {name: rate for name, rate in rates.items() if rate is not None}
 
     def coordinates(self) -> Any:
         """Return all but the sound as an xarray Dataset."""
@@ -179,11 +181,9 @@ class _RowStore(SoundStore):
 
 
 class _WavStore(_RowStore):
-    """One file per receiver, of all its channels; its header comes first and says how long it will be.
+    """One file per receiver, of all its channels; its header comes first and says how long it will be."""
 
-    Envelopes have two channels, real part (I) and imaginary part (Q): the bytes of complex numbers.
-    """
-
+    # Envelopes have two channels, real part (I) and imaginary part (Q): the bytes of complex numbers.
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
         super().__init__(folder, sound, receivers)
         names: dict[str, list[str]] = {}  # of the channels of each receiver
@@ -228,11 +228,9 @@ class _WavStore(_RowStore):
 
 
 class _Hdf5Store(_RowStore):
-    """A netCDF-4 file whose sound is in chunks of one receiver with checksums, written past the HDF5 library.
+    """A netCDF-4 file whose sound is in chunks of one receiver with checksums, written past the HDF5 library."""
 
-    What the library wrote is on the disk before the first sample, and does not change any more.
-    """
-
+    # What the library wrote is on the disk before the first sample, and does not change any more.
     packages = ("h5netcdf", "h5py", "xarray")
 
     @staticmethod
@@ -305,11 +303,15 @@ class _ZarrStore(SoundStore):
 
     def create(self) -> None:
         """Write coordinates, and an array without chunks yet, of one receiver and one chunk of the run each."""
+        import zarr
+
         path = self.paths[0]
         shutil.rmtree(path, ignore_errors=True)
         write_zarr(self._sound.coordinates(), path, "w-")
         self._create_array("r+")
-        consolidate(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know this yet
+            uninterrupted(zarr.consolidate_metadata, path)
         tree_to_disk(path)
 
     def _create_array(self, mode: Literal["r+", "w-"]) -> None:
@@ -408,11 +410,8 @@ def _compressors() -> list[Any]:
 
 
 def write_zarr(content: Any, path: Path, mode: Literal["a", "w-"]) -> None:
-    """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum.
-
-    The metadata of arrays that are there already are gathered with the others. Zarr writes into memory: for many small
-    arrays its threads take longer than all else.
-    """
+    """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum."""
+    # Zarr writes into memory: for many small arrays its threads take longer than all else.
     import zarr
     from zarr.core.buffer import default_buffer_prototype
 
@@ -435,12 +434,3 @@ def write_zarr(content: Any, path: Path, mode: Literal["a", "w-"]) -> None:
         if name not in there:
             (path / name).parent.mkdir(parents=True, exist_ok=True)
             (path / name).write_bytes(buffer.to_bytes())
-
-
-def consolidate(path: Path) -> None:
-    """Gather a Zarr store's metadata in one place, for fast opening."""
-    import zarr
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know this yet
-        uninterrupted(zarr.consolidate_metadata, path)

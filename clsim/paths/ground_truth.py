@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.scattering import SpecularPoint
 from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr, texts
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages
 from clsim.numerics.quaternions import rotate
-from clsim.packages import check_packages
 from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.family import PairPaths
 from clsim.paths.legs.events import Events

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, short_repr, texts
-from clsim.errors import old_names
-from clsim.packages import check_packages
+from clsim.errors import check_packages, old_names
 from clsim.paths.family import SPECULAR
 
 _OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain")

@@ -59,17 +59,15 @@ class Spectrogram:
 def spectrogram(
     pressure: Readable, sampling_rate: float, band: tuple[float, float], segment: int | None = None
 ) -> Spectrogram:
-    """Return the level of pressure (n,), Pa, over time and frequency in a band (low, high), Hz.
-
-    segment: samples of a window. When left out, time and frequency are resolved to the same share of the picture.
-
-    A sine of root mean square `p` has the level ``20 log10(p / 20 µPa)``, whatever the window. A pixel is the mean over
-    the windows inside it and the largest of the frequencies inside it, so that neither moves a line's level.
-    """
+    """Return the level of pressure (n,), Pa, over time and frequency in a band (low, high), Hz, dB re 20 µPa rms."""
+    # A pixel is the mean over the windows inside it and the largest of the frequencies inside it, so that neither
+    # moves a line's level.
     count = len(pressure)
     width = max(band[1] - band[0], 1e-3)
-    if segment is None:
-        segment = _segment(count, sampling_rate, width)
+    if segment is None:  # as many resolved steps over time as over frequency, or a row each
+        even = math.sqrt(max(count, 1) * sampling_rate / width)
+        enough = 2.0 * _RASTER_ROWS * sampling_rate / width
+        segment = int(min(max(2 ** round(math.log2(max(min(1.5 * even, enough), 1.0))), 128), 65536))
     padded = segment
     while padded < _PADDING * segment and width / sampling_rate * padded < _RASTER_ROWS:
         padded *= 2
@@ -115,13 +113,6 @@ def _window(length: int) -> NDArray[np.float32]:
     return np.asarray(np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2, dtype=np.float32)
 
 
-def _segment(count: int, sampling_rate: float, width: float) -> int:
-    """Return a window's length, a power of two: as many resolved steps over time as over frequency, or a row each."""
-    even = math.sqrt(max(count, 1) * sampling_rate / width)
-    enough = 2.0 * _RASTER_ROWS * sampling_rate / width
-    return int(min(max(2 ** round(math.log2(max(min(1.5 * even, enough), 1.0))), 128), 65536))
-
-
 def spectrogram_picture(pressure: Readable, sampling_rate: float, path: str | os.PathLike[str], **options: Any) -> None:
     """Draw level over time and frequency into a file; the options are those of `draw_spectrogram`."""
     figure, axes = new_figure(5.0)
@@ -141,10 +132,7 @@ def draw_spectrogram(
     segment: int | None = None,
     unit: str = "Pa",
 ) -> None:
-    """Draw level over time and frequency into axes.
-
-    Shapes: pressure (n,) Pa; band (low, high) Hz; overlay (times, frequencies, label).
-    """
+    """Draw the level of pressure (n,), Pa, into axes, over it lines of times, s, and frequencies, Hz, with labels."""
     low, high = band or (0.0, 0.5 * sampling_rate)
     raster = spectrogram(pressure, sampling_rate, (low, high), segment)
     against, offset = _REFERENCES[unit]
@@ -198,10 +186,7 @@ def envelope_picture(
     unit: str = "Pa",
     beside: tuple[str, NDArray[Any]] | None = None,
 ) -> None:
-    """Draw the Hilbert envelope over time, with the predicted arrivals.
-
-    Shapes: pressure (n,) Pa; arrivals (time, label, direct) s; beside (n,).
-    """
+    """Draw the Hilbert envelope of pressure (n,), Pa, over time, with predicted arrivals: time, s, label, if direct."""
     figure, axes = new_figure(4.5)
     times = np.arange(len(pressure)) / sampling_rate * 1e3
     sound, other = _magnitude(pressure), None if beside is None else _magnitude(beside[1])

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats
-from clsim.errors import InputError
-from clsim.packages import check_packages
+from clsim.errors import InputError, check_packages, check_rising
 
 # Okabe and Ito's colours, then darker ones: told apart by colour-blind people too.
 _MATERIALS = (
@@ -43,11 +42,10 @@ class ViewedWall:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewedEnd:
-    """A source or receiver: name, kind, positions (F, 3) at the frames and its whole trajectory (M, 3), m.
+    """A source or receiver: name, kind, positions (F, 3) at the frames and its whole trajectory (M, 3), m."""
 
-    A position that is not known is NaN: nothing is drawn there. `aims` (F, 3) are unit vectors of what it is aimed at.
-    """
-
+    # A position that is not known is NaN: nothing is drawn there. `aims` (F, 3) are unit vectors of what it is aimed
+    # at.
     name: str
     kind: str
     positions: Floats
@@ -116,9 +114,8 @@ def page_text(
     _check_times(times, ends, frames)
     for i, frame in enumerate(frames):
         _check_paths(f"frames[{i}]", frame)
-    text = json.dumps(
-        _document(walls, ends, times, frames, edges, bodies, flaws), separators=(",", ":"), allow_nan=False
-    )
+    content = _document(walls, ends, times, frames, edges, bodies, flaws)
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     parts = {
         "title": html.escape(title),
         "notes": "".join(f"<p>{html.escape(note)}</p>" for note in notes),
@@ -139,12 +136,9 @@ def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[View
         if end.positions.shape != (len(times), 3):
             shape = " x ".join(map(str, end.positions.shape))
             raise InputError("frames", f"{rule} ends[{i}].positions has the shape {shape}")
-    for i, time in enumerate(times):
-        if not np.isfinite(time):
-            raise InputError(f"times[{i}]", f"must be finite, but is {time}")
-        if i and time <= times[i - 1]:
-            problem = f"must increase strictly, but [{i}] = {time:g} s follows [{i - 1}] = {times[i - 1]:g} s"
-            raise InputError("times", problem)
+    for i in np.flatnonzero(~np.isfinite(times))[:1]:
+        raise InputError(f"times[{i}]", f"must be finite, but is {times[i]}")
+    check_rising("times", times, np.diff(times) > 0.0, " s")
 
 
 def _check_paths(field: str, paths: ViewedPaths) -> None:
@@ -177,13 +171,28 @@ def _document(
     pairs = [pair for frame in frames for pair in frame.pairs]
     sources, receivers = (list(dict.fromkeys(names)) for names in zip(*pairs, strict=True)) if pairs else ([], [])
     reach = _AIM * max((float(np.max(np.ptp(wall.triangles, axis=(0, 1)))) for wall in walls), default=1.0)
+    fixed = _wall_traces(walls)
+    if edges is not None and len(edges):
+        drawn = _lines(_apart(edges), color=_EDGES, width=5.0, name="edges that diffract")
+        fixed.append(drawn | {"showlegend": True})
+    fixed += _flaw_traces(flaws)
+    for end in (end for end in ends if len(end.trail) > 1):
+        colour = _SOURCE if end.kind == "source" else _RECEIVER
+        fixed.append(_lines(end.trail, color=colour, width=2.0, name=f"way of {end.name}"))
     return {
         "times": [float(f"{t:.9g}") for t in times],
-        "fixed": [*_wall_traces(walls), *_edge_traces(edges), *_flaw_traces(flaws), *_trail_traces(ends)],
+        "fixed": fixed,
         "bodies": [_body(body, _BODIES[i % len(_BODIES)]) for i, body in enumerate(bodies)],
         "marks": _mark_trace(ends),
         "places": [[_rounded(end.positions[i]) for end in ends] for i in range(len(times))],
-        "aims": [_aim_lines(ends, i, reach) for i in range(len(times))],
+        "aims": [
+            [
+                [_rounded(end.positions[i]), _rounded(end.positions[i] + reach * end.aims[i])]
+                for end in ends
+                if end.aims is not None
+            ]
+            for i in range(len(times))
+        ],
         "orders": [_order_trace(n) for n in range(last + 1)],
         "sources": sources,
         "receivers": receivers,
@@ -212,13 +221,6 @@ def _wall_traces(walls: Sequence[ViewedWall]) -> list[dict[str, Any]]:
         edges = _apart(np.concatenate([wall.outline for wall in mine]))
         traces.append(_lines(edges, color="#555555", width=1.5, name="edges") | {"legendgroup": group})
     return traces
-
-
-def _edge_traces(edges: Floats | None) -> list[dict[str, Any]]:
-    """Return the diffracting edges, toggled by one legend entry."""
-    if edges is None or not len(edges):
-        return []
-    return [_lines(_apart(edges), color=_EDGES, width=5.0, name="edges that diffract") | {"showlegend": True}]
 
 
 def _flaw_traces(flaws: ViewedFlaws | None) -> list[dict[str, Any]]:
@@ -278,15 +280,6 @@ def _body(body: ViewedBody, color: str) -> dict[str, Any]:
     return {"trace": trace, "corners": corners, "poses": [np.round(pose, 6).tolist() for pose in poses]}
 
 
-def _trail_traces(ends: Sequence[ViewedEnd]) -> list[dict[str, Any]]:
-    colors = {"source": _SOURCE}
-    return [
-        _lines(end.trail, color=colors.get(end.kind, _RECEIVER), width=2.0, name=f"way of {end.name}")
-        for end in ends
-        if len(end.trail) > 1
-    ]
-
-
 def _mark_trace(ends: Sequence[ViewedEnd]) -> dict[str, Any]:
     """Return the trace of sources and receivers, without their positions."""
     sources = [end.kind == "source" for end in ends]
@@ -300,12 +293,6 @@ def _mark_trace(ends: Sequence[ViewedEnd]) -> dict[str, Any]:
         },
         "hovertemplate": "%{hovertext}<br>%{x} %{y} %{z} m<extra></extra>",
     }  # fmt: skip
-
-
-def _aim_lines(ends: Sequence[ViewedEnd], frame: int, reach: float) -> list[Any]:
-    """Return lines of length `reach` (m) along the orientations: three coordinates each."""
-    aimed = [(end.positions[frame], end.aims[frame]) for end in ends if end.aims is not None]
-    return [[_rounded(at), _rounded(at + reach * aim)] for at, aim in aimed]
 
 
 def _order_trace(order: int) -> dict[str, Any]:

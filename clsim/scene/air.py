@@ -20,7 +20,7 @@ from clsim.acoustics.air import (
     vapour_percent_iso9613,
 )
 from clsim.arrays import Complexes, Floats, as_choice, as_flag, as_floats, as_number
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_kind, settle, warn
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.scene.fluctuation import Fluctuation
 
@@ -168,22 +168,17 @@ class Air:
         humid = _checked_humidity(relative_humidity)
         pascal = as_number("pressure", pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa")
         requested = _checked_speed(_requested_speed if speed_of_sound is None else speed_of_sound)
-        absorbs = as_flag("absorption", absorption)
-        disperses = as_flag("dispersion", dispersion)
+        absorbs, disperses = as_flag("absorption", absorption), as_flag("dispersion", dispersion)
         if disperses and not absorbs:
             raise InputError("dispersion", "must be False in air without absorption, but is True")
-        where = None if heights is None else _checked_heights(heights)
-        if not isinstance(fluctuation, Fluctuation | None):
-            raise InputError("fluctuation", f"must be a Fluctuation, but is {fluctuation!r:.80}")
-        given = {
-            "temperature_celsius": warm, "relative_humidity": humid, "pressure": pascal, "absorption": absorbs,
-            "dispersion": disperses, "wind": None, "heights": where, "fluctuation": fluctuation,
-            "extent": extent, "_requested_speed": requested,
-        }  # fmt: skip
-        for name, value in given.items():
-            object.__setattr__(self, name, value)
+        check_kind("fluctuation", fluctuation, Fluctuation | None, "a Fluctuation")
+        settle(
+            self, temperature_celsius=warm, relative_humidity=humid, pressure=pascal, absorption=absorbs,
+            dispersion=disperses, heights=None if heights is None else _checked_heights(heights),
+            fluctuation=fluctuation, extent=extent, _requested_speed=requested,
+        )  # fmt: skip
         self._settle()
-        object.__setattr__(self, "wind", _checked_wind(wind, self.speed_of_sound))
+        settle(self, wind=_checked_wind(wind, self.speed_of_sound))
 
     def _settle(self) -> None:
         """Set the layers, the state at mid-height, and the derived quantities."""
@@ -193,17 +188,16 @@ class Air:
         (celsius, humidity), pascal = self.at_height(np.array([0.5 * (low + high)]))[:, 0].tolist(), self.pressure
         vapour = vapour_fraction_giacomo(celsius, humidity, pascal)
         if vapour >= 1.0:
-            raise InputError(
-                "relative_humidity",
-                f"must leave room for air, but at {celsius:g} °C and {pascal:g} Pa "
-                f"{humidity:g} is nothing but water vapour",
-            )
-        speed = _speed(self._requested_speed, celsius, humidity, pascal)
-        for name, value in (("layers", layers), ("state", (celsius, humidity, pascal)), ("speed_of_sound", speed)):
-            object.__setattr__(self, name, value)
-        for message in (_doubt_in_speed(self, vapour), _doubt_in_absorption(self)):
-            if message and not layers:  # of which each has told
-                warn(message)
+            problem = f"at {celsius:g} °C and {pascal:g} Pa {humidity:g} is nothing but water vapour"
+            raise InputError("relative_humidity", f"must leave room for air, but {problem}")
+        speed = self._requested_speed
+        if speed is None:
+            speed = speed_of_sound_cramer(celsius, humidity, pascal)
+        elif isinstance(speed, str):
+            speed = speed_of_sound_iso9613(celsius)
+        settle(self, layers=layers, state=(celsius, humidity, pascal), speed_of_sound=speed)
+        if not layers:  # of which each has told
+            _warn_of_range(self, vapour)
 
     def at_height(self, height: Floats) -> Floats:
         """Return temperature, °C, and relative humidity, 0 to 1, (2, n) at each `height` (n,), m."""
@@ -392,37 +386,18 @@ def _checked_wind(value: ArrayLike | None, speed_of_sound: float) -> tuple[float
     return (x, y, z) if x or y or z else None
 
 
-def _speed(requested: float | str | None, celsius: float, humidity: float, pressure: float) -> float:
-    """Return speed of sound by the given number or formula, m/s."""
-    if requested is None:
-        return speed_of_sound_cramer(celsius, humidity, pressure)
-    if isinstance(requested, str):
-        return speed_of_sound_iso9613(celsius)
-    return requested
-
-
-def _doubt_in_speed(air: Air, vapour: float) -> str:
-    """Return a sentence if the speed comes from Cramer's formula outside its range."""
-    celsius = air.state[0]
+def _warn_of_range(air: Air, vapour: float) -> None:
+    """Warn of a speed outside the range of Cramer's formula, and of absorption that ISO 9613-1 is less sure of."""
+    celsius, percent = air.state[0], vapour_percent_iso9613(*air.state)
+    has = f"but the air has {celsius:g} °C, {air.pressure / 1e3:g} kPa"
     inside = 0.0 <= celsius <= 30.0 and 75e3 <= air.pressure <= 102e3 and vapour <= 0.06
-    if air._requested_speed is not None or inside:
-        return ""
-    return (
-        f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of "
-        f"vapour, but the air has {celsius:g} °C, {air.pressure / 1e3:g} kPa "
-        f"and {100 * vapour:.3g} %; "
-        f'give speed_of_sound as a number or as "iso9613"'
-    )
-
-
-def _doubt_in_absorption(air: Air) -> str:
-    """Return a sentence if ISO 9613-1 is less sure of the absorption than within 20 %."""
-    celsius, vapour = air.state[0], vapour_percent_iso9613(*air.state)
-    inside = -20.0 <= celsius <= 50.0 and air.pressure < 200e3 and vapour >= 0.005
-    if not air.absorption or inside:
-        return ""
-    return (
-        f"ISO 9613-1 gives the absorption of air within 20 % from -20 to 50 °C, below 200 kPa and from "
-        f"0.005 % of vapour, but the air has {celsius:g} °C, {air.pressure / 1e3:g} kPa "
-        f"and {vapour:.3g} %"
-    )
+    if air._requested_speed is None and not inside:
+        warn(
+            f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of vapour, "
+            f'{has} and {100 * vapour:.3g} %; give speed_of_sound as a number or as "iso9613"'
+        )
+    if air.absorption and not (-20.0 <= celsius <= 50.0 and air.pressure < 200e3 and percent >= 0.005):
+        warn(
+            "ISO 9613-1 gives the absorption of air within 20 % from -20 to 50 °C, below 200 kPa and from 0.005 % of "
+            f"vapour, {has} and {percent:.3g} %"
+        )

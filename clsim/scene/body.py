@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clsim.arrays import LARGEST_ROOM, Floats, as_floats
-from clsim.errors import InputError, counted
+from clsim.errors import InputError, check_kind, check_name, counted, inside, settle
 from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import in_face
@@ -19,7 +19,7 @@ from clsim.scene.material.material import Material
 from clsim.scene.motion.motion import Instants, even_lengths, seen_by
 from clsim.scene.motion.orientation import as_places
 from clsim.scene.motion.trajectory import Trajectory
-from clsim.scene.placement import Placed, first_refused
+from clsim.scene.placement import Placed, check_lasts, first_refused
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.protocol import Room, is_room
 
@@ -67,19 +67,16 @@ class Body:
     flush: ClassVar[bool] = False  # it sits in no wall
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name.strip():
-            raise InputError("name", f"must be a text that is not empty, but is {self.name!r:.80}")
+        check_name(self.name)
         mesh: Any = self.mesh
         if not is_room(mesh):
             raise InputError("mesh", f"must be a MeshRoom or another Room, but is {self.mesh!r:.80}")
-        if not isinstance(self.trajectory, Trajectory):
-            raise InputError("trajectory", f"must be a Trajectory, but is {self.trajectory!r:.80}")
-        if self.trajectory.start > 0.0:
-            raise InputError("trajectory", f"must begin at 0 s or before, but begins at {self.trajectory.start:g} s")
-        object.__setattr__(self, "mesh", mesh.as_mesh())
+        check_kind("trajectory", self.trajectory, Trajectory, "a Trajectory")
+        self.trajectory.check_start()
+        settle(self, mesh=mesh.as_mesh())
         corners, turning = self.mesh.vertices, self.trajectory.turning
-        object.__setattr__(self, "radius", float(np.linalg.norm(corners, axis=1).max()))
-        object.__setattr__(self, "lever", 0.0 if turning is None else turning.lever(corners))
+        radius = float(np.linalg.norm(corners, axis=1).max())
+        settle(self, radius=radius, lever=0.0 if turning is None else turning.lever(corners))
 
     @staticmethod
     def box(
@@ -181,10 +178,8 @@ def with_carriers(ends: Sequence[End], bodies: Sequence[Body]) -> tuple[End, ...
             known = ", ".join(map(repr, found)) or "there are none"
             raise InputError(f"{kind}[{i}].mounted_on", f"must name a body ({known}), but is {end.mounted_on!r:.80}")
         body = found[end.mounted_on]
-        try:
+        with inside(f"{kind}[{i}]"):
             own = in_face(body.mesh, end)
-        except InputError as error:
-            raise error.within(f"{kind}[{i}]") from error
         motion = Trajectory.carried(body.trajectory, own, end.aim)
         carried.append(replace(end, trajectory=motion, aim=None, mounted_on=None, flush=False))
     return tuple(carried)
@@ -210,11 +205,7 @@ def check_bodies(
 
 
 def _check_motion(field_name: str, body: Body, last: float, slowest: float) -> None:
-    if last > body.trajectory.end * (1 + 1e-12) + 1e-9:
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must last as long as all signals, which end at {last:g} s, but ends at {body.trajectory.end:g} s",
-        )
+    check_lasts(field_name, body.trajectory, last, "all signals, which end")
     if body.peak_speed >= slowest:
         times = np.linspace(*body.time_range, 10_001)
         speed = body.speed(times)

@@ -61,11 +61,9 @@ class Joints:
 
 
 def read_joints(path: Path) -> Joints:
-    """Read a file: one that begins with HIERARCHY is BVH, any other a table.
-
-    The header of a table names ``t`` (or ``time``), s, and ``NAME x``, ``NAME y``, ``NAME z`` of every joint, in any
-    order, with a blank, a point or an underscore before the axis; lines that begin with ``#`` are skipped.
-    """
+    """Read a file: one that begins with HIERARCHY is BVH, any other a table."""
+    # The header of a table names ``t`` (or ``time``), s, and ``NAME x``, ``NAME y``, ``NAME z`` of every joint, in any
+    # order, with a blank, a point or an underscore before the axis; lines that begin with ``#`` are skipped.
     try:
         text = read_file(path, LARGEST_TEXT).decode("utf-8-sig")
     except OSError as error:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_choice, as_count, as_flag, as_floats, as_number, short_repr
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind, check_name, settle, with_field
 from clsim.numerics.quaternions import normalised, quaternion_from_direction, rotate
 from clsim.scene.directivity.directivity import ChannelDirectivity, Directivity
 from clsim.scene.directivity.head_related import EARS, HeadRelated, SphericalHead
@@ -41,11 +41,8 @@ def towards(motion: Trajectory, point: Floats) -> Trajectory:
     def directions(times: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Return directions (T, 3) of any length, and a mask of known ones, here all."""
         away = point - motion.position(times)
-        near = np.flatnonzero(np.linalg.norm(away, axis=1) < _NEAREST)
-        if len(near):
-            raise InputError(
-                "aim_at", f"must be {_NEAREST:g} m away at least, but is where it aims from at {times[near[0]]:g} s"
-            )
+        for time in times[np.linalg.norm(away, axis=1) < _NEAREST][:1]:
+            raise InputError("aim_at", f"must be {_NEAREST:g} m away at least, but is where it aims from at {time:g} s")
         return away, np.ones(len(times), dtype=bool)
 
     if motion.is_static:
@@ -67,13 +64,11 @@ def forward(motion: Trajectory) -> Trajectory:
     times, turned = _sampled(motion, directions)
     axes = rotate(turned, (1.0, 0.0, 0.0))
     angle = _angle(axes[:-1], axes[1:])
-    jumps = np.flatnonzero((angle > 2.0 * _WIDEST) & (np.diff(times) < _PAUSE))
-    if len(jumps):
+    for i in np.flatnonzero((angle > 2.0 * _WIDEST) & (np.diff(times) < _PAUSE))[:1]:
         raise InputError(
             "aim",
-            'must not be "forward" where the direction of motion jumps, but it turns by '
-            f"{np.degrees(angle[jumps[0]]):.0f} degrees at {times[jumps[0]]:.3f} s: "
-            "join the points smoothly, or give orientations",
+            f'must not be "forward" where the direction of motion jumps, but it turns by {np.degrees(angle[i]):.0f} '
+            f"degrees at {times[i]:.3f} s: join the points smoothly, or give orientations",
         )
     return replace(motion, turning=turning_between(times, turned))
 
@@ -92,9 +87,8 @@ def _sampled(motion: Trajectory, directions: Directions) -> tuple[Floats, Floats
         if not new.any():
             break
         order = np.argsort(np.concatenate([times, middle[new]]), kind="stable")
-        times = np.concatenate([times, middle[new]])[order]
-        found = np.concatenate([found, there[new]])[order]
-        known = np.concatenate([known, clear[new]])[order]
+        both = ((times, middle), (found, there), (known, clear))
+        times, found, known = (np.concatenate([old, more[new]])[order] for old, more in both)
     return times[known], _level(found[known])
 
 
@@ -186,16 +180,12 @@ class Source:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        _check_end(self)
-        _settle_aim(self)
-        if not isinstance(self.signal, Signal):
-            raise InputError("signal", f"must be a Signal, but is {self.signal!r:.80}")
+        _settle_end(self)
+        check_kind("signal", self.signal, Signal, "a Signal")
         if isinstance(self.directivity, ChannelDirectivity):
             raise InputError("directivity", "must have one channel, for several are of receivers")
-        object.__setattr__(self, "flush", _checked_flush(self.flush))
-        object.__setattr__(self, "start", as_number("start", self.start, at_least=0.0, at_most=LONGEST, unit="s"))
-        emitted = self.signal if self.transducer is None else self.transducer.drive(self.signal)
-        object.__setattr__(self, "emitted", emitted)
+        settle(self, start=as_number("start", self.start, at_least=0.0, at_most=LONGEST, unit="s"))
+        settle(self, emitted=self.signal if self.transducer is None else self.transducer.drive(self.signal))
 
     @property
     def end(self) -> float:
@@ -272,13 +262,10 @@ class Receiver:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        _check_end(self)
-        _settle_aim(self)
-        object.__setattr__(self, "flush", _checked_flush(self.flush))
+        _settle_end(self)
         if self.element is not None and len(self.directivity.channels) > 1:
             raise InputError("directivity", f"must have one channel in an array, but is {self.directivity!r:.80}")
-        if self.electronics is not None and not isinstance(self.electronics, Electronics):
-            raise InputError("electronics", f"must be Electronics, but is {self.electronics!r:.80}")
+        check_kind("electronics", self.electronics, Electronics | None, "Electronics")
 
     @staticmethod
     def ambisonic(
@@ -342,10 +329,8 @@ class Receiver:
         """
         ears = SphericalHead() if hrtf is None else hrtf
         if isinstance(ears, str | PathLike):
-            try:
+            with with_field("hrtf"):
                 ears = HeadRelated.from_sofa(ears)
-            except InputError as error:
-                raise InputError("hrtf", error.problem) from error
         if not isinstance(ears, ChannelDirectivity) or ears.channels != EARS:
             raise InputError("hrtf", f"must be a SOFA file or a directivity of two ears, but is {ears!r:.80}")
         return Receiver(name, trajectory, ears, **options)
@@ -384,24 +369,15 @@ class Receiver:
 End = Source | Receiver
 
 
-def _check_end(item: End) -> None:
-    """Refuse a source or receiver whose name, trajectory, directivity or carrier has the wrong type."""
-    if not isinstance(item.name, str) or not item.name.strip():
-        raise InputError("name", f"must be a text that is not empty, but is {item.name!r:.80}")
-    if not isinstance(item.trajectory, Trajectory):
-        raise InputError("trajectory", f"must be a Trajectory, but is {item.trajectory!r:.80}")
-    if not isinstance(item.directivity, Directivity):
-        raise InputError("directivity", f"must be a Directivity, but is {item.directivity!r:.80}")
-    if item.transducer is not None and not isinstance(item.transducer, Transducer):
-        raise InputError("transducer", f"must be a Transducer, but is {item.transducer!r:.80}")
+def _settle_end(item: End) -> None:
+    """Check what sources and receivers share; convert the aim to an array, or to orientations of the trajectory."""
+    check_name(item.name)
+    check_kind("trajectory", item.trajectory, Trajectory, "a Trajectory")
+    check_kind("directivity", item.directivity, Directivity, "a Directivity")
+    check_kind("transducer", item.transducer, Transducer | None, "a Transducer")
     if item.mounted_on is not None and not isinstance(item.mounted_on, str):
         raise InputError("mounted_on", f"must name a body, but is {item.mounted_on!r:.80}")
-    if item.trajectory.start > 0.0:
-        raise InputError("trajectory", f"must begin at 0 s or before, but begins at {item.trajectory.start:g} s")
-
-
-def _settle_aim(item: End) -> None:
-    """Convert the aim of a source or receiver to an array, or to orientations of its trajectory."""
+    item.trajectory.check_start()
     for name in ("aim", "aim_at"):
         if getattr(item, name) is not None and item.trajectory.has_orientation:
             raise InputError(name, "must be left out, because the trajectory has orientations of its own")
@@ -415,8 +391,7 @@ def _settle_aim(item: End) -> None:
         aim, trajectory = None, forward(trajectory)
     elif aim is not None:
         aim = as_direction("aim", aim)
-    for name, value in (("aim", aim), ("aim_at", None), ("trajectory", trajectory)):
-        object.__setattr__(item, name, value)
+    settle(item, aim=aim, aim_at=None, trajectory=trajectory, flush=_checked_flush(item.flush))
 
 
 def _orientation(item: End, times: Floats) -> Floats:

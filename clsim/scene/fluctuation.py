@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clsim.arrays import Complexes, Floats, as_count, as_number, read_only
+from clsim.errors import settle
 
 _WAVES = 64
 _AT_A_TIME = 16384  # instants
@@ -62,12 +63,10 @@ class Fluctuation:
         time = as_number("correlation_time", self.correlation_time, at_least=1e-3, unit="s")
         length = as_number("correlation_length", self.correlation_length, at_least=1e-3, unit="m")
         seed = as_count("seed", self.seed)
-        for name, value in (("rms", rms), ("correlation_time", time), ("correlation_length", length), ("seed", seed)):
-            object.__setattr__(self, name, value)
         rng = np.random.default_rng(seed)
         scale = math.sqrt(2.0) / np.array([time, *[length] * 6])
         waves = np.vstack([scale[:, None] * rng.normal(size=(7, _WAVES)), rng.uniform(0.0, 2.0 * math.pi, (1, _WAVES))])
-        object.__setattr__(self, "_waves", read_only(waves))
+        settle(self, rms=rms, correlation_time=time, correlation_length=length, seed=seed, _waves=read_only(waves))
 
     def at(
         self, times: Floats, receiver: Floats, source: Floats, velocities: tuple[Floats, Floats] | None = None
@@ -138,11 +137,9 @@ class TargetFluctuation:
         time = as_number("correlation_time", self.correlation_time, at_least=1e-3, unit="s")
         steady = as_number("steady", self.steady, at_least=0.0, at_most=1.0)
         seed = as_count("seed", self.seed)
-        for name, value in (("correlation_time", time), ("steady", steady), ("seed", seed)):
-            object.__setattr__(self, name, value)
         rng = np.random.default_rng(seed)
         waves = [math.sqrt(2.0) / time * rng.normal(size=_WAVES), rng.uniform(0.0, 2.0 * math.pi, _WAVES)]
-        object.__setattr__(self, "_waves", read_only(np.array(waves)))
+        settle(self, correlation_time=time, steady=steady, seed=seed, _waves=read_only(np.array(waves)))
 
     @property
     def most(self) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clsim.arrays import Floats, as_floats, as_number, read_only
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind, inside
 from clsim.numerics.quaternions import rotate
 from clsim.scene.motion.curves import spline_through
 from clsim.scene.motion.orientation import as_increasing, quaternion_product, turning_between
@@ -243,20 +243,16 @@ def walking_person(name: str, height: float, trajectory: Trajectory, shadow: boo
 
 def _walk(trajectory: Trajectory, leg: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return instants (n,), s, phases in cycles, speeds in legs a second, and headings, rad."""
-    if not isinstance(trajectory, Trajectory):
-        raise InputError("trajectory", f"must be a Trajectory, but is {trajectory!r:.80}")
+    check_kind("trajectory", trajectory, Trajectory, "a Trajectory")
     if trajectory.is_static:
         raise InputError("trajectory", "must move, for a person to walk, but is at rest")
     times = pose_times(trajectory.start, trajectory.end)
     velocity = trajectory.velocity(times)[:, :2]
     speed = np.linalg.norm(velocity, axis=1) / leg
-    bad = np.flatnonzero((speed < SLOWEST) | (speed > FASTEST))
-    if len(bad):
-        raise InputError(
-            "trajectory",
-            f"must walk at {SLOWEST * leg:.3g} to {FASTEST * leg:.3g} m/s, but is at {speed[bad[0]] * leg:.3g} m/s at "
-            f"{times[bad[0]]:.6g} s",
-        )
+    for i in np.flatnonzero((speed < SLOWEST) | (speed > FASTEST))[:1]:
+        allowed = f"{SLOWEST * leg:.3g} to {FASTEST * leg:.3g} m/s"
+        problem = f"must walk at {allowed}, but is at {speed[i] * leg:.3g} m/s at {times[i]:.6g} s"
+        raise InputError("trajectory", problem)
     rate = 1.0 / cycle_duration(speed)
     steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(times)
     phase = np.concatenate([[0.0], np.cumsum(steps)])
@@ -359,8 +355,7 @@ def hand(
     (11, 'hand thumb', 0.8)
     """
     size = as_number("length", length, above=0.0, at_most=10.0, unit="m")
-    if not isinstance(trajectory, Trajectory):
-        raise InputError("trajectory", f"must be a Trajectory, but is {trajectory!r:.80}")
+    check_kind("trajectory", trajectory, Trajectory, "a Trajectory")
     times, shares = _opening(opening)
     resting = trajectory.is_static and (not trajectory.turns or math.isinf(trajectory.end))  # in one orientation
     if resting and len(times) == 1:
@@ -388,10 +383,8 @@ def _opening(opening: ArrayLike | float) -> tuple[Floats, Floats]:
     rows = as_floats("opening", opening, (None, 2))
     for i, share in enumerate(rows[:, 1].tolist()):
         as_number(f"opening[{i}][1]", share, at_least=0.0, at_most=1.0)
-    try:
+    with inside("opening"):
         return as_increasing(rows[:, 0]), rows[:, 1]
-    except InputError as error:
-        raise error.within("opening") from error
 
 
 def _between(times: Floats, shares: Floats, instants: Floats) -> Floats:

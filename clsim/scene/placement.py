@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, inside, warn
 from clsim.numerics.quaternions import rotate
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import End, Receiver, Source
@@ -40,10 +40,8 @@ def check_motions(room: Room, ends: Sequence[tuple[str, Placed]], slowest: float
 
 
 def _check_motion(room: Room, field_name: str, item: Placed, slowest: float) -> None:
-    try:
+    with inside(field_name):
         mount = find_mount(room, item)
-    except InputError as error:
-        raise error.within(field_name) from error
     start, end = item.time_range
     instants = Instants(start, start if item.trajectory.is_static else end, _SCAN_RATE)
     refused = first_refused(room, item.trajectory, instants, mount)
@@ -117,36 +115,33 @@ def _too_close(
     )
 
 
+def check_lasts(field_name: str, motion: Motion, last: float, what: str) -> None:
+    """Refuse a motion that ends before a time, s, at which a signal or all of them end."""
+    if last > motion.end * (1 + 1e-12) + 1e-9:
+        problem = f"must last as long as {what} at {last:g} s, but ends at {motion.end:g} s"
+        raise InputError(f"{field_name}.trajectory", problem)
+
+
 def check_scatterers(
     scatterers: Sequence[tuple[str, Scatterer]], ends: Sequence[tuple[str, End]], nearest: float, slowest: float
 ) -> None:
     """Refuse scatterers that end before a signal, turn as fast as sound, or come to ends nearer than a distance, m."""
     last = max((item.end for _, item in ends if isinstance(item, Source)), default=0.0)
     for field_name, scatterer in scatterers:
-        if last > scatterer.trajectory.end * (1 + 1e-12) + 1e-9:
-            raise InputError(
-                f"{field_name}.trajectory",
-                f"must last as long as all signals, which end at {last:g} s, "
-                f"but ends at {scatterer.trajectory.end:g} s",
-            )
+        check_lasts(field_name, scatterer.trajectory, last, "all signals, which end")
         surface = scatterer.peak_speeds()[1]
         if surface >= slowest:
+            motion, (start, stop) = scatterer.trajectory, scatterer.time_range
+            times = np.linspace(start, stop, min(max(int((stop - start) * _SCAN_RATE), 1), _SCAN_BLOCK) + 1)
+            turn = np.linalg.norm(motion.angular_velocity(times), axis=1)
+            speed = np.linalg.norm(motion.velocity(times), axis=1) + scatterer.shape.radius * turn
             raise InputError(
                 f"{field_name}.trajectory",
                 f"must keep the surface below the speed of sound, {slowest:.6g} m/s, but that of "
-                f"{scatterer.name!r} may move at {surface:.6g} m/s, about {_fastest_turn(scatterer):.6g} s",
+                f"{scatterer.name!r} may move at {surface:.6g} m/s, about {times[np.argmax(speed)]:.6g} s",
             )
         for _, end in ends:
             _check_apart(field_name, scatterer, end, nearest)
-
-
-def _fastest_turn(scatterer: Scatterer) -> float:
-    """Return time at which the surface speed of a scatterer is about the largest, s."""
-    motion, (start, end) = scatterer.trajectory, scatterer.time_range
-    times = np.linspace(start, end, min(max(int((end - start) * _SCAN_RATE), 1), _SCAN_BLOCK) + 1)
-    turn = np.linalg.norm(motion.angular_velocity(times), axis=1)
-    speed = np.linalg.norm(motion.velocity(times), axis=1) + scatterer.shape.radius * turn
-    return float(times[np.argmax(speed)])
 
 
 def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float) -> None:
@@ -170,10 +165,8 @@ def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float
 
 
 def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
-    """Refuse sources and receivers that walls separate from the others; warn of those connected by a hole alone.
-
-    An open mesh, or one with large holes, has no inside; positions in a convex room are checked elsewhere.
-    """
+    """Refuse sources and receivers that walls separate from the others; warn of those connected by a hole alone."""
+    # An open mesh, or one with large holes, has no inside; positions in a convex room are checked elsewhere.
     if room.is_convex:
         return
     places = np.array([first_place(room, item) for _, item in ends])
@@ -268,7 +261,8 @@ def first_approach(
             places, velocity = others[None], -velocity
         margin = _SPARE * speed * (instants.margin(first, middle, last) + half)
         hit, unsure = np.full(len(first), -1), np.empty(len(first), dtype=bool)
-        for some in _slices(len(first), places.shape[1]):
+        step = max(1, _PAIRS // max(places.shape[1], 1))
+        for some in (slice(i, min(i + step, len(first))) for i in range(0, len(first), step)):
             apart = (places[some] if len(places) > 1 else places) - at[some]
             distance = np.linalg.norm(apart, axis=2)
             unsure[some] = ~(distance.min(axis=1) - nearest > margin[some])
@@ -294,12 +288,6 @@ def nearest_within(apart: Floats, velocity: Floats, half: float) -> tuple[Floats
     return np.linalg.norm(apart + shift[:, None] * velocity, axis=1), shift
 
 
-def _slices(count: int, others: int) -> list[slice]:
-    """Return slices with a bounded number of pairs each."""
-    step = max(1, _PAIRS // max(others, 1))
-    return [slice(i, min(i + step, count)) for i in range(0, count, step)]
-
-
 _LARGEST, _SMALLEST = 300.0, 0.2  # m, beyond which a room is likely to be in other units
 _USUAL = 5.0  # m, size of a room
 _LOWEST = 100.0  # Hz, below which paths are no picture of sound in a room
@@ -307,10 +295,22 @@ _LOWEST = 100.0  # Hz, below which paths are no picture of sound in a room
 
 def warn_of_units(room: Room, sources: Sequence[Source]) -> None:
     """Warn of a room of implausible size, and of signals too low in frequency for paths."""
-    doubts = [_doubt_in_size(room)]
-    doubts += [_doubt_in_frequency(i, s.signal.centre_frequency) for i, s in enumerate(sources)]
-    for doubt in filter(None, doubts):
-        warn(doubt)
+    low, high = room.extent
+    size = float((high - low).max())
+    if not _SMALLEST <= size <= _LARGEST:
+        steps = round(math.log(size / _USUAL, 1000.0)) or (1 if size > _USUAL else -1)
+        factor = 1000.0**-steps
+        scale = room.scale
+        advice = f"{factor:g} times its lengths" if scale is None else f"scale = {scale * factor:g}"
+        unit = {None: "for millimetres, ", 1.0: "for a file in millimetres, "}.get(scale, "") if steps == 1 else ""
+        warn(f"room: {size:.4g} m is {'large' if steps > 0 else 'small'} for a room; {unit}try {advice}")
+    for i, source in enumerate(sources):
+        frequency = source.signal.centre_frequency
+        if frequency < _LOWEST:
+            warn(
+                f"sources[{i}].signal: {frequency:.4g} Hz is low for paths in a room; "
+                f"frequencies are in Hz: for {frequency:.4g} kHz, try {frequency:.4g}e3"
+            )
 
 
 def warn_of_roles(sources: Sequence[Source], receivers: Sequence[Receiver]) -> None:
@@ -339,25 +339,3 @@ def warn_of_facing(ends: Sequence[tuple[str, End]]) -> None:
                 'orientations; give aim = "forward", aim_at = [x, y, z], or a direction such as aim = [1, 0, 0]'
             )
             break
-
-
-def _doubt_in_size(room: Room) -> str:
-    low, high = room.extent
-    size = float((high - low).max())
-    if _SMALLEST <= size <= _LARGEST:
-        return ""
-    steps = round(math.log(size / _USUAL, 1000.0)) or (1 if size > _USUAL else -1)
-    factor = 1000.0**-steps
-    scale = room.scale
-    advice = f"{factor:g} times its lengths" if scale is None else f"scale = {scale * factor:g}"
-    unit = {None: "for millimetres, ", 1.0: "for a file in millimetres, "}.get(scale, "") if steps == 1 else ""
-    return f"room: {size:.4g} m is {'large' if steps > 0 else 'small'} for a room; {unit}try {advice}"
-
-
-def _doubt_in_frequency(source: int, frequency: float) -> str:
-    if frequency >= _LOWEST:
-        return ""
-    return (
-        f"sources[{source}].signal: {frequency:.4g} Hz is low for paths in a room; "
-        f"frequencies are in Hz: for {frequency:.4g} kHz, try {frequency:.4g}e3"
-    )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import FARTHEST, Floats, as_count, as_number
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind, check_name
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Element, Receiver
@@ -68,8 +68,7 @@ def receiver_array(
     >>> pair[0].trajectory.position(1.0).tolist(), pair[1].rows
     ([2.0, 1.1, 0.5], (('pair', '1'),))
     """
-    if not isinstance(name, str) or not name.strip():
-        raise InputError("name", f"must be a text that is not empty, but is {name!r:.80}")
+    check_name(name)
     places = as_places("positions", positions, (None, 3))
     if len(places) > _MOST:
         raise InputError("positions", f"must be at most {_MOST}, but are {len(places)}")
@@ -79,8 +78,7 @@ def receiver_array(
             Receiver(f"{name}-{i}", Trajectory.fixed(place), **more)
             for i, (place, more) in enumerate(zip(places, own, strict=True))
         ]
-    if not isinstance(trajectory, Trajectory):
-        raise InputError("trajectory", f"must be a Trajectory, but is {trajectory!r:.80}")
+    check_kind("trajectory", trajectory, Trajectory, "a Trajectory")
     made = []
     for i, (place, more) in enumerate(zip(places, own, strict=True)):
         aim = more.pop("aim", None)

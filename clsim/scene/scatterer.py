@@ -13,7 +13,7 @@ from clsim.acoustics import outline, silhouette, sphere
 from clsim.acoustics.capsule import ASPECTS, capsule_aspects, capsule_field, capsule_specular_point
 from clsim.acoustics.scattering import SpecularPoint, ellipsoid_mirror, ellipsoid_specular_point, ellipsoid_strength
 from clsim.arrays import FARTHEST, Complexes, Floats, as_choice, as_flag, as_floats, as_number, read_only, short_repr
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind, check_name
 from clsim.scene.fluctuation import TargetFluctuation
 from clsim.scene.motion.trajectory import Trajectory
 
@@ -300,14 +300,10 @@ class Scatterer:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name.strip():
-            raise InputError("name", f"must be a text that is not empty, but is {self.name!r:.80}")
-        if not isinstance(self.trajectory, Trajectory):
-            raise InputError("trajectory", f"must be a Trajectory, but is {self.trajectory!r:.80}")
-        if self.trajectory.start > 0.0:
-            raise InputError("trajectory", f"must begin at 0 s or before, but begins at {self.trajectory.start:g} s")
-        if not isinstance(self.fluctuation, TargetFluctuation | None):
-            raise InputError("fluctuation", f"must be a TargetFluctuation, but is {self.fluctuation!r:.80}")
+        check_name(self.name)
+        check_kind("trajectory", self.trajectory, Trajectory, "a Trajectory")
+        self.trajectory.check_start()
+        check_kind("fluctuation", self.fluctuation, TargetFluctuation | None, "a TargetFluctuation")
 
     @staticmethod
     def point(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import FARTHEST, Floats, as_count, as_number, row_name, short_repr
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind, inside, settle
 from clsim.numerics.quaternions import rotate
 from clsim.pictures.view_page import (
     ViewedBody,
@@ -28,6 +28,7 @@ from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.material.material import Material
 from clsim.scene.placement import (
     check_distances,
+    check_lasts,
     check_motions,
     check_scatterers,
     check_sides,
@@ -168,21 +169,19 @@ class Scene:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bodies", _checked_list("bodies", self.bodies, Body))
+        settle(self, bodies=_checked_list("bodies", self.bodies, Body))
         for name, kind in (("sources", Source), ("receivers", Receiver)):
             given = _checked_list(name, getattr(self, name), kind)
             if not given:
                 raise InputError(name, "must hold at least one, but is empty")
-            object.__setattr__(self, name, with_carriers(given, self.bodies))
+            settle(self, **{name: with_carriers(given, self.bodies)})
         _check_rows(self.receivers)
         distance = as_number("min_distance", self.min_distance, at_least=_NEAREST, at_most=FARTHEST, unit="m")
-        object.__setattr__(self, "min_distance", distance)
         checked_room(self.room)
-        if not isinstance(self.air, Air):
-            raise InputError("air", f"must be an Air, but is {self.air!r:.80}")
-        low, high = self.room.extent
-        object.__setattr__(self, "air", self.air.between(float(low[2]), float(high[2])))
-        object.__setattr__(self, "scatterers", _checked_list("scatterers", self.scatterers, Scatterer))
+        check_kind("air", self.air, Air, "an Air")
+        (_, _, low), (_, _, high) = self.room.extent
+        scatterers = _checked_list("scatterers", self.scatterers, Scatterer)
+        settle(self, min_distance=distance, air=self.air.between(float(low), float(high)), scatterers=scatterers)
         ends = self.named_ends()
         check_motions(self.room, [*ends, *self.named_scatterers()], self.air.slowest)
         check_sides(self.room, ends)
@@ -191,12 +190,7 @@ class Scene:
         warn_of_facing(ends)
         for i, source in enumerate(self.sources):
             check_distances(f"sources[{i}]", source, self.receivers, distance)
-            if source.end > source.trajectory.end * (1 + 1e-12) + 1e-9:
-                raise InputError(
-                    f"sources[{i}].trajectory",
-                    f"must last as long as the signal, which ends at {source.end:g} s, "
-                    f"but ends at {source.trajectory.end:g} s",
-                )
+            check_lasts(f"sources[{i}]", source.trajectory, source.end, "the signal, which ends")
         check_scatterers(self.named_scatterers(), ends, distance, self.air.slowest)
         check_bodies(self.room, self.named_bodies(), [*ends, *self.named_scatterers()], self.air.slowest)
         _check_bands(self)
@@ -245,45 +239,32 @@ class Scene:
         """
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         height = as_count("height", height, at_least=100, at_most=10_000)
-        return inline_page(
-            "show",
-            scene_page(self.room, [*self.named_ends(), *self.named_scatterers()], self.named_bodies(), frames, "scene"),
-            height,
-        )
+        ends = [*self.named_ends(), *self.named_scatterers()]
+        return inline_page("show", scene_page(self.room, ends, self.named_bodies(), frames, "scene"), height)
 
     def _repr_html_(self) -> str:
-        ends = [
-            (field, item.name, "static" if item.trajectory.is_static else "moves", _place(item))
-            for field, item in self.named_ends()[:_MOST_LISTED]
-        ]
+        ends = []
+        for field, item in self.named_ends()[:_MOST_LISTED]:
+            place = ", ".join(f"{x:.3f}" for x in item.trajectory.position(item.time_range[0]))
+            ends.append((field, item.name, "static" if item.trajectory.is_static else "moves", place))
         more = len(self.named_ends()) - len(ends)
         notes = [*([f"and {more} more"] if more else []), *self.room.describe(), *self.air.describe()]
         return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
         """Return a description of room, air and bodies, a line each; in a closed room also the sides of ends at 0 s."""
-        sides = [] if self.room.is_convex or not self.room.is_closed else self.named_ends()
-        air = [_travelling(self.air, source) for source in self.sources] if self.air.dispersion else []
-        of_sides = [_side(self.room, field_name, item) for field_name, item in sides]
-        bodies = [line for _, body in self.named_bodies() for line in body.describe()]
-        return [*self.room.describe(), *self.air.describe()[1:], *air, *of_sides, *bodies]
-
-
-def _travelling(air: Air, source: Source) -> str:
-    centre = source.emitted.centre_frequency
-    return (
-        f"air disperses: what {source.name!r} sends about {centre:.6g} Hz goes {air.group_speed_at(centre):.3f} m/s, "
-        f"its phase at {air.speed_at(centre):.3f} m/s; {air.speed_of_sound:.3f} m/s at 0 Hz"
-    )
-
-
-def _place(item: End) -> str:
-    return ", ".join(f"{x:.3f}" for x in item.trajectory.position(item.time_range[0]))
-
-
-def _side(room: Room, field_name: str, item: End) -> str:
-    inside = bool(room.contains(first_place(room, item)[None])[0])
-    return f"{field_name}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s"
+        lines = [*self.room.describe(), *self.air.describe()[1:]]
+        for source in self.sources if self.air.dispersion else ():
+            centre = source.emitted.centre_frequency
+            lines.append(
+                f"air disperses: what {source.name!r} sends about {centre:.6g} Hz goes "
+                f"{self.air.group_speed_at(centre):.3f} m/s, its phase at {self.air.speed_at(centre):.3f} m/s; "
+                f"{self.air.speed_of_sound:.3f} m/s at 0 Hz"
+            )
+        for field_name, item in [] if self.room.is_convex or not self.room.is_closed else self.named_ends():
+            inside = self.room.contains(first_place(self.room, item)[None])[0]
+            lines.append(f"{field_name}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")
+        return lines + [line for body in self.bodies for line in body.describe()]
 
 
 def _checked_list(name: str, values: Any, kind: type[End | Body | Scatterer]) -> tuple[Any, ...]:
@@ -292,8 +273,7 @@ def _checked_list(name: str, values: Any, kind: type[End | Body | Scatterer]) ->
         raise InputError(name, f"must be a list, but is {values!r:.80}")
     seen: dict[str, int] = {}
     for i, value in enumerate(values):
-        if not isinstance(value, kind):
-            raise InputError(f"{name}[{i}]", f"must be a {kind.__name__}, but is {value!r:.80}")
+        check_kind(f"{name}[{i}]", value, kind, f"a {kind.__name__}")
         if value.name in seen:
             raise InputError(f"{name}[{i}].name", f"must be unique, but [{seen[value.name]}] is {value.name!r} too")
         seen[value.name] = i
@@ -320,7 +300,5 @@ def _check_bands(scene: Scene) -> None:
         if receiver.transducer is None or math.isinf(receiver.transducer.model.band[1]):
             continue
         for source in scene.sources:
-            try:
+            with inside(f"receivers[{i}]"):
                 receiver.transducer.check_coverage(source.emitted.band(), f"what {source.name!r} emits")
-            except InputError as error:
-                raise error.within(f"receivers[{i}]") from error

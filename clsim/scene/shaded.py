@@ -20,10 +20,8 @@ _EVALUATIONS = 301  # of a signal at which several scatterers may stand in the l
 
 
 def shaded_pairs(scene: Scene, duration: float) -> list[str]:
-    """Lines that say by which scatterers direct sound is shaded, and when, in the first `duration` s of a scene.
-
-    A line of sight is shaded where a scatterer is nearer than the radius of the first Fresnel zone there.
-    """
+    """Lines that say by which scatterers direct sound is shaded, and when, in the first `duration` s of a scene."""
+    # A line of sight is shaded where a scatterer is nearer than the radius of the first Fresnel zone there.
     casting = [scatterer for scatterer in scene.scatterers if scatterer.shape.shadows]
     pairs = [(s, r) for s in scene.sources for r in scene.receivers] if casting else []
     lines: list[str] = []

@@ -78,7 +78,9 @@ def load_scene(path: str | os.PathLike[str]) -> SceneFile:
     try:
         return build_scene(content, path.parent)
     except InputError as error:
-        raise of_file(error, str(path)) from error
+        given = InputError(error.field, as_toml(error.problem))
+        given.file = error.file or str(path)
+        raise given from error
 
 
 def as_toml(text: str) -> str:

@@ -97,32 +97,30 @@ class DirectivityTableModel(Table):
         return read(path, self.scale, **layout, **options)
 
 
-class SofaModel(Table):
+class _File(Table):
+    path: str
+    outside: Hold = None
+
+    def parts(self, base: Path) -> dict[str, Any]:
+        return super().parts(base) | {"name": Path(self.path).stem}
+
+
+class SofaModel(_File):
     """A SOFA file."""
 
     kind: Literal["sofa"]
-    path: str
     measurement: int = 0
-    outside: Hold = None
     relative_to_axis: bool = False
 
     constructor = staticmethod(SphericalDirectivity.from_sofa)
 
-    def parts(self, base: Path) -> dict[str, Any]:
-        return super().parts(base) | {"name": Path(self.path).stem}
 
-
-class HeadModel(Table):
+class HeadModel(_File):
     """A SOFA file of head-related responses."""
 
     kind: Literal["head"]
-    path: str
-    outside: Hold = None
 
     constructor = staticmethod(HeadRelated.from_sofa)
-
-    def parts(self, base: Path) -> dict[str, Any]:
-        return super().parts(base) | {"name": Path(self.path).stem}
 
 
 class _ResponseTable(Table):
@@ -233,12 +231,8 @@ class _Segment(Model):
     radius: float
 
 
-def _segments(segments: list[_Segment] | None) -> list[tuple[str, str, float]] | None:
-    return None if segments is None else [(s.start, s.end, s.radius) for s in segments]
-
-
 class _Captured(Table):
-    readers = {"segments": _segments}
+    readers = {"segments": lambda given: None if given is None else [(s.start, s.end, s.radius) for s in given]}
 
 
 if TYPE_CHECKING:

@@ -5,18 +5,16 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, Tag, create_model
 
-from clsim.errors import InputError, meant, not_one_of
+from clsim.errors import InputError, inside, meant, not_one_of
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-T = TypeVar("T")
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
@@ -73,17 +71,23 @@ class Table(Model):
 
     def parts(self, base: Path) -> dict[str, Any]:
         """Return the arguments of the constructor, with what tables describe in their place."""
-        given = self.arguments()
-        read = {name: within(name, partial(self.readers[name], given[name])) for name in self.readers if name in given}
-        return {name: read[name] if name in read else built(name, value, base) for name, value in given.items()}
+        found = {}
+        for name, value in self.arguments().items():
+            if name in self.readers:
+                with inside(name):
+                    found[name] = self.readers[name](value)
+            else:
+                found[name] = built(name, value, base)
+        return found
 
 
 def built(field: str, value: Any, base: Path) -> Any:
     """Return the argument that a key's value stands for: tables as what they describe, files with their folder."""
-    if isinstance(value, Table):
-        return within(field, partial(value.build, base))
-    if isinstance(value, dict):
-        return within(field, lambda: {name: built(name, inner, base) for name, inner in value.items()})
+    with inside(field):
+        if isinstance(value, Table):
+            return value.build(base)
+        if isinstance(value, dict):
+            return {name: built(name, inner, base) for name, inner in value.items()}
     return base / value if field in PATHS and value is not None else value
 
 
@@ -115,14 +119,6 @@ def one_of(*tables: type[Table]) -> Any:
     return Annotated[Union[tables], Field(discriminator="kind")]  # noqa: UP007
 
 
-def within(parent: str, build: Callable[[], T]) -> T:
-    """Call `build`; the field of an InputError then begins with `parent`."""
-    try:
-        return build()
-    except InputError as error:
-        raise error.within(parent) from error
-
-
 def explain(error: ValidationError, content: Any, model: type[BaseModel]) -> InputError:
     """Return InputError for one of pydantic's errors, with the field's path."""
     # A misspelt key comes before what is then missing; of a number or a list of numbers, what is wrong within the list;
@@ -149,17 +145,11 @@ def explain(error: ValidationError, content: Any, model: type[BaseModel]) -> Inp
         names = re.findall("'([^']*)'", context["expected_tags"])
         return InputError(f"{field}.kind", not_one_of(context["tag"], names))
     if kind == "literal_error":
-        return InputError(field, _not_a_word(given, context["expected"]))
+        words = re.findall("'([^']*)'", context["expected"])
+        problem = f"must be {' or '.join(words)}, but is {in_file(given)}"
+        return InputError(field, not_one_of(given, words) if isinstance(given, str) else problem)
     rule = _RULES.get(kind, "must be of another kind").format_map(context)
     return InputError(field, rule if ", but" in rule else f"{rule}, but is {in_file(given)}")
-
-
-def _not_a_word(given: Any, expected: str) -> str:
-    """Return problem text for a value that is none of the words that pydantic lists."""
-    words = re.findall("'([^']*)'", expected)
-    return (
-        not_one_of(given, words) if isinstance(given, str) else f"must be {' or '.join(words)}, but is {in_file(given)}"
-    )
 
 
 def in_file(value: Any) -> str:

@@ -12,14 +12,14 @@ from pydantic import Discriminator, Field, Tag, ValidationError
 
 from clsim.acoustics.room_acoustics import absorption_for
 from clsim.arrays import as_floats
-from clsim.errors import InputError, not_one_of
+from clsim.errors import InputError, inside, not_one_of, with_field
 from clsim.files.input_files import read_toml
 from clsim.scene.material.material import Material
 from clsim.scene.material.reflecting_surface import as_scattering
 from clsim.scene.room.mesh import MeshRoom, by_group
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.room.walls import FLATNESS
-from clsim.scene_file.model import Hold, Model, Numbers, Table, Vector, built, explain, table, within
+from clsim.scene_file.model import Hold, Model, Numbers, Table, Vector, built, explain, table
 
 Corners = list[Annotated[list[float], Field(min_length=2, max_length=2)]]
 # How many there are is checked in our own words; editors read it here.
@@ -121,23 +121,24 @@ class MaterialModel(Table):
             coefficients = scattered if isinstance(scattered, float) else (scattered.frequencies, scattered.values)
             material = replace(material, scattering=as_scattering(coefficients))
         if self.transmission is not None:
-            material = within("transmission", partial(_transmitting, material, self.transmission))
-        try:
+            try:
+                material = material.transmitting(**self.transmission.arguments())
+            except InputError as error:
+                inner = "" if error.field == "transmission" else error.field
+                raise InputError(inner, error.problem).within("transmission") from error
+        with with_field("roughness"):
             return material.rough(self.roughness) if self.roughness else material
-        except InputError as error:
-            raise InputError("roughness", error.problem) from error
 
     def _built(self, maker: str, base: Path, room: tuple[float, float] | None) -> Material:
         value = getattr(self, maker)
         if maker == "reverberation_time":
-            return within(maker, partial(_decaying, value, room))
+            with inside(maker):
+                return _decaying(value, room)
         if isinstance(value, Table):
             made: Material = built(maker, value, base)
             return made
-        try:
+        with with_field(maker):  # the constructor's word for it is another
             return Material.named(value) if isinstance(value, str) else Material.from_reflection(_number("", value))
-        except InputError as error:  # the constructor's word for it is another
-            raise InputError(maker, error.problem) from error
 
 
 def _decaying(given: float | _Decay, room: tuple[float, float] | None) -> Material:
@@ -158,22 +159,12 @@ _WORDS = frozenset(MaterialModel.model_fields)
 
 
 def is_material(value: Any) -> bool:
-    """Whether a table is one material, not materials by name, which are tables themselves.
-
-    A material's own tables (``absorption``, ``solid`` ...) could be names of groups in a mesh as well: what stands in
-    them tells.
-    """
+    """Whether a table is one material, not materials by name, which are tables themselves."""
+    # A material's own tables (absorption, solid ...) could be names of groups in a mesh: what stands in them tells.
     return not isinstance(value, dict) or all(
         not isinstance(entry, dict) or (key in MaterialModel.model_fields and not entry.keys() & _WORDS)
         for key, entry in value.items()
     )
-
-
-def _transmitting(material: Material, given: _Transmission) -> Material:
-    try:
-        return material.transmitting(**given.arguments())
-    except InputError as error:  # the field is named by the caller
-        raise InputError("" if error.field == "transmission" else error.field, error.problem) from error
 
 
 class WallsModel(Table):
@@ -189,11 +180,6 @@ class WallsModel(Table):
 
     def build(self, base: Path = Path()) -> dict[str, Material]:
         return {name: material for name, material in self.parts(base).items() if material is not None}
-
-
-def _walls_kind(value: Any) -> str:
-    keys = set(value) if isinstance(value, dict) else set()
-    return "walls" if keys & set(WallsModel.model_fields) else "material"
 
 
 Materials = Annotated[
@@ -223,7 +209,8 @@ class MeshModel(Table):
             if error.field != str(file):
                 raise
             raise InputError("path", f"{file}: {error.problem}") from error
-        return within("sheets_below", lambda: mesh.with_sheets(self.sheets_below)) if self.sheets_below else mesh
+        with inside("sheets_below"):
+            return mesh.with_sheets(self.sheets_below) if self.sheets_below else mesh
 
 
 class PlanModel(Table):
@@ -280,10 +267,9 @@ class PolygonsModel(Table):
         content = read_toml(file)
         try:
             polygons = PolygonsFile.model_validate(content)
+            rows, groups, labels = polygons.rows(self.leave_out)
         except ValidationError as error:
             raise InputError("path", f"{file}: {explain(error, content, PolygonsFile)}") from error
-        try:
-            rows, groups, labels = polygons.rows(self.leave_out)
         except InputError as error:
             raise InputError(error.field, f"{file}: {error.problem}") from error
         by_name = by_group(tuple(dict.fromkeys(groups)), self.path, materials)
@@ -294,12 +280,9 @@ class PolygonsModel(Table):
         )  # fmt: skip
 
 
-def _obstacle_kind(value: Any) -> str:
-    return str(value.get("kind", "mesh")) if isinstance(value, dict) else "mesh"
-
-
 ObstacleModel = Annotated[
-    Annotated[MeshModel, Tag("mesh")] | Annotated[PlanModel, Tag("plan")], Discriminator(_obstacle_kind)
+    Annotated[MeshModel, Tag("mesh")] | Annotated[PlanModel, Tag("plan")],
+    Discriminator(lambda given: str(given.get("kind", "mesh")) if isinstance(given, dict) else "mesh"),
 ]
 
 
@@ -321,7 +304,10 @@ class ShoeboxRoomModel(_WithObstacles):
     kind: Literal["shoebox"]
     size: Vector
     walls: Annotated[
-        Annotated[MaterialModel, Tag("material")] | Annotated[WallsModel, Tag("walls")], Discriminator(_walls_kind)
+        Annotated[MaterialModel, Tag("material")] | Annotated[WallsModel, Tag("walls")],
+        Discriminator(
+            lambda given: "walls" if isinstance(given, dict) and {*given} & {*WallsModel.model_fields} else "material"
+        ),
     ]
 
     constructor = Shoebox
@@ -331,7 +317,8 @@ class ShoeboxRoomModel(_WithObstacles):
         if not isinstance(walls, MaterialModel):
             return super().parts(base)
         room = x * y * z, 2.0 * (x * y + y * z + z * x)
-        return {"size": self.size, "walls": within("walls", partial(walls.build, base, room))}
+        with inside("walls"):
+            return {"size": self.size, "walls": walls.build(base, room)}
 
 
 class MeshRoomModel(_WithObstacles, MeshModel):

@@ -109,10 +109,6 @@ class _ReceiverArray(_Common):
     constructor = staticmethod(receiver_array)
 
 
-def _receiver_kind(value: Any) -> str:
-    return "array" if isinstance(value, dict) and "positions" in value else "one"
-
-
 class _Source(_Common):
     trajectory: TrajectoryModel
     signal: SignalModel
@@ -143,13 +139,11 @@ class _Paths(Model):
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `find_paths` that are given or have a default here."""
-        given = {
-            name: value for name, value in super().arguments().items() if value is not None or name == "resolution"
-        }
+        own = super().arguments()
+        given = {name: value for name, value in own.items() if value is not None or name == "resolution"}
         if isinstance(self.direct, list):
-            levels = [False if pair.level_db is None else pair.level_db for pair in self.direct]
-            names = [(pair.source, pair.receiver) for pair in self.direct]
-            given["direct"] = dict(zip(names, levels, strict=True))
+            levels = {(p.source, p.receiver): False if p.level_db is None else p.level_db for p in self.direct}
+            given["direct"] = levels
         return given
 
 
@@ -163,7 +157,8 @@ class SceneModel(Model):
     sources: list[_Source]
     receivers: list[
         Annotated[
-            Annotated[_Receiver, Tag("one")] | Annotated[_ReceiverArray, Tag("array")], Discriminator(_receiver_kind)
+            Annotated[_Receiver, Tag("one")] | Annotated[_ReceiverArray, Tag("array")],
+            Discriminator(lambda given: "array" if isinstance(given, dict) and "positions" in given else "one"),
         ]
     ]
     scatterers: list[ScattererModel] | None = None
@@ -204,19 +199,15 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
         model = SceneModel.model_validate(content)
     except ValidationError as error:
         raise explain(error, content, SceneModel) from error
-    lists = ("sources", "receivers", "scatterers", "bodies")
-    parts: dict[str, Any] = {field: _things(field, getattr(model, field), base) for field in lists}
+    parts: dict[str, Any] = {}
+    for field in ("sources", "receivers", "scatterers", "bodies"):
+        things = [built(f"{field}[{i}]", one, base) for i, one in enumerate(getattr(model, field) or [])]
+        parts[field] = [one for found in things for one in (found if isinstance(found, list) else [found])]
     parts["room"], parts["air"] = (built(field, getattr(model, field), base) for field in ("room", "air"))
     arguments = built("render", model.render, base)
     scene = Scene(**parts, min_distance=model.min_distance)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     return SceneFile(scene, search, arguments, model, base)
-
-
-def _things(field: str, tables: list[Table] | None, base: Path) -> list[Any]:
-    """Build the things of a list of tables, of which one may describe several."""
-    things = [built(f"{field}[{i}]", one, base) for i, one in enumerate(tables or [])]
-    return [thing for found in things for thing in (found if isinstance(found, list) else [found])]
 
 
 def completed_scene(file: SceneFile, folder: Path, **resolved: Any) -> str:

@@ -1,7 +1,6 @@
 """Errors of ranges and positions estimated from a recording, against the ground truth."""
 
-from clsim.score.echo_bounds import EchoBounds, echo_bounds
-from clsim.score.position import GdopMap, PositionScore, gdop, gdop_map, position
+from clsim.score.position import EchoBounds, GdopMap, PositionScore, echo_bounds, gdop, gdop_map, position
 from clsim.score.range_doppler import EchoMap, RangeDopplerMap, echoes, range_doppler
 from clsim.score.ranging import RangingScore, ranging
 

@@ -80,10 +80,8 @@ def envelope_peak(output: Complexes, index: int) -> float:
 
 
 def phase_peak(output: Complexes, index: int) -> float:
-    """Return the position nearest to the envelope's peak at which the output (n,) is real and positive, in samples.
-
-    That is the crest of the correlation itself: exact to a fraction of a wave, if the envelope finds the right one.
-    """
+    """Return the position nearest to the envelope's peak at which the output (n,) is real and positive, in samples."""
+    # That is the crest of the correlation itself: exact to a fraction of a wave, if the envelope finds the right one.
     place = envelope_peak(output, index)
     values = _at(output, place + np.array([-0.25, 0.0, 0.25]))
     turn = np.unwrap(np.angle(values))
@@ -109,10 +107,8 @@ def _at(output: Complexes, places: Floats) -> Complexes:
 
 
 def _around(output: Complexes, index: int) -> Complexes:
-    """Return samples around an index, moved down by a quarter of the sampling rate, zero beyond the ends.
-
-    An analytic signal lies between 0 and half the sampling rate: moved down, it is centred and oversampled twice.
-    """
+    """Return samples around an index, moved down by a quarter of the sampling rate, zero beyond the ends."""
+    # An analytic signal lies between 0 and half the sampling rate: moved down, it is centred and oversampled twice.
     near = np.arange(-_REACH, _REACH + 1)
     inside = (index + near >= 0) & (index + near < len(output))
     values = np.where(inside, output[np.clip(index + near, 0, len(output) - 1)], 0.0)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clsim.arrays import Complexes, Floats, as_count, as_flag, as_index, as_number, read_only, short_repr
-from clsim.errors import InputError
-from clsim.packages import check_packages, check_pictures
+from clsim.errors import InputError, check_packages, check_pictures
 from clsim.recording import Recording
 from clsim.scene.signal.signal import Signal
 from clsim.score.matched_filter import MatchedFilter

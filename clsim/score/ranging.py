@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, as_choice, as_index, as_number, read_only, short_repr, texts
-from clsim.errors import InputError, counted
-from clsim.packages import check_packages, check_pictures
+from clsim.errors import InputError, check_packages, check_pictures, counted
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.ground_truth import in_sight, reception_times
 from clsim.paths.legs.static import direct_paths
@@ -236,8 +235,11 @@ def ranging(
                 delay[r, k] = (begin + place) / rate - emitted[k]
                 level[r, k] = abs(output[round(min(max(place, 0), len(output) - 1))])
     exact, seen = direct_delays(paths, index, emitted, Kinematics(motion))
-    bound = [_bound(end, matched, level[r], method, c) for r, end in enumerate(paths.scene.receivers)]
-    crlb = np.where(np.isfinite(delay), np.array(bound), math.nan)
+    spread = math.hypot(matched.bandwidth, matched.centre) if method == "phase" else matched.bandwidth
+    density = np.array([_noise_density(end, rate, matched.centre) for end in paths.scene.receivers])[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bound = c * np.sqrt(0.5 * density / (np.square(level) * matched.energy)) / (2.0 * math.pi * spread)
+    crlb = np.where(np.isfinite(delay), bound, math.nan)
     return RangingScore(
         read_only(delay), read_only(exact), seen, read_only(crlb), read_only(emitted), index,
         recording.receiver_names, paths.scene, outlier,
@@ -293,15 +295,6 @@ def _found(output: Complexes, method: str, detection: float, first: float) -> fl
     return phase_peak(output, top) if method == "phase" else envelope_peak(output, top)
 
 
-def _bound(end: Receiver, matched: MatchedFilter, level: Floats, method: str, speed_of_sound: float) -> Floats:
-    """Return the least standard deviation (K,) of ranges by pulses received at levels (K,), m."""
-    density = _noise_density(end, matched.sampling_rate, matched.centre)
-    spread = math.hypot(matched.bandwidth, matched.centre) if method == "phase" else matched.bandwidth
-    with np.errstate(divide="ignore", invalid="ignore"):
-        root = np.sqrt(0.5 * density / (np.square(level) * matched.energy))
-    return np.asarray(speed_of_sound * root / (2.0 * math.pi * spread))
-
-
 def _noise_density(end: Receiver, sampling_rate: float, frequency: float) -> float:
     """Return the one-sided density of a receiver's noise at a frequency, Pa²/Hz or V²/Hz."""
     electronics, half = end.electronics, 0.5 * sampling_rate
@@ -339,10 +332,8 @@ def source_index(paths: PathSet, source: int | str) -> int:
 def direct_delays(
     paths: PathSet, source: int, emitted: Floats, kinematics: Kinematics
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return delays (receivers, K) of the direct sound emitted at times (K,), s, and a mask of those in sight.
-
-    Delays are known where a wall is in the way, too; they are NaN beyond the end of a receiver's trajectory.
-    """
+    """Return delays (receivers, K) of the direct sound emitted at times (K,), s, and a mask of those in sight."""
+    # Delays are known where a wall is in the way, too; they are NaN beyond the end of a receiver's trajectory.
     receivers = paths.scene.receivers
     received = np.empty((len(receivers), len(emitted)))
     for pair in direct_paths(paths.scene).pairs():

@@ -269,14 +269,11 @@ class TangentResponse(SceneResponse):
     def of_channels(
         self, response: Floats | Complexes, receiver: Receiver, channels: range | None, found: Arrivals, times: Floats
     ) -> Floats | Complexes:
-        """Multiply responses (P, T, F) by the gains of channels, (C, P, T, F).
-
-        Renders filter with a head what arrives at its centre, at the frequencies that arrive and by the directions from
-        which they do: ``h(u, t - u)``. With the lateness d of gains A that are without it, and the length L, to the
-        first order in the rates of change,
-
-            A exp(2j pi f d d') - d' A - d A' - f d' dA/df - j / (2 pi) dA'/df + L'/L (d A + j / (2 pi) dA/df).
-        """
+        """Multiply responses (P, T, F) by the gains of channels, (C, P, T, F)."""
+        # Renders filter with a head what arrives at its centre, at the frequencies that arrive and by the directions
+        # from which they do: ``h(u, t - u)``. With the lateness d of gains A that are without it, and the length L, to
+        # the first order in the rates of change,
+        # A exp(2j pi f d d') - d' A - d A' - f d' dA/df - j / (2 pi) dA'/df + L'/L (d A + j / (2 pi) dA/df).
         own, ratio = receiver.directivity, 1.0 - found.delay_rate
         rests = bool(np.all(ratio == 1.0)) and (self.passing is None or not np.any(self.passing[0]))
         if rests or channels is None or not isinstance(own, ByFunctions) or not own.arriving:

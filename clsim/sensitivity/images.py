@@ -38,14 +38,11 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Images:
-    """Images between one source and one receiver at times (T,), with the motion of both.
+    """Images between one source and one receiver at times (T,), with the motion of both."""
 
-    A source at x leaves for the mirrored receiver X along the unit vector u over the length L. For small changes S of
-    ``X - x``, where v is the source's velocity, ``M = u v / c`` and κ = 1 / (1 - M),
-
-        dτ = κ u S / c,    W = S + v dτ,    dL = u W,    du = (W - u dL) / L,    dM = (du v - a u dτ) / c.
-    """
-
+    # A source at x leaves for the mirrored receiver X along the unit vector u over the length L. For small changes S of
+    # ``X - x``, where v is the source's velocity, ``M = u v / c`` and κ = 1 / (1 - M),
+    # dτ = κ u S / c, W = S + v dτ, dL = u W, du = (W - u dL) / L, dM = (du v - a u dτ) / c.
     paths: PairPaths
     times: Floats
     found: Arrivals
@@ -90,10 +87,8 @@ class Images:
         self, apart: Floats | float = 0.0, velocity: Floats | float = 0.0, later: Floats | float = 0.0,
         speed: float = 0.0, swifter: Floats | float = 0.0,
     ) -> Change:  # fmt: skip
-        """Return the changes by those of ``X - x`` and v, (P, T, 3), of times of reception and the speed of sound.
-
-        `swifter` is the change (P, T, 3) of the mirrored receiver's velocity.
-        """
+        """Return the changes by those of ``X - x`` and v, (P, T, 3), of times of reception and the speed of sound."""
+        # `swifter` is the change (P, T, 3) of the mirrored receiver's velocity.
         u, v, length, c = self.found.departure, self.velocity, self.found.length, self.speed_of_sound
         moved = apart + np.asarray(later)[..., None] * self.heading
         delay = self.found.frequency_ratio * (_dot(u, moved) / c - length * speed / c**2)

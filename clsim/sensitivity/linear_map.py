@@ -79,10 +79,8 @@ class LinearMap:
             out[j] = through_ends(self.plan, out[j])
 
     def _write_points(self, js: NDArray[np.int64], out: Floats | Complexes) -> None:
-        """Write those by the points of a trajectory (points, 3), of which few move it at the same time.
-
-        They are sums of derivatives by B-splines, of which each moves it for four of its cubics.
-        """
+        """Write those by the points of a trajectory (points, 3), of which few move it at the same time."""
+        # They are sums of derivatives by B-splines, of which each moves it for four of its cubics.
         plan, knot = self.plan, self.parameters[js[0, 0]].shift
         assert isinstance(knot, Knot)
         spread, mixed = locally(knot.spread)
@@ -255,10 +253,8 @@ class FilteredTracks(SceneTracks):
 
 
 def plan_of(paths: PathSet, options: RenderOptions, by_functions: bool = True) -> Plan:
-    """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay.
-
-    Heads have gains by functions of frequency, or filter the sound of each path as they do in a render.
-    """
+    """Return the plan of a sum over paths, sample by sample and without noise at the receivers; tails stay."""
+    # Heads have gains by functions of frequency, or filter the sound of each path as they do in a render.
     arriving = options.baseband is None and options.responses == "band"
     return plan_paths(_plain(paths, by_functions, arriving), replace(options, **_PER_SAMPLE))
 
@@ -281,10 +277,8 @@ def received(plan: Plan) -> Floats | Complexes:
 
 
 def through_ends(plan: Plan, rows: Floats, transposed: bool = False) -> Floats:
-    """Pass rows (rows, samples) of pressure through transducers and filters of the receivers, or by the transpose.
-
-    The ends are causal and do not change over time: their transpose is the same on reversed time.
-    """
+    """Pass rows (rows, samples) of pressure through transducers and filters of the receivers, or by the transpose."""
+    # The ends are causal and do not change over time: their transpose is the same on reversed time.
     step = -1 if transposed else 1
     for i, receiver in enumerate(plan.receivers):
         if receiver.transducer is not None or receiver.electronics is not None:
@@ -295,10 +289,8 @@ def through_ends(plan: Plan, rows: Floats, transposed: bool = False) -> Floats:
 
 
 def _plain(paths: PathSet, by_functions: bool, arriving: bool) -> PathSet:
-    """Return the paths in a scene whose receivers neither add noise nor round.
-
-    Heads have gains by functions of frequency instead of filters, at the frequencies that arrive or are emitted.
-    """
+    """Return the paths in a scene whose receivers neither add noise nor round."""
+    # Heads have gains by functions of frequency instead of filters, at the frequencies that arrive or are emitted.
     quiet: dict[str, Any] = dict.fromkeys(("ambient_noise_db", "snr_db", "self_noise_db", "adc_bits", "adc_full_scale"))
 
     def plain(r: Receiver) -> Receiver:
@@ -314,10 +306,8 @@ def _plain(paths: PathSet, by_functions: bool, arriving: bool) -> PathSet:
 
 
 def representatives(tracks: SceneTracks, parameters: Sequence[Parameter], at_centre: bool) -> PathSet | None:
-    """Return tangents of some pairs by parameters of all kinds, of which functions of frequency are designed.
-
-    Of every kind of parameter and every kind of path some are drawn: what none stands for would not be held.
-    """
+    """Return tangents of some pairs by parameters of all kinds, of which functions of frequency are designed."""
+    # Of every kind of parameter and every kind of path some are drawn: what none stands for would not be held.
     kinds: dict[Any, list[tuple[PairPaths, Parameter]]] = {}
     for one in parameters:
         for family in tracks.paths.families:

@@ -25,13 +25,11 @@ _LEAST_FACTOR = 1e-6  # of a wall, by which responses are divided
 
 
 class Pulled:
-    """Derivatives of a loss by parameters, from products of weights with what arrives at nodes of paths.
+    """Derivatives of a loss by parameters, from products of weights with what arrives at nodes of paths."""
 
-    Of images the products are brought to the places and velocities of both ends first. What each parameter does to
-    these takes next to nothing, so that the costs hardly depend on their number. Others are multiplied by the
-    tangents by places and velocities of both ends, the air, and the walls and things that a path meets.
-    """
-
+    # Of images the products are brought to the places and velocities of both ends first. What each parameter does to
+    # these takes next to nothing, so that the costs hardly depend on their number. Others are multiplied by the
+    # tangents by places and velocities of both ends, the air, and the walls and things that a path meets.
     def __init__(self, linear: LinearMap) -> None:
         self._linear, self.found = linear, np.zeros(len(linear.parameters))
         self._tracks = scene_tracks(linear.plan)
@@ -194,10 +192,8 @@ class _OfImages:
 def _at_knots(
     spread: Piecewise, times: Floats, places: Floats, velocities: Floats, parameters: list[Parameter]
 ) -> Floats:
-    """Return products with the points of a motion, of products with places and velocities (n, 3) at times (n,).
-
-    Each cubic of the motion takes sums with the powers of the time on it, whatever the number of points.
-    """
+    """Return products with the points of a motion, of products with places and velocities (n, 3) at times (n,)."""
+    # Each cubic of the motion takes sums with the powers of the time on it, whatever the number of points.
     knots, powers = spread.polynomial.x, spread.polynomial.c[::-1]  # (4, pieces, points)
     inside = (times >= knots[0]) & (times <= knots[-1])
     when = np.clip(times, knots[0], knots[-1])

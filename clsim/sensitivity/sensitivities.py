@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import LOUDEST, QUIETEST, Complexes, Floats, as_floats, read_only, short_repr
-from clsim.errors import InputError, not_one_of
-from clsim.packages import check_packages
+from clsim.errors import InputError, check_packages, not_one_of
 from clsim.paths.path_set import PathSet
 from clsim.render.options import RenderOptions
 from clsim.render.plan import within_memory
@@ -242,7 +241,9 @@ def gradient(
         values = iter(scale * adjoint(linear, _of_rows(weights, linear.plan.row_count)))
     for name, of_name in each.items():
         if not of_name:
-            found[name] = scale * _by_signal(paths, name, weights, settings)
+            plan = plan_of(paths, settings)
+            rows = _of_rows(weights, plan.row_count)
+            found[name] = scale * adjoint_signal(plan, _source_of(paths, name, settings), rows)
             continue
         part: Any = np.array([next(values) for _ in of_name])
         found[name] = part.reshape(-1, 3) if name.endswith(".trajectory") else part if len(part) > 1 else part[0]
@@ -301,12 +302,6 @@ def _source_of(paths: PathSet, name: str, options: RenderOptions) -> int:
             f"Hz, for a derivative, but is at {source.signal.sampling_rate:g} Hz",
         )
     return index
-
-
-def _by_signal(paths: PathSet, name: str, weights: Any, options: RenderOptions) -> Floats:
-    """Return the derivative by the samples that a source emits."""
-    plan = plan_of(paths, options)
-    return adjoint_signal(plan, _source_of(paths, name, options), _of_rows(weights, plan.row_count))
 
 
 def _of_rows(weights: Any, rows: int) -> Any:

@@ -26,14 +26,12 @@ _BESIDE = 1e-6  # s, to either side, between which responses change evenly
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tangents:
-    """Derivatives of the responses of a pair's paths at times of reception (T,), by channel of the receiver.
+    """Derivatives of the responses of a pair's paths at times of reception (T,), by channel of the receiver."""
 
-    The received signal is the sum of ``R(f, θ) exp(-2j pi f tau(θ))`` times the spectrum of what is emitted, so that
-    the response of its derivative is ``dR/dθ - 2j pi f dtau/dθ R``. Of images both derivatives are in closed form. Of
-    others they are central differences of the delay and the response of each path, which are smooth, in scenes a step
-    of the parameter to both sides.
-    """
-
+    # The received signal is the sum of ``R(f, θ) exp(-2j pi f tau(θ))`` times the spectrum of what is emitted, so that
+    # the response of its derivative is ``dR/dθ - 2j pi f dtau/dθ R``. Of images both derivatives are in closed form. Of
+    # others they are central differences of the delay and the response of each path, which are smooth, in scenes a step
+    # of the parameter to both sides.
     paths: PairPaths
     times: Floats
     found: Arrivals

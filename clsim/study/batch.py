@@ -14,7 +14,7 @@ import numpy as np
 from clsim.arrays import as_count, as_number
 from clsim.cluster.dispatch import Call, Dispatch, Row
 from clsim.cluster.workers import Workers
-from clsim.errors import ClsimError, ClsimWarning, InputError, in_one_line, warn
+from clsim.errors import ClsimError, ClsimWarning, InputError, check_kind, in_one_line, warn
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import DirectPath, direct_path
 from clsim.paths.options import PathOptions
@@ -124,8 +124,7 @@ def render_batch(
         raise TypeError(str(error).replace("RenderOptions.__init__", "render_batch")) from None
     same = {"engine": of_render.engine, "device": of_render.device}
     how = _How(PathOptions(max_order, **same | dict(paths or {})), of_render, rate)
-    if not isinstance(scenes, Iterable):
-        raise InputError("scenes", f"must be an iterable of Scene, but is {scenes!r:.80}")
+    check_kind("scenes", scenes, Iterable, "an iterable of Scene")
     numbered = enumerate(scenes)
     return _here(numbered, how) if workers == 1 else _by_processes(numbered, how, workers)
 
@@ -141,7 +140,7 @@ class _How:
 
 def _here(scenes: Iterator[tuple[int, Scene]], how: _How) -> Iterator[RenderedScene]:
     for index, scene in scenes:
-        _check(index, scene)
+        check_kind(f"scenes[{index}]", scene, Scene, "a Scene")
         yield _result(index, _row(how, index, scene))
 
 
@@ -174,14 +173,9 @@ def _by_processes(scenes: Iterator[tuple[int, Scene]], how: _How, workers: int) 
                 yield found
 
 
-def _check(index: int, scene: Any) -> None:
-    if not isinstance(scene, Scene):
-        raise InputError(f"scenes[{index}]", f"must be a Scene, but is {scene!r:.80}")
-
-
 def _packed(index: int, scene: Scene) -> bytes:
     """Return a scene as it is sent to a process."""
-    _check(index, scene)
+    check_kind(f"scenes[{index}]", scene, Scene, "a Scene")
     try:
         return pickle.dumps(scene, pickle.HIGHEST_PROTOCOL)
     except (pickle.PicklingError, AttributeError, TypeError) as error:

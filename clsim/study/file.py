@@ -17,13 +17,11 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from clsim.arrays import as_count, as_number
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages, inside
 from clsim.files.input_files import read_toml
-from clsim.packages import check_packages
-from clsim.scene_file.model import UNKNOWN, Model, explain, within
+from clsim.scene_file.model import UNKNOWN, Model, explain
 from clsim.scene_file.scene import SceneFile, build_scene, referenced_files
-from clsim.study.draws import Place, RandomModel, draws
-from clsim.study.noise import NoiseModel
+from clsim.study.draws import NoiseModel, Place, RandomModel, draws
 
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)|\[(\d+|\*)\]")
 Keep = Literal["recording", "direct", "reverberant", "noise", "ground_truth", "paths", "room_measures", "metrics"]
@@ -174,25 +172,21 @@ class Study:
                 raise InputError("keep", f"must leave out {named} where receivers have electronics")
             return referenced_files(file)
         except InputError as error:
-            unknown = [f for f in member.changes if error.problem.startswith(UNKNOWN) and _reaches(f, error.field)]
-            if unknown:
+            keys = [".".join(s for s in parsed(f) if isinstance(s, str) and s != "*") for f in member.changes]
+            unknown = ".".join(str(s) for s in parsed(error.field) if isinstance(s, str)) if error.field else ""
+            if error.problem.startswith(UNKNOWN) and any(key.startswith(unknown) for key in keys):
                 raise InputError("vary", f"must name fields of the scene, but {error.field} {error.problem}") from error
             values = ", ".join(f"{f} = {json.dumps(v, default=str):.40}" for f, v in member.changes.items())
             raise InputError(f"member {member.number} ({values:.200})", str(error)) from error
 
 
-def _reaches(path: str, field: str) -> bool:
-    return ".".join(str(s) for s in parsed(path) if isinstance(s, str) and s != "*").startswith(
-        ".".join(str(s) for s in parsed(field) if isinstance(s, str))
-    )
-
-
 def as_noise(content: Any) -> NoiseModel:
     """Return the noise of a table."""
-    try:
-        return within("noise", NoiseModel.model_validate(content).checked)
-    except ValidationError as error:
-        raise explain(error, content, NoiseModel).within("noise") from error
+    with inside("noise"):
+        try:
+            return NoiseModel.model_validate(content).checked()
+        except ValidationError as error:
+            raise explain(error, content, NoiseModel) from error
 
 
 def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Study:
@@ -226,7 +220,8 @@ def load_study(path: str | os.PathLike[str], limit: int = DEFAULT_LIMIT) -> Stud
     except InputError as error:
         raise InputError("scene", str(error)) from error
     if model.noise is not None:
-        base = base | {"noise": within("noise", model.noise.checked).arguments()}
+        with inside("noise"):
+            base = base | {"noise": model.noise.checked().arguments()}
     folders = path.parent.resolve(), scene.parent.resolve()
     members = _members(model, base, as_count("limit", limit, at_least=1), *folders)
     return Study(
@@ -243,7 +238,7 @@ def _members(model: _StudyModel, content: dict[str, Any], limit: int, folder: Pa
     drawn: list[list[dict[str, Any]]] = []
     names: dict[str, str] = {}
     for i, vary in enumerate(model.vary):
-        try:
+        with inside(f"vary[{i}]"):
             fields = _fields(vary, content, names)
             if vary.random is None:
                 axes.append(_values(vary, fields))
@@ -252,8 +247,6 @@ def _members(model: _StudyModel, content: dict[str, Any], limit: int, folder: Pa
                     raise InputError("random", "must come with draws, the number of them, at the top of the study file")
                 values = draws(vary.random, fields, model.seed, model.draws, folder, base)
                 drawn.append([dict(zip(fields, row, strict=True)) for row in values])
-        except InputError as error:
-            raise error.within(f"vary[{i}]") from error
     if drawn:
         axes.append([{f: v for part in row for f, v in part.items()} for row in zip(*drawn, strict=True)])
     elif model.draws is not None:
@@ -292,10 +285,8 @@ def _fields(vary: _Vary, content: dict[str, Any], names: dict[str, str]) -> list
     if len(called) != len(fields):
         raise InputError("name", f"must be one per field, {len(fields)}, but are {len(called)}")
     for field, name in zip(fields, called, strict=True):
-        try:
+        with inside("field"):
             replaced(content, field, None)
-        except InputError as error:
-            raise error.within("field") from error
         if field in names:
             raise InputError("field", f"must be varied once, but {field!r} is varied twice")
         if not name or name in names.values() or name in TAKEN or "/" in name or name.startswith("."):

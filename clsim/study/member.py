@@ -14,13 +14,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from clsim.cluster.dispatch import Call, Row
-from clsim.errors import ClsimWarning, DeviceError, in_one_line
+from clsim.errors import ClsimWarning, DeviceError, check_packages, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.numerics.blas import with_blas_threads
+from clsim.output.raw_files import arrays_with_missing_chunks, is_sealed, seal
 from clsim.output.stores import STORE_FORMAT, write_zarr
-from clsim.output.zarr_files import arrays_with_missing_chunks, is_sealed, seal
-from clsim.packages import check_packages
 from clsim.study.content import Computed, computed, metrics_function
 from clsim.study.file import Member, ShardsModel, Study
 from clsim.study.shards import Shards
@@ -69,15 +70,11 @@ class MemberTasks:
 
 
 def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
-    """Compute a member and write its results; return its row of the index.
-
-    A member whose results are there already is not computed again: it was finished by a process that died before it
-    could say so. They appear whole or not at all.
-    """
+    """Compute a member and write its results, which appear whole or not at all; return its row of the index."""
     study = _settings(folder)
     member, results = study.members[number], results_of(study, Path(folder))
     found = results.row_of(number)
-    if found is not None:
+    if found is not None:  # of a process that died before it could say so
         return found
     begun = time.perf_counter()
     row: dict[str, Any] = {"member": number, "status": "finished", "error": ""}
@@ -134,7 +131,14 @@ class Groups:
         content.attrs["study_row"] = json.dumps(row)
         for name, samples in made.sounds.items():
             content["sound" if name == "recording" else name] = (("receiver", "time"), samples, made.attributes)
-        _finish(content, made.group, self._group(number))
+        write_zarr(content, made.group, "a")
+        seal(made.group)
+        tree_to_disk(made.group)  # the group gets its name when all is on the disk
+        target = self._group(number)
+        if row_of_group(target) is None:
+            discard(target)  # what is there is broken
+            os.rename(made.group, target)  # noqa: PTH104  (fails where another worker was faster)
+        to_disk(target.parent)
 
     def decided(self, number: int, rows: Mapping[int, Any]) -> None:
         """Note that a member is done with: nothing is to be done."""
@@ -163,21 +167,12 @@ def as_row(text: str | bytes) -> dict[str, Any] | None:
         row = json.loads(text)
     except (ValueError, TypeError, RecursionError):
         return None
-    kinds: dict[str, Any] = {
-        "member": int,
-        "status": str,
-        "seconds": (int, float),
-        "error": str,
-        "device": str,
-        "warnings": list,
-    }
+    kinds: dict[str, Any] = dict.fromkeys(("status", "error", "device"), str)
+    kinds |= {"member": int, "seconds": int | float, "warnings": list}
     if not isinstance(row, dict) or not {"member", "status"} <= row.keys() or row["status"] not in DONE:
         return None
-    if any(
-        name in row and (not isinstance(row[name], kind) or isinstance(row[name], bool)) for name, kind in kinds.items()
-    ):
-        return None
-    return row if all(isinstance(text, str) for text in row.get("warnings", ())) else None
+    of_kind = (isinstance(row[n], kind) and not isinstance(row[n], bool) for n, kind in kinds.items() if n in row)
+    return row if all(of_kind) and all(isinstance(text, str) for text in row.get("warnings", ())) else None
 
 
 def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[str, bool]:
@@ -203,14 +198,19 @@ def is_disk_full(error: BaseException) -> bool:
 
 
 def _settings(folder: str) -> Study:
-    path = Path(folder) / SETTINGS
-    return _read_settings(folder, path.stat().st_mtime_ns)
+    return _read_settings(folder, (Path(folder) / SETTINGS).stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=4)
 def _read_settings(folder: str, changed: int) -> Study:
     """Return the study of a folder; `changed` makes a file that is another one now be read again."""
-    return settings_to_study(json.loads((Path(folder) / SETTINGS).read_text("utf-8")))
+    settings = json.loads((Path(folder) / SETTINGS).read_text("utf-8"))
+    members = tuple(Member(n, **member) for n, member in enumerate(settings["members"]))
+    return Study(
+        settings["content"], Path(settings["base"]), Path(settings["folder"]), tuple(settings["keep"]),
+        settings["metrics"], settings["table_rate"], members, settings["seed"],
+        None if settings["shards"] is None else ShardsModel(**settings["shards"]),
+    )  # fmt: skip
 
 
 def study_to_settings(study: Study) -> dict[str, Any]:
@@ -221,27 +221,6 @@ def study_to_settings(study: Study) -> dict[str, Any]:
         "metrics": study.metrics, "table_rate": study.table_rate, "members": members, "seed": study.seed,
         "shards": None if study.shards is None else study.shards.arguments(),
     }  # fmt: skip
-
-
-def settings_to_study(settings: dict[str, Any]) -> Study:
-    """Return the study again."""
-    members = tuple(Member(n, **member) for n, member in enumerate(settings["members"]))
-    return Study(
-        settings["content"], Path(settings["base"]), Path(settings["folder"]), tuple(settings["keep"]),
-        settings["metrics"], settings["table_rate"], members, settings["seed"],
-        None if settings["shards"] is None else ShardsModel(**settings["shards"]),
-    )  # fmt: skip
-
-
-def _finish(content: Any, group: Path, target: Path) -> None:
-    """Write all but the sound into a group, and give it its name when all is on the disk."""
-    write_zarr(content, group, "a")
-    seal(group)
-    tree_to_disk(group)
-    if row_of_group(target) is None:
-        discard(target)  # what is there is broken
-        os.rename(group, target)  # noqa: PTH104  (fails where another worker was faster)
-    to_disk(target.parent)
 
 
 def discard(group: Path) -> None:
@@ -263,13 +242,11 @@ def root_attributes() -> dict[str, Any]:
 
 
 def changed_results(store: Path) -> tuple[list[str], int]:
-    """List groups whose metadata and arrays whose chunks have changed or are missing, and count all of both.
-
-    Members that the index beside the store calls finished are among them. Arrays of a group whose metadata has changed
-    are not read.
-    """
+    """List groups whose metadata and arrays whose chunks have changed or are missing, and count all of both."""
     check_packages("folder", "zarr", "store", "zarr")
-    members = {store / f"m{number:06d}" for number in _finished(store.parent / INDEX)}
+    index = store.parent / INDEX
+    rows = map(as_row, index.read_bytes().splitlines() if index.is_file() else [])
+    members = {store / f"m{row['member']:06d}" for row in rows if row and row["status"] == "finished"}
     groups = {store, *members, *(path for path in store.iterdir() if path.is_dir())}
     sealed = {group for group in groups if is_sealed(group)}
     arrays = {path.parent for group in sealed - {store} for path in group.glob("*/zarr.json")}
@@ -279,13 +256,6 @@ def changed_results(store: Path) -> tuple[list[str], int]:
     return names, len(groups | arrays)
 
 
-def _finished(index: Path) -> list[int]:
-    """Numbers of the members that an index calls finished."""
-    lines = index.read_bytes().splitlines() if index.is_file() else []
-    rows = [row for row in map(as_row, lines) if row is not None]
-    return [row["member"] for row in rows if row["status"] == "finished"]
-
-
 def _is_readable(path: Path) -> bool:
     """Test whether all chunks of an array that are there can be read."""
     import zarr
@@ -293,16 +263,8 @@ def _is_readable(path: Path) -> bool:
     try:
         found = zarr.open_array(path, mode="r")
         for part in range(found.nchunks):
-            found.get_block_selection(_block(found.cdata_shape, part))
+            place = np.unravel_index(part, found.cdata_shape) if found.cdata_shape else ()
+            found.get_block_selection(tuple(map(int, place)))
     except (OSError, ValueError, RuntimeError, KeyError, TypeError, AttributeError):
         return False
     return True
-
-
-def _block(shape: tuple[int, ...], number: int) -> tuple[int, ...]:
-    """Return the place of a chunk by its number."""
-    place = []
-    for size in reversed(shape):
-        number, at = divmod(number, size)
-        place.append(at)
-    return tuple(reversed(place))

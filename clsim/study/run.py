@@ -8,6 +8,7 @@ import os
 import shutil
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ from clsim.cluster.dispatch import Dispatch
 from clsim.cluster.workers import Workers
 from clsim.errors import InputError, in_one_line, warn
 from clsim.files.atomic import locked, remove_leftovers, safe_path, uninterrupted
+from clsim.output.raw_files import is_sealed, seal
 from clsim.output.stores import write_zarr
-from clsim.output.zarr_files import is_sealed, seal
 from clsim.study.content import metrics_function
 from clsim.study.file import DEFAULT_LIMIT, Member, Study, checked, load_study
 from clsim.study.member import (
@@ -38,6 +39,7 @@ from clsim.study.shards import FOLDER as SHARDS
 from clsim.study.shards import WAITING, Shards
 from clsim.version import __version__
 from clsim.workflow.console import Progress, no_progress
+from clsim.workflow.result_folder import first_difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +56,7 @@ class MemberRow:
 
 
 class Index:
-    """Rows of all members, kept in a file that survives everything: it is appended to, and read leniently.
-
-    A member counts as finished if its group is in the store and can be read, whatever the file says.
-    """
+    """Rows of all members, in a file that is appended to; finished are those whose results can be read."""
 
     def __init__(self, folder: Path, members: tuple[Member, ...], results: Groups | Shards | None = None) -> None:
         self._folder, self._path = folder, folder / INDEX
@@ -138,11 +137,7 @@ def create_store(folder: Path) -> None:
 
 
 def write_summary(folder: Path, index: Index) -> None:
-    """Write what is known of all members into one group, stacked: parameters, status, seconds, metrics.
-
-    Metrics of another shape than in the first finished member are left out; they stay in the members' groups. A member
-    whose metrics cannot be read has failed.
-    """
+    """Write parameters, status, seconds and metrics, of the shapes of the first member, of all into one group."""
     import xarray
 
     stacked = _stacked(folder, index)
@@ -324,14 +319,27 @@ def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
     """Create the folder of a study, or check that it holds this very one; return True if it was created."""
     if new or not (folder / SETTINGS).exists():
         _refuse_begun(folder)  # another process may have made it meanwhile
-    settings = study_to_settings(study) | {"made_by": _made_by(study, files)}
+    module = study.folder / f"{study.metrics.partition(':')[0]}.py"
+    named = sorted(files | ({module} if study.metrics and module.exists() else set()))
+    made_by = {
+        "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": version("scipy")},
+        "contents": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in named},
+    }
+    settings = study_to_settings(study) | {"made_by": made_by}
     path = folder / SETTINGS
     begun = not path.exists()
     if begun:
         with safe_path(path) as temporary:
             temporary.write_text(json.dumps(settings, indent=1), "utf-8")
     else:
-        _check_same(path, json.loads(json.dumps(settings)))
+        advice = "choose another folder"
+        try:
+            old = json.loads(path.read_bytes())
+        except (ValueError, RecursionError) as error:
+            raise InputError("--resume", f"must go on with a study, but {path} is broken; {advice}") from error
+        difference = first_difference(old, json.loads(json.dumps(settings)))
+        if difference is not None:
+            raise InputError("--resume", f"must go on with the same study, but {difference}; {advice}")
     if study.shards is None:
         create_store(folder)
     for name in () if study.shards is None else (SHARDS, WAITING):
@@ -342,18 +350,6 @@ def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
     return begun
 
 
-def _check_same(path: Path, settings: dict[str, Any]) -> None:
-    from clsim.workflow.result_folder import first_difference
-
-    try:
-        old = json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise InputError("--resume", f"must go on with a study, but {path} is broken; choose another folder") from error
-    difference = first_difference(old, settings)
-    if difference is not None:
-        raise InputError("--resume", f"must go on with the same study, but {difference}; choose another folder")
-
-
 def _undo(folder: Path) -> None:
     """Delete the output of `_begin`, because nothing could be run: the same command works once the reason is gone."""
     shutil.rmtree(folder / PARTIAL, ignore_errors=True)
@@ -362,18 +358,6 @@ def _undo(folder: Path) -> None:
     for empty in (folder / STORE, folder / SHARDS, folder / WAITING, folder):
         with suppress(OSError):  # it holds something else
             empty.rmdir()
-
-
-def _made_by(study: Study, files: set[Path]) -> dict[str, Any]:
-    """Return the other inputs of the results: versions, and digests of files."""
-    import scipy
-
-    module = study.folder / f"{study.metrics.partition(':')[0]}.py"
-    named = sorted(files | ({module} if study.metrics and module.exists() else set()))
-    return {
-        "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
-        "contents": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in named},
-    }
 
 
 def _run(tasks: MemberTasks, dispatch: Dispatch, index: Index, workers: Workers, progress: Progress) -> None:

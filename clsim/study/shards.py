@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_packages, warn
 from clsim.exchange import decoded_frames, flac_bytes
 from clsim.files.atomic import safe_path
 from clsim.files.sound import as_frames, wav_header
-from clsim.packages import check_packages
 from clsim.study.content import Computed
 from clsim.study.file import Study
 
@@ -34,10 +33,7 @@ class DamagedError(InputError):
 
 
 def write_member(path: Path, made: Computed, form: str, row: Row) -> None:
-    """Write a member into an archive of its own, which appears whole: labels, and a file for each kept sound.
-
-    All variables of its content become labels.
-    """
+    """Write a member into an archive of its own, which appears whole: all variables as labels, a file per sound."""
     name, content, rate = path.stem, made.content, made.content.attrs["sampling_rate"]
     files: dict[str, bytes] = {}
     labels: dict[str, Any] = {"key": name, "member": row["member"], "warnings": row.get("warnings", [])}
@@ -54,8 +50,11 @@ def write_member(path: Path, made: Computed, form: str, row: Row) -> None:
     labels["files"] = [{"name": key, "sha256": hashlib.sha256(data).hexdigest()} for key, data in files.items()]
     labels["sha256"] = _text_digest(labels)
     text = json.dumps(labels, sort_keys=True).encode()
-    with safe_path(path) as temporary:
-        _write_tar(temporary, {f"{name}.json": text} | files)
+    with safe_path(path) as temporary, tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as archive:
+        for key, data in ({f"{name}.json": text} | files).items():  # without time or owner: equal members, equal bytes
+            about = tarfile.TarInfo(key)
+            about.size = len(data)
+            archive.addfile(about, io.BytesIO(data))
 
 
 def _text_digest(labels: dict[str, Any]) -> str:
@@ -71,18 +70,6 @@ def _plain(name: str, values: NDArray[Any]) -> Any:
         plain[~np.isfinite(values)] = None
         values = plain
     return values.tolist()
-
-
-def _write_tar(path: Path, files: dict[str, bytes]) -> None:
-    with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as archive:
-        _add(archive, files)
-
-
-def _add(archive: tarfile.TarFile, files: dict[str, bytes]) -> None:
-    for name, data in files.items():  # without time or owner: equal members are equal bytes
-        about = tarfile.TarInfo(name)
-        about.size = len(data)
-        archive.addfile(about, io.BytesIO(data))
 
 
 def read_members(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, bytes]]]:
@@ -189,11 +176,7 @@ def sounds_of(labels: dict[str, Any], files: dict[str, bytes], names: Sequence[s
 
 
 class Shards:
-    """The shards of a study's folder.
-
-    A finished member stands in an archive of its own until all of its shard are done with; then they are joined.
-    A shard with members that failed keeps theirs, so that it can be joined again.
-    """
+    """The shards of a study's folder: members' archives, joined when all of a shard are done with and none failed."""
 
     names = (FOLDER, WAITING)
 
@@ -219,7 +202,8 @@ class Shards:
                 ((labels, _),) = read_members(path)
             except ValueError:  # damaged, or not one member
                 return None
-            return _row(labels) if labels["member"] == number else None
+            row = {"member": number, "status": "finished", "error": "", "warnings": labels["warnings"]}
+            return row if labels["member"] == number else None
         return {"member": number, "status": "finished"} if number in self._holds(number // self._size) else None
 
     def _holds(self, shard: int) -> set[int]:
@@ -277,10 +261,6 @@ class Shards:
         self._known[shard] = set(members)
 
 
-def _row(labels: dict[str, Any]) -> Row:
-    return {"member": labels["member"], "status": "finished", "error": "", "warnings": labels["warnings"]}
-
-
 def _digest(path: Path) -> bytes:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest().encode()
@@ -303,10 +283,7 @@ def _write_table(path: Path, rows: list[dict[str, Any]], digest: bytes) -> None:
 
 
 def read_table(path: Path, whole: bool = True) -> list[dict[str, Any]]:
-    """Return the labels of a shard from its table (``.parquet``); see that its archive is what was written, too.
-
-    whole: whether the archive is read for that, else it must only be there.
-    """
+    """Return the labels of a shard from its table (``.parquet``); `whole` reads its archive, which must be there."""
     from pyarrow import parquet
 
     tar = path.with_suffix(".tar")

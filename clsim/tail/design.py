@@ -38,11 +38,9 @@ DEPARTURES = 32  # directions of departure that are told apart
 
 @dataclass(frozen=True, eq=False)
 class TailEnergy:
-    """Energy of a tail from one zone to another, by time, direction of arrival and band.
+    """Energy of a tail from one zone to another, by time, direction of arrival and band."""
 
-    Energies are those of the received over those of what was emitted, Pa² s / (Pa² s).
-    """
-
+    # Energies are those of the received over those of what was emitted, Pa² s / (Pa² s).
     early: NDArray[np.float32]  # (T0, M, B) of the zone itself
     late: NDArray[np.float32]  # (T1, M, B) after that; zones in which it is alike share it
     departed: Floats  # (Q,) shares of it by direction of departure
@@ -97,14 +95,8 @@ class SourceTail:
         found = hashlib.sha256(repr((self.time_step, self.seed, sorted(self.pairs))).encode())
         for key in sorted(self.pairs):
             pair = self.pairs[key]
-            for part in (
-                pair.early,
-                pair.late,
-                pair.departed,
-                self.centres,
-                self.zones.poses,
-                self.receiver_zones.poses,
-            ):
+            of_pair = pair.early, pair.late, pair.departed
+            for part in (*of_pair, self.centres, self.zones.poses, self.receiver_zones.poses):
                 found.update(np.ascontiguousarray(part).tobytes())
         return found.hexdigest()
 
@@ -261,11 +253,9 @@ _LEAST = 2  # bins, half of a window for directions at the beginning
 
 
 def smoothed(energy: NDArray[Any]) -> NDArray[np.float32]:
-    """Return energies (T, M, B) by bin of time, direction and band, smoothed over times that grow with time.
-
-    The sum over directions is kept, but for a short window in which it is smoothed; how it is spread over them is taken
-    from a longer one, for it changes slowly.
-    """
+    """Return energies (T, M, B) by bin of time, direction and band, smoothed over times that grow with time."""
+    # The sum over directions is kept, but for a short window in which it is smoothed; how it is spread over them is
+    # taken from a longer one, for it changes slowly.
     total = _smoothed(energy.sum(axis=1, dtype=np.float64), OF_TIME, 0)
     found = np.ascontiguousarray(np.moveaxis(energy, 2, 0), np.float32)
     for of_band, level in zip(found, total.T, strict=True):  # one at a time stays in cache
@@ -306,6 +296,7 @@ def modal_shares(room: Room, energies: WallEnergies, centres: Floats, times: Flo
     if axes is None:
         return shares
     sizes, walls = axes
+    root = (np.arange(ANGLES) + 0.5) / ANGLES
     for band in np.flatnonzero(centres < _HIGHEST):
         centre = float(centres[band])
 
@@ -317,7 +308,9 @@ def modal_shares(room: Room, energies: WallEnergies, centres: Floats, times: Flo
 
         modal = _modal(sizes, centre, c, times, damping)
         if modal is not None:
-            mirrored = np.exp(-_scattered_per_second(sizes, walls, energies, int(band), c) * times)
+            share = energies.scattered[:, :, band] @ root**3 / np.sum(root**3)  # in the mean of diffuse incidence
+            per_second = float(0.5 * c * share[energies.kind[walls]].sum(axis=1) @ (0.5 / sizes))
+            mirrored = np.exp(-per_second * times)
             shares[:, band] += mirrored * (modal / _continuous(sizes, centre, c, times, damping) - 1.0)
     return shares
 
@@ -390,12 +383,3 @@ def _decay(rates: Floats, weights: Floats, times: Floats) -> Floats:
     rate, _ = np.histogram(rates, edges, weights=weights * rates)
     some = weight > 0.0
     return np.asarray(np.exp(-np.multiply.outer(times, rate[some] / weight[some])) @ weight[some])
-
-
-def _scattered_per_second(
-    sizes: Floats, walls: NDArray[np.int64], energies: WallEnergies, band: int, c: float
-) -> float:
-    """Scatterings of a ray, 1/s: its share of reflections, in the mean of diffuse incidence."""
-    root = (np.arange(ANGLES) + 0.5) / ANGLES
-    share = energies.scattered[:, :, band] @ root**3 / np.sum(root**3)
-    return float(0.5 * c * share[energies.kind[walls]].sum(axis=1) @ (0.5 / sizes))

@@ -42,10 +42,7 @@ def ray_engine(wanted: str | None = None) -> RayEngine:
 
 
 class DeviceRays:
-    """Traces rays on a device.
-
-    Shapes: device (DeviceInfo, pyopencl.Device).
-    """
+    """Traces rays on a device. Shapes: device (DeviceInfo, pyopencl.Device)."""
 
     def __init__(self, device: tuple[DeviceInfo, Any], group: int = GROUP) -> None:
         import pyopencl as cl

@@ -46,7 +46,11 @@ def plane_waves(tail: SourceTail, pair: tuple[int, int], source: int, rate: floa
     energy = tail.pairs[pair]
     rng = np.random.default_rng([tail.seed, source, *pair, _SHAPED])
     streams = np.arange(energy.energy.shape[1])
-    departure = _departures(energy.departed, len(streams), rng) if moves else np.zeros_like(streams)
+    departure = np.zeros_like(streams)
+    if moves:  # as many of each as its share of the energy says
+        ends = np.cumsum(energy.departed)
+        drawn = np.searchsorted(ends / ends[-1], (streams + 0.5) / len(streams))
+        departure = rng.permutation(np.minimum(drawn, len(ends) - 1))
     return Responses(_shaped(energy.energy, tail, rate, rng), 0, departure, streams)
 
 
@@ -88,7 +92,13 @@ def combined(
         total = np.zeros(len(frequencies), np.complex128)
         for spectrum, late, one in zip(spectra, delay, gain, strict=True):
             turn = np.exp(-2j * np.pi * frequencies * (late + lead / rate))
-            shape = at_frequencies(one, size) if np.iscomplexobj(one) else one @ shares
+            shape = one
+            if np.iscomplexobj(one):  # by its impulses
+                impulses = irfft(one)
+                early, later = np.split(impulses, [len(impulses) // 2])
+                shape = rfft(np.concatenate([early, np.zeros(size - len(impulses)), later]))
+            else:
+                shape = one @ shares
             total += spectrum * turn if np.all(one == 1.0) else spectrum * turn * shape
         taps[place] = irfft(total, size)[:count]
     places = np.arange(len(delays))
@@ -143,27 +153,9 @@ def static_gains(scene: Scene, receivers: Sequence[int], tail: SourceTail, time:
     return found
 
 
-def at_frequencies(gain: NDArray[Any], size: int) -> NDArray[Any]:
-    """Return a gain (F,) at even frequencies up to half a rate at those of a transform of a size, by its impulses."""
-    from scipy.fft import irfft, rfft
-
-    taps = irfft(gain)
-    half = len(taps) // 2
-    return np.asarray(rfft(np.concatenate([taps[:half], np.zeros(size - len(taps)), taps[half:]])))
-
-
-def _departures(shares: Floats, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return a departure for each of so many streams: as many of each as its share of the energy says."""
-    ends = np.cumsum(shares)
-    drawn = np.searchsorted(ends / ends[-1], (np.arange(count) + 0.5) / count)
-    return np.asarray(rng.permutation(np.minimum(drawn, len(shares) - 1)))
-
-
 def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return noise (K, L) whose energy in bands and bins of time is that of energies (T, K, B).
-
-    A bin of n samples of variance v has the energy n v at every frequency. Low bands are shaped at lower rates.
-    """
+    """Return noise (K, L) whose energy in bands and bins of time is that of energies (T, K, B)."""
+    # A bin of n samples of variance v has the energy n v at every frequency. Low bands are shaped at lower rates.
     from scipy.fft import irfft, next_fast_len, rfft
 
     times, streams, _ = energy.shape
@@ -171,7 +163,9 @@ def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.
     size = _SLOWEST * next_fast_len(-(-(length + _RINGING) // _SLOWEST), real=True)
     centres, parts = joined_bands(tail.centres, energy)
     shares = band_shares(np.arange(size // 2 + 1) * (rate / size), centres).astype(np.float32)
-    slowness = _slowness(centres, rate)
+    last = np.append(centres[1:], 0.5 * rate)  # bands end at the next centre
+    fits = [np.where(n * _ROOM * last <= 0.5 * rate, n, 1) for n in _SLOWNESSES]
+    slowness = np.max(fits, axis=0)  # powers of two by which the sampling rate is divided
     groups = [(n, *_envelope_places(length, n, tail.time_step * rate, times)) for n in np.unique(slowness).tolist()]
     taps = np.empty((streams, length), np.float32)
     for first, joined in zip(range(0, streams, TOGETHER), parts, strict=True):
@@ -195,22 +189,13 @@ def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.
 
 
 def _fade(bins: int, slow: int) -> NDArray[np.float32]:
-    """Weights (bins,) of a spectrum up to half of a lower rate, 1 where bands are, that fall off towards its end.
-
-    Envelopes that change within a few samples reach up to there. A spectrum that ends abruptly rings for as long as
-    tails last, and is louder than bands beside it that decay quickly.
-    """
+    """Weights (bins,) of a spectrum up to half of a lower rate, 1 where bands are, that fall off towards its end."""
+    # Envelopes that change within a few samples reach up to there. A spectrum that ends abruptly rings for as long as
+    # tails last, and is louder than bands beside it that decay quickly.
     if slow == 1:
         return np.ones(bins, np.float32)
     beyond = np.clip((np.arange(bins) / (bins - 1) * _ROOM - 1.0) / (_ROOM - 1.0), 0.0, 1.0)
     return np.cos(0.5 * np.pi * beyond).astype(np.float32) ** 2
-
-
-def _slowness(centres: Floats, rate: float) -> NDArray[np.int64]:
-    """Return the power of two (B,) by which the sampling rate may be divided for bands that end at the next centre."""
-    last = np.append(centres[1:], 0.5 * rate)
-    fits = [n * _ROOM * last <= 0.5 * rate for n in _SLOWNESSES]
-    return np.asarray(np.max([np.where(fit, n, 1) for n, fit in zip(_SLOWNESSES, fits, strict=True)], axis=0))
 
 
 def _envelope_places(length: int, slow: int, step: float, times: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:

@@ -111,10 +111,8 @@ def _frame(normal: Floats) -> tuple[Floats, Floats]:
 
 
 def _rectangles(walls: Walls) -> tuple[Floats, Floats]:
-    """Return the sides (W, 4) of the smallest rectangles about walls: unit vector and length, m.
-
-    Walls that touch in one plane, such as a window that is flush with its wall, are one there.
-    """
+    """Return the sides (W, 4) of the smallest rectangles about walls: unit vector and length, m."""
+    # Walls that touch in one plane, such as a window that is flush with its wall, are one there.
     flush = np.column_stack([np.repeat(np.arange(len(walls)), np.diff(walls.first_twin)), walls.twin])
     _, surface = clusters(len(walls), flush)
     sides = []
@@ -232,10 +230,7 @@ ESCAPE_SCALE = 2.0**30  # of escaped energies as whole numbers
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayRun:
-    """Rays from one place, in groups of bands that scatter alike.
-
-    Bands of one group stand side by side.
-    """
+    """Rays from one place, in groups of bands that scatter alike. Bands of one group stand side by side."""
 
     room: RayRoom
     sized: bool  # whether walls scatter by their limited size

@@ -105,17 +105,24 @@ class Tracer:
         self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float
     ) -> list[Received]:
         """Return the energies of a source's zone, in parts of as many spheres as fit the memory."""
-        pilot = self._pilot(origin, emitted, spheres, zone)
+        windows = math.ceil(_LONGEST / WINDOW)
+        layout = self._layout(spheres, np.zeros(len(spheres.centres), np.int64), 1, 0, windows)
+        energies = layout.empty()
+        longest = np.full(len(self.groups), _LONGEST * self.speed_of_sound)
+        self.engine.trace(self._run(origin, emitted, spheres, zone, _PILOT, longest, 0), layout, energies)
+        total = np.zeros(energies.windows.shape[1:])
+        total[:, :, self._order] = energies.windows.sum(axis=0)
+        pilot = _Pilot(total)
         until = pilot.until(self.energies.air, self.groups, self.speed_of_sound)
         bins = math.ceil(float(until.max()) / (STEP * self.speed_of_sound))
         bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
         step = max(1, int(_BYTES / bytes_each))
-        return [
-            _Search(self, origin, emitted, spheres, zone, until, slice(i, i + step), pilot.late[i : i + step]).found(
-                error_db
-            )
-            for i in range(0, len(spheres.centres), step)
-        ]
+        found = []
+        for i in range(0, len(spheres.centres), step):
+            late = pilot.late[i : i + step]
+            search = _Search(self, origin, emitted, spheres, zone, until, slice(i, i + step), late)
+            found.append(search.found(error_db))
+        return found
 
     def escaped(self, origin: Floats, emitted: Emitted, rays: int = 1024) -> Escaped:
         """Return the energy that escapes of what is emitted at a place, m, by some rays."""
@@ -142,17 +149,6 @@ class Tracer:
         return np.asarray(
             start + np.where(np.isfinite(far), np.maximum(far, 0.0), 0.0)[:, None] * direction + self.room.middle
         )
-
-    def _pilot(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int) -> _Pilot:
-        count = len(spheres.centres)
-        windows = math.ceil(_LONGEST / WINDOW)
-        layout = self._layout(spheres, np.zeros(count, np.int64), 1, 0, windows)
-        until = np.full(len(self.groups), _LONGEST * self.speed_of_sound)
-        energies = layout.empty()
-        self.engine.trace(self._run(origin, emitted, spheres, zone, _PILOT, until, 0), layout, energies)
-        total = np.zeros(energies.windows.shape[1:])
-        total[:, :, self._order] = energies.windows.sum(axis=0)
-        return _Pilot(total)
 
     @cached_property
     def _order(self) -> Ints:
@@ -261,10 +257,6 @@ class _Search:
         self._tracer.engine.trace(run, self._layout, self._energies)
         self._rays += each * SLOTS
 
-    def _per_unit(self) -> float:
-        """Energy of a whole number."""
-        return 4.0 * np.pi / (self._layout.scale * self._rays)
-
     def _error_db(self) -> float:
         """Return the standard error of what is loud, dB; late energies are means over zones of a row, and smoothed."""
         slots = self._energies.windows.astype(np.float64)
@@ -288,7 +280,7 @@ class _Search:
             np.empty(table.shape, np.float32 if table.ndim == 4 else np.float64)
             for table in (energies.early, energies.late, energies.images)
         )
-        unit = self._per_unit()
+        unit = 4.0 * np.pi / (self._layout.scale * self._rays)  # energy of a whole number
         early[..., order] = energies.early * unit
         late[..., order] = energies.late * (unit / zones)[:, None, None, None]
         images[..., order] = energies.images * unit

@@ -51,10 +51,8 @@ class EarFilters:
     def joined(
         self, make: Callable[[int], NDArray[np.float32] | None], kept: Blocks, start: int, count: int
     ) -> NDArray[np.float32]:
-        """Return samples (C, n) from `start` on of blocks as `filtered` returns them, None of silence.
-
-        They lie on a fixed grid and are added in order, so that samples do not depend on what is asked for.
-        """
+        """Return samples (C, n) from `start` on of blocks as `filtered` returns them, None of silence."""
+        # They lie on a fixed grid and are added in order, so that samples do not depend on what is asked for.
         total = np.zeros((len(self.directivity.channels), count), np.float32)
         first = start + self.lead
         for k in range((first - self.size) // self.block + 1, -(-(first + count) // self.block)):
@@ -80,10 +78,9 @@ class EarFilters:
         return np.asarray((1.0 - share) * late[:, before] + share * late[:, np.minimum(before + 1, late.shape[1] - 1)])
 
     def filtered(self, waves: NDArray[np.float32], directions: Floats) -> NDArray[np.float32]:
-        """Return a block (C, n) from `lead` samples before it on, of the waves (C, M, n) at each ear.
-
-        Weights are linear between the instants, at which waves come from directions (n + 1, M, 3) in the head's frame.
-        """
+        """Return a block (C, n) from `lead` samples before it on, of the waves (C, M, n) at each ear."""
+        # Weights are linear between the instants, at which waves come from directions (n + 1, M, 3) in the head's
+        # frame.
         from scipy.fft import irfft, rfft
 
         channels, count, _ = waves.shape
@@ -110,10 +107,8 @@ def ears_among(scene: Scene, receivers: Sequence[int], rate: float, highest: flo
 
 @lru_cache(maxsize=8)
 def ear_filters(directivity: ChannelDirectivity, speed_of_sound: float, rate: float, highest: float) -> EarFilters:
-    """Take the responses of a directivity apart, for sound below a frequency at a sampling rate, Hz.
-
-    Impulse responses of evenly spread directions are a matrix; its largest singular vectors are the filters.
-    """
+    """Take the responses of a directivity apart, for sound below a frequency at a sampling rate, Hz."""
+    # Impulse responses of evenly spread directions are a matrix; its largest singular vectors are the filters.
     from scipy.fft import irfft, next_fast_len, rfft
 
     even = np.linspace(0.0, 0.5 * rate, _EVEN + 1)
@@ -161,13 +156,11 @@ class Emissions(Protocol):
 
 @dataclass(eq=False)
 class Streams:
-    """Streams of one zone of receivers, of all zones of a source.
+    """Streams of one zone of receivers, of all zones of a source."""
 
-    Blocks lie on a grid that begins with sample 0, and each is computed from the emitted signal alone: whatever is
-    asked for, in which order and by which process, a sample is the same to the last bit. By overlap-save (A. V.
-    Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed., 2010, section 8.7.3).
-    """
-
+    # Blocks lie on a grid that begins with sample 0, and each is computed from the emitted signal alone: whatever is
+    # asked for, in which order and by which process, a sample is the same to the last bit. By overlap-save (A. V.
+    # Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed., 2010, section 8.7.3).
     emissions: Emissions
     make: Callable[[int], Responses]
     zones: int

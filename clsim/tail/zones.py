@@ -36,11 +36,9 @@ def band_centres(low: float, high: float) -> Floats:
 
 
 def traced_bands(scene: Scene, low: float, high: float) -> Floats:
-    """Centres (B,) of bands in which rays are traced, Hz.
-
-    They are thirds of octaves, and the middles between them where the walls' absorption bends so much that the rate of
-    decay of a diffuse field there is not what `at_middles` makes of its neighbours.
-    """
+    """Centres (B,) of bands in which rays are traced, Hz."""
+    # They are thirds of octaves, and the middles between them where the walls' absorption bends so much that the rate
+    # of decay of a diffuse field there is not what `at_middles` makes of its neighbours.
     thirds = band_centres(low, high)
     both = with_middles(thirds)
     field = DiffuseField.of(scene, both)
@@ -55,11 +53,9 @@ def traced_bands(scene: Scene, low: float, high: float) -> Floats:
 
 
 def band_shares(frequencies: NDArray[Any], centres: Floats) -> Floats:
-    """Return the amplitude (B, F) of each band's part at frequencies (F,), Hz: together 1 everywhere.
-
-    At a centre a band is alone; between two of them one fades into the other over the logarithm of frequency, so that
-    the amplitude of noise shaped in bands goes smoothly from one centre's to the next; it is held beyond the ends.
-    """
+    """Return the amplitude (B, F) of each band's part at frequencies (F,), Hz: together 1 everywhere."""
+    # At a centre a band is alone; between two of them one fades into the other over the logarithm of frequency, so that
+    # the amplitude of noise shaped in bands goes smoothly from one centre's to the next; it is held beyond the ends.
     at = np.interp(np.log(np.maximum(frequencies, 1e-3)), np.log(centres), np.arange(len(centres), dtype=np.float64))
     away = np.abs(at - np.arange(len(centres))[:, None])
     return np.asarray(np.where(away < 1.0, np.cos(0.5 * np.pi * np.minimum(away, 1.0)) ** 2, 0.0))
@@ -71,12 +67,10 @@ def with_middles(centres: Floats) -> Floats:
 
 
 def at_middles(energy: NDArray[Any]) -> Floats:
-    """Return energies (..., 2B - 1) at the centres of bands and the middles between, of those at centres (..., B).
-
-    Decays are exponential, so the logarithm goes smoothly over frequency: it is cubic through four centres, and stays
-    between the two about a middle. Where two amplitudes fade into each other, the slower decay wins; over half a third
-    of an octave that is little.
-    """
+    """Return energies (..., 2B - 1) at the centres of bands and the middles between, of those at centres (..., B)."""
+    # Decays are exponential, so the logarithm goes smoothly over frequency: it is cubic through four centres, and stays
+    # between the two about a middle. Where two amplitudes fade into each other, the slower decay wins; over half a
+    # third of an octave that is little.
     level = np.log(np.maximum(energy, _SILENT))
     out = np.repeat(level, 2, axis=-1)[..., :-1]
     if level.shape[-1] > 1:
@@ -104,19 +98,15 @@ def joined_bands(centres: Floats, energy: NDArray[Any]) -> tuple[Floats, Iterato
         return found
 
     parts = [in_sixths(energy[:, k : k + TOGETHER]) for k in range(0, energy.shape[1], TOGETHER)]
-    steep = _steep(sum(part.sum(axis=1) for part in parts))
+    total = np.asarray(sum(part.sum(axis=1) for part in parts))
+    left = np.cumsum(total[::-1], axis=0)[::-1]
+    times = np.maximum(np.count_nonzero(left > _DECAYED * left[:1], axis=0), 1)
+    steep = np.abs(np.diff(np.log(times))) > _STEEP  # decay times of neighbours differ
     if not steep.any():
         return sixths, iter(parts)
     kept = np.ones(2 * len(sixths) - 1, np.bool_)
     kept[1::2] = steep
     return with_middles(sixths)[kept], (at_middles(part)[..., kept] for part in parts)
-
-
-def _steep(energy: Floats) -> NDArray[np.bool_]:
-    """Mask (B - 1,) of neighbouring bands of energies (T, B) whose decay times differ."""
-    left = np.cumsum(energy[::-1], axis=0)[::-1]
-    times = np.maximum(np.count_nonzero(left > _DECAYED * left[:1], axis=0), 1)
-    return np.asarray(np.abs(np.diff(np.log(times))) > _STEEP)
 
 
 _ANGLES = 32  # over which absorption is averaged
@@ -223,10 +213,8 @@ class Zones:
         return cls(radius, np.array(found), beams, np.array(turns))
 
     def weights(self, end: End, times: Floats) -> Floats:
-        """Return the shares (Z, T) of amplitude of an end at times (T,), s; their squares add up to 1.
-
-        What stands still is in one zone; what moves goes smoothly from one to the next.
-        """
+        """Return the shares (Z, T) of amplitude of an end at times (T,), s; their squares add up to 1."""
+        # What stands still is in one zone; what moves goes smoothly from one to the next.
         turning = self.beams and not isinstance(end.directivity, Omni)
         if is_static(end, turning=turning):
             pose = _poses(end, np.zeros(1), self.radius, turning=turning, beams=self.beams)[0]
@@ -274,10 +262,8 @@ class Crossings:
 
 
 def zone_radius(room: Room) -> float:
-    """Return the radius of zones in a room, m: a quarter of the mean free path, 0.1 to 4 m.
-
-    The volume of an open room is that of the box about it.
-    """
+    """Return the radius of zones in a room, m: a quarter of the mean free path, 0.1 to 4 m."""
+    # The volume of an open room is that of the box about it.
     low, high = room.extent
     volume = float(np.prod(high - low)) if room.volume is None else room.volume
     return float(np.clip(_OF_FREE_PATH * 4.0 * volume / room.surface_area, _LEAST, _MOST))

@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from clsim.cluster.dispatch import Call, Dispatch, Row
+from clsim.cluster.processes import local_devices
 from clsim.cluster.workers import Workers
 from clsim.errors import ClsimError, InputError, warn
 from clsim.files.atomic import remove_leftovers
 from clsim.output.stores import SoundStore
 from clsim.render.contributions import State
 from clsim.render.plan import Plan, within_memory
+from clsim.render.planning import on_device
 from clsim.render.render import PressureSum, ReceiverChain, Rendering
 from clsim.scene_file.scene import referenced_files
 from clsim.workflow.console import progress
@@ -52,14 +54,17 @@ def render_sound(
         store.create()
     if begun[0] < plan.samples:
         notes = _Notes(results, identity, plan.samples, begun[0])
-        with progress("rendering", plan.path_count * plan.samples) as advance:
-            advance(plan.path_count * begun[0])
+        with progress("rendering", plan.path_count * plan.samples) as bar:
+
+            def advance(samples: float) -> None:
+                """Move the bar on by samples of all paths."""
+                bar(plan.path_count * samples)
+
+            advance(begun[0])
             if workers is None:
-                _render(plan, store, begun, notes, lambda samples: advance(plan.path_count * samples))
+                _render(plan, store, begun, notes, advance)
             else:
-                render_on_workers(
-                    workers, results.work, plan, store, begun, notes, lambda samples: advance(plan.path_count * samples)
-                )
+                render_on_workers(workers, results.work, plan, store, begun, notes, advance)
     return results.take(names)
 
 
@@ -130,23 +135,28 @@ def render_on_workers(
     note: Callable[[int, State], None],
     advance: Callable[[float], None],
 ) -> None:
-    """Render a plan into a store by workers, from where it was.
-
-    note: called with the same, whenever more is there without a gap, on the disk itself.
-    """
+    """Render a plan into a store by workers, from where it was; `note` gets each state without a gap on the disk."""
     here = workers.count()
     handed = Handed.of(plan, store, _BLOCKS * (here or _UNKNOWN))
     with within_memory(plan.largest_field, f"rendering by {here} processes", here * plan.memory_bytes):
         remove_leftovers(folder)
     pieces = Pieces(handed, PlanFile.write(folder, handed), *begun)
     dispatch, shown = Dispatch(pieces.todo()), set[str]()
+    devices: list[str] = []
+    if workers.scheduler is None and plan.options.engine == "opencl" and plan.options.device is None:
+        kind = device_of(plan)  # that of the workers' devices
+        devices = [device for device in local_devices() if device_of(on_device(plan, device)) == kind]
     try:
-        with closing(workers.at_most(pieces.count).rows(dispatch, pieces, _devices(workers, plan))) as rows:
+        with closing(workers.at_most(pieces.count).rows(dispatch, pieces, devices)) as rows:
             for number, row in rows:
                 if row["status"] == "failed":
                     piece = pieces.piece(number)
                     raise ClsimError(f"samples {piece.first} to {piece.last} were not rendered: {row['error']}")
-                _forward(row["warnings"], shown)
+                for text in row["warnings"]:
+                    without_numbers = re.sub(r"[\d.]+", "", text)
+                    if without_numbers not in shown:  # those that differ in numbers alone appear once
+                        shown.add(without_numbers)
+                        warn(text)
                 for ready in pieces.settle(number, row["state"]):
                     dispatch.add(ready)
                 advance(pieces.rendered(number))
@@ -158,34 +168,12 @@ def render_on_workers(
     receivers.warn()
 
 
-def _forward(warnings: list[str], shown: set[str]) -> None:
-    """Forward the warnings of pieces; those that differ in numbers alone appear once."""
-    for text in warnings:
-        without_numbers = re.sub(r"[\d.]+", "", text)
-        if without_numbers not in shown:
-            shown.add(without_numbers)
-            warn(text)
-
-
-def _devices(workers: Workers, plan: Plan) -> list[str]:
-    """Return the devices of this machine over which workers are spread: those of the plan's kind."""
-    from clsim.cluster.processes import local_devices
-    from clsim.render.planning import on_device
-
-    if workers.scheduler is not None or plan.options.engine != "opencl" or plan.options.device is not None:
-        return []
-    kind = device_of(plan)
-    return [device for device in local_devices() if device_of(on_device(plan, device)) == kind]
-
-
 class Pieces:
-    """All pieces of a run, which of them can be done, and what is whole.
+    """All pieces of a run, which of them can be done, and what is whole."""
 
-    Pieces are numbered stretch by stretch: pressure first, then each block of receivers in which something rings on.
-    Behind all of these stands what several stretches are made of alike. A chain is a block's pieces, or those of
-    pressure where a contribution remembers something.
-    """
-
+    # Pieces are numbered stretch by stretch: pressure first, then each block of receivers in which something rings on.
+    # Behind all of these stands what several stretches are made of alike. A chain is a block's pieces, or those of
+    # pressure where a contribution remembers something.
     kind, several = "piece", False
     loads: tuple[str, ...] = ("zarr", "scipy.fft", "pyopencl.invoker", "clsim.scene.scene")
 
@@ -278,7 +266,9 @@ class Pieces:
         ready = []
         if chain == 0:
             self._rendered.add(stretch)
-            self._forget(stretch)
+            for name, users in self._users.items():  # what stretches that are all there have shared
+                if stretch in users and self._rendered.issuperset(users):
+                    self.file.shared(name).unlink(missing_ok=True)
             while self._next[0] in self._rendered:
                 self._next[0] += 1
             ready = [number + k for k in range(1, len(self._next)) if self._next[k] == stretch]
@@ -302,12 +292,6 @@ class Pieces:
             self._parts[stretch].discard(name)
         ready = filter(self._can_be_summed, self._users[name])
         return [len(self._next) * stretch for stretch in ready][::-1]
-
-    def _forget(self, stretch: int) -> None:
-        """Delete what was shared by stretches that are all there."""
-        for name, users in self._users.items():
-            if stretch in users and self._rendered.issuperset(users):
-                self.file.shared(name).unlink(missing_ok=True)
 
     def whole(self) -> tuple[int, State]:
         """Return the number of samples without a gap, and the state after them."""

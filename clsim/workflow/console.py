@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from clsim.errors import ClsimWarning
-from clsim.files.names import shown
+from clsim.files.input_files import shown
 from clsim.scene_file import as_toml
 
 Progress = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
@@ -45,7 +45,10 @@ def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
         bar.advance(task, amount)
         spent = time.monotonic() - begun
         done = bar.tasks[0].completed
-        bar.update(task, rate=f"{in_prefixes(done / max(spent, 1e-3))}path-samples/s" if total > 1e6 else "")
+        rate = done / max(spent, 1e-3)
+        power = min(max(int(math.log10(max(rate, 1.0)) // 3), 0), len(_PREFIXES) - 1)
+        text = f"{rate / 1000.0**power:.3g} {_PREFIXES[power]}path-samples/s"
+        bar.update(task, rate=text if total > 1e6 else "")
         if spent > _PATIENCE and not shown:
             bar.start()
             shown = True
@@ -57,12 +60,6 @@ def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
             bar.stop()
 
 
-def in_prefixes(value: float) -> str:
-    """Return a positive number in three digits with the prefix of its unit: 2.35e7 is ``23.5 M``."""
-    power = min(max(int(math.log10(max(value, 1.0)) // 3), 0), len(_PREFIXES) - 1)
-    return f"{value / 1000.0**power:.3g} {_PREFIXES[power]}"
-
-
 @contextmanager
 def no_progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
     """Yield a function that shows nothing."""
@@ -70,13 +67,7 @@ def no_progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
 
 
 class BuiltPrograms(logging.Handler):
-    """Counts the programs that are built for a device, and says so once on a terminal if that takes more than a moment.
-
-    Attributes
-    ----------
-    count : int
-        Programs built, or found in a cache.
-    """
+    """Counts the programs that are built for a device, and says so on a terminal if that takes more than a moment."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)

@@ -1,8 +1,9 @@
-"""Reading back what a run wrote."""
+"""Reading back what a run wrote: recordings and stores."""
 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import as_flag, row_name
-from clsim.errors import InputError, not_one_of
-from clsim.files.names import file_names
+from clsim.errors import InputError, check_packages, not_one_of
+from clsim.files.input_files import file_names
 from clsim.files.sound import EnvelopeFile, SoundFile
-from clsim.output.open_store import open_store
-from clsim.output.record import Record, changed_results, load_record
-from clsim.output.stores import STORES
-from clsim.recording import Recording
+from clsim.output.raw_files import arrays_with_missing_chunks, check_attributes, missing_chunks
+from clsim.output.record import changed_results, load_record
+from clsim.output.stores import STORE_FORMAT, STORES
+from clsim.recording import Recording, with_times
+from clsim.scene.receiver_array import row_receivers
 from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
 from clsim.workflow.result_folder import COMPLETED
@@ -66,11 +68,16 @@ def load_recording(
     sounds = [] if stores else _sounds(file.scene, rows)
     files = stores or list(dict.fromkeys(name for name, _ in sounds))
     if verify:
-        _refuse_changed(folder, record, [COMPLETED, *files])
+        wanted_files = [COMPLETED, *files]
+        unknown = [name for name in wanted_files if name not in record.files]
+        for name in [*unknown, *changed_results(folder, record, wanted_files)]:
+            how = "was not written by clsim" if name in unknown else "has changed since it was written, or is missing"
+            raise InputError("folder", f"must hold what was written, but {folder / name} {how}")
     chosen = [file.scene.receivers[r] for r in rows]
     channels = [row for end in chosen for row in end.rows]
+    of_row = row_receivers(file.scene.receivers)
     samples, rate = (
-        _stored(folder, _rows_of(file.scene, rows)) if stores
+        _stored(folder, [k for r in rows for k in np.flatnonzero(of_row == r).tolist()]) if stores
         else _read([(folder / name, channel) for name, channel in sounds], carrier)
     )  # fmt: skip
     found = None
@@ -84,14 +91,6 @@ def load_recording(
     )  # fmt: skip
 
 
-def _refuse_changed(folder: Path, record: Record, names: list[str]) -> None:
-    """Refuse files that are not what the record of their folder says, or of which it says nothing."""
-    unknown = [name for name in names if name not in record.files]
-    for name in [*unknown, *changed_results(folder, record, names)]:
-        how = "was not written by clsim" if name in unknown else "has changed since it was written, or is missing"
-        raise InputError("folder", f"must hold what was written, but {folder / name} {how}")
-
-
 def _stored(folder: Path, rows: list[int]) -> tuple[NDArray[Any], float]:
     """Return the samples (rows, n) of a Zarr or HDF5 store, and their rate, Hz."""
     try:
@@ -101,12 +100,6 @@ def _stored(folder: Path, rows: list[int]) -> tuple[NDArray[Any], float]:
         raise InputError("folder", error.problem) from error
     except (OSError, ValueError, RuntimeError, KeyError, TypeError) as error:  # of what unpacks a damaged chunk
         raise InputError("folder", f"must hold the sound that was written, but {error}") from error
-
-
-def _rows_of(scene: Scene, receivers: list[int]) -> list[int]:
-    """Rows of the channels of some receivers of a scene."""
-    counts = [len(receiver.directivity.channels) for receiver in scene.receivers]
-    return [sum(counts[:r]) + channel for r in receivers for channel in range(counts[r])]
 
 
 def _sounds(scene: Scene, receivers: list[int]) -> list[tuple[str, int]]:
@@ -145,3 +138,79 @@ def _read(sounds: list[tuple[Path, int]], carrier: float | None) -> tuple[NDArra
         return samples, float(soundfile.info(os.fsencode(sounds[0][0])).samplerate)
     except (OSError, ValueError, soundfile.LibsndfileError) as error:
         raise InputError("folder", f"must hold the sound that was written, but {error}") from error
+
+
+def open_store(path: str | os.PathLike[str]) -> Any:
+    """Open a recording that ``clsim run --store zarr`` or ``hdf5`` wrote.
+
+    Parameters
+    ----------
+    path : path-like
+        ``recording.zarr`` or ``recording.h5``, or the folder that holds one of them.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``sound`` (receiver, time), float32, or complex64 in baseband, read only where it is used; coordinates
+        ``receiver``, ``unit``, ``position`` (receiver, axis) at 0 s, m, and ``time``, s, by the receivers'
+        clocks; attributes
+        ``sampling_rate`` (Hz), ``carrier`` (Hz, in baseband), ``scene`` (the completed scene file), ``clsim_version``.
+
+    Raises
+    ------
+    InputError
+        If there is no store, or one of another format, a chunk of it is missing, or a package is.
+
+    Notes
+    -----
+    ``xarray.open_zarr`` and ``xarray.open_dataset(engine="h5netcdf")`` open the same stores, without ``time`` (which
+    would take twice the space of the sound): it is ``numpy.arange(samples) / sampling_rate``. Sound is read when it is
+    used: a damaged chunk of it raises an error of the package that unpacks it then, and in `load_recording` an
+    InputError.
+    """
+    path = Path(path)
+    inside = [path / "recording.zarr", path / "recording.h5"]
+    if not (path / "zarr.json").exists() and path.is_dir():
+        path = next((p for p in inside if p.exists()), path)
+    kind = "hdf5" if path.suffix == ".h5" else "zarr"
+    check_packages("path", kind, "store", *STORES[kind].packages)
+    import xarray
+
+    try:
+        if kind == "hdf5":
+            check_attributes(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # metadata that are not gathered are only slower
+            found = xarray.open_dataset(path, engine="h5netcdf") if kind == "hdf5" else xarray.open_zarr(path)
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:  # and what unpacks a damaged chunk
+        raise InputError("path", f"must be a store of clsim, but {path} is none: {error}") from error
+    try:
+        check_format(found.attrs, path)
+        _check_chunks(kind, path)
+    except InputError:
+        found.close()
+        raise
+    return with_times(found, found.attrs["sampling_rate"])
+
+
+def _check_chunks(kind: str, path: Path) -> None:
+    """Raise an InputError if chunks are missing, for which packages would read zeros."""
+    try:
+        missing = missing_chunks(path) if kind == "hdf5" else len(arrays_with_missing_chunks(path))
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
+        raise InputError("path", f"must be a store of clsim, but {path} cannot be read: {error}") from error
+    if missing:
+        raise InputError("path", f"must hold what was written, but chunks of {path} are missing")
+
+
+def check_format(attributes: Any, path: Path) -> None:
+    """Raise an InputError if a store is none of clsim's, or of another format."""
+    version = attributes.get("clsim_store_format")
+    if version is None:
+        raise InputError("path", f"must be a store of clsim, but {path} does not say so")
+    if version != STORE_FORMAT:
+        raise InputError(
+            "path",
+            f"must be a store of format {STORE_FORMAT}, but {path} has format {version} "
+            f"(clsim {attributes.get('clsim_version', 'unknown')} wrote it)",
+        )

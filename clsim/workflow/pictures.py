@@ -60,14 +60,8 @@ def draw_pictures(
                 if wanted not in missing:
                     continue
                 try:
-                    _draw(
-                        kind,
-                        planned,
-                        times,
-                        store.row(results.folder, int(planned.plan.first_rows[r])),
-                        r,
-                        results.work / wanted,
-                    )
+                    sound = store.row(results.folder, int(planned.plan.first_rows[r]))
+                    _draw(kind, planned, times, sound, r, results.work / wanted)
                 except Exception as error:  # of whatever draws: the sound is there
                     problem = " ".join(str(error).split())[:300] or type(error).__name__
                     warn(f"{wanted} could not be drawn: {problem}")

@@ -19,6 +19,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +42,7 @@ _busy = threading.Lock()  # a process does one piece at a time: engines are not 
 
 def versions() -> dict[str, str]:
     """Return the versions of packages that samples depend on."""
-    import scipy
-
-    return {"clsim": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
+    return {"clsim": __version__, "numpy": np.__version__, "scipy": version("scipy")}
 
 
 def device_of(plan: Plan) -> str:
@@ -56,18 +55,12 @@ def device_of(plan: Plan) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Some chunks of a run.
-
-    Attributes
-    ----------
-    shared : str or None
-        Name of what they and others are made of alike, which is all that is to be made; None for all else.
-    """
+    """Some chunks of a run."""
 
     first: int  # samples, the last one not among them
     last: int  # likewise
     receivers: range | None = None  # rows whose ends are to take the pressure; None for the pressure itself
-    shared: str | None = None
+    shared: str | None = None  # name of what they and others are made of alike, the only thing to make then
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,8 +187,11 @@ class _Site:
 
     def do(self, piece: Piece, state: State) -> State:
         """Do a piece; return the state for the next one."""
-        if piece.shared is not None:
-            self._make(piece.shared)
+        if piece.shared is not None:  # an intermediate result that several pieces use
+            made = self._whole().made(piece.shared)
+            self._check_on()
+            with atomic_path(self._file.shared(piece.shared)) as path:
+                np.save(path, made)
             return {}
         store = self.handed.store
         store.open()
@@ -223,13 +219,6 @@ class _Site:
                     self._write(start, ReceiverChain(self._plan, block)(start, here), block)
         whole.warn()
         return whole.state()
-
-    def _make(self, name: str) -> None:
-        """Compute an intermediate result that several pieces use."""
-        made = self._whole().made(name)
-        self._check_on()
-        with atomic_path(self._file.shared(name)) as path:
-            np.save(path, made)
 
     def _whole(self) -> PressureSum:
         """Return the sum of all contributions, which read the intermediate results of others."""

@@ -33,8 +33,8 @@ from clsim.files.atomic import (
     temporary_path,
     to_disk,
 )
-from clsim.files.names import file_names
-from clsim.output.record import RECORD, Fingerprint, Record, fingerprint, load_record, save_record
+from clsim.files.input_files import file_names
+from clsim.output.record import RECORD, Record, fingerprint, load_record, save_record
 from clsim.output.stores import store_kinds
 from clsim.scene_file.scene import SceneFile
 
@@ -138,17 +138,7 @@ def _in_words(value: Any) -> str:
 
 
 class ResultFolder:
-    """The folder of one run, whose possible files are known beforehand.
-
-    resume, force: whether to go on with what is there, or to put something else in its place; not both.
-
-    Attributes
-    ----------
-    folder, work : Path
-        The folder, and that of what is not whole yet.
-    journal : Journal
-        Journal of the sound that is being rendered.
-    """
+    """The folder of one run, whose possible files are known beforehand; `work` holds what is not whole yet."""
 
     def __init__(
         self, folder: Path, names: Sequence[str], inputs: Sequence[Path], *, resume: bool, force: bool
@@ -215,22 +205,23 @@ class ResultFolder:
             if name not in old.names():
                 self._refuse(self.folder / name)
         before = tuple((n, old.files[n]) for n in names if n in old.files)
-        fresh = {n: mark for n in names if (mark := self._fixed(n)) is not None}
+        for name in names:
+            if (self.work / name).is_file():  # sound is flushed already
+                to_disk(self.work / name)
+        fresh = {n: mark for n in names if (mark := fingerprint(self.work / n)) is not None}
         files = dict(sorted((old.files | fresh).items()))
         self._save(Record(self._identity, False, files, (*old.replaced, *before)))
         for name in names:
             self._make_room(name)
             (self.work / name).replace(self.folder / name)
         to_disk(self.folder)
-        self._save(Record(self._identity, finished, files, self._still_replaced(finished)))
+        left = [(name, mark) for name, mark in self._record.replaced if name not in self._record.files]
+        for name, mark in left:  # earlier results that this run does not make
+            if (finished or name not in self._names) and fingerprint(self.folder / name) == mark:
+                self._set_aside(name)
+        kept = () if finished else tuple((name, mark) for name, mark in left if name in self._names)
+        self._save(Record(self._identity, finished, files, kept))
         return [self.folder / name for name in names]
-
-    def _fixed(self, name: str) -> Fingerprint | None:
-        """Return the fingerprint of a finished result, once it is on the disk; sound is flushed already."""
-        path = self.work / name
-        if path.is_file():
-            to_disk(path)
-        return fingerprint(path)
 
     def _save(self, record: Record) -> None:
         self._record = record
@@ -251,14 +242,6 @@ class ResultFolder:
             kept, number = target.with_name(f"{name}.changed-{number}"), number + 1
         target.rename(kept)
         warn(f"{target} was changed since it was written: it is kept as {kept.name}")
-
-    def _still_replaced(self, finished: bool) -> tuple[tuple[str, Fingerprint], ...]:
-        """Take earlier results out of the folder that this run does not make; return those that it will yet make."""
-        left = [(name, mark) for name, mark in self._record.replaced if name not in self._record.files]
-        for name, mark in left:
-            if (finished or name not in self._names) and fingerprint(self.folder / name) == mark:
-                self._set_aside(name)
-        return () if finished else tuple((name, mark) for name, mark in left if name in self._names)
 
     def _set_aside(self, name: str) -> None:
         """Take one of our results out of the folder at once, however many files it has, to be deleted."""
@@ -282,22 +265,17 @@ class ResultFolder:
         mine = self._record.names()
         refuse_inputs([self.folder / name for name in {*self._names, *mine, RECORD}], self._inputs)
         if not (self._resume or self._force):
-            self._refuse_results()
+            if self.journal.exists() or (mine and not self._record.finished):
+                where = self.work if self.journal.exists() else self.folder
+                choice = "(--resume goes on, --force begins anew)"
+                raise InputError("--output", f"must hold no unfinished run, but {where} is one {choice}")
+            if mine:
+                listed = self.folder / RECORD
+                raise InputError("--output", f"must hold no results yet, but {listed} lists some (--force writes over)")
         for name in self._names:
             if name not in mine:
                 self._refuse(self.folder / name)
         remove_leftovers(self.folder)
-
-    def _refuse_results(self) -> None:
-        """Raise if a folder holds results and neither --resume nor --force is given."""
-        unfinished = self._record.names() and not self._record.finished
-        if self.journal.exists() or unfinished:
-            where = self.work if self.journal.exists() else self.folder
-            choice = "(--resume goes on, --force begins anew)"
-            raise InputError("--output", f"must hold no unfinished run, but {where} is one {choice}")
-        if self._record.names():
-            listed = self.folder / RECORD
-            raise InputError("--output", f"must hold no results yet, but {listed} lists some (--force writes over)")
 
     def _check_work(self) -> None:
         known = {_LOCK, *self._contents()}

@@ -38,7 +38,7 @@ from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
 from clsim.render.tilt import Stretches
-from clsim.sensitivity.moments import MomentEngine
+from clsim.sensitivity.adjoint import MomentEngine
 from clsim.tail.device_rays import GROUP, DeviceRays
 from clsim.tail.streams import NODE, Between, Motion
 

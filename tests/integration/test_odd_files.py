@@ -11,7 +11,7 @@ from made_results import SCENE, TONE, run, write_scene
 
 from clsim.cli import main
 from clsim.files.atomic import remove_leftovers, temporary_path
-from clsim.files.names import file_names
+from clsim.files.input_files import file_names
 from clsim.output.record import fingerprint
 
 

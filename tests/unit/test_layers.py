@@ -19,7 +19,7 @@ import clsim
 PACKAGE = Path(clsim.__file__).parent
 ROOT = PACKAGE.parent
 LAYERS = [
-    ("errors", "arrays", "keywords", "packages", "plugins", "process", "version"),
+    ("errors", "arrays", "keywords", "plugins", "process", "version"),
     ("files", "numerics"),
     ("pictures",),
     ("acoustics",),
@@ -192,7 +192,7 @@ def test_help_loads_no_command() -> None:
         "clsim.errors",
         "clsim.cli",
         "clsim.files",
-        "clsim.files.names",
+        "clsim.files.input_files",
         "clsim.workflow",
         "clsim.workflow.console",
         "clsim.commands",

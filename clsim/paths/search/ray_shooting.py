@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, unique_rows
+from clsim.errors import check_packages
 from clsim.numerics.sphere import fibonacci_sphere
-from clsim.packages import check_packages
 from clsim.paths.search.beam_tree import Candidates, FoundPaths
 from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.visibility.clearance import blocks, segments_apart, unfold

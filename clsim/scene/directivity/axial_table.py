@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_rising, settle, warn
 from clsim.scene.directivity.directivity import (
     AxisymmetricDirectivity,
     as_frequencies,
@@ -143,11 +143,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
         check_options(self.outside, self.relative_to_axis, self.name)
         frequencies = as_frequencies(self.frequencies)
         angles = as_floats("angles_degrees", self.angles_degrees, (None,))
-        for i in np.flatnonzero(np.diff(angles) <= _SAME_ANGLE)[:1]:
-            raise InputError(
-                "angles_degrees",
-                f"must increase strictly, but [{i + 1}] = {angles[i + 1]:g}° follows [{i}] = {angles[i]:g}°",
-            )
+        check_rising("angles_degrees", angles, np.diff(angles) > _SAME_ANGLE, "°")
         overhanging = overhangs(angles)
         if not overhanging and (angles[0] < -180.0 - _SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE):
             raise InputError(
@@ -171,9 +167,8 @@ class AxialDirectivity(AxisymmetricDirectivity):
             cosine = np.cos(np.radians(angles))[:, None]
             pairs = np.arange(len(angles) - 1)[:, None] + np.array([0, 1])
             delay = fit_delay(cosine, frequencies, values, pairs)
-        kept = (angles, frequencies, values, delay)
-        for name, array in zip(("angles_degrees", "frequencies", "values", "delay"), kept, strict=True):
-            object.__setattr__(self, name, read_only(array))
+        kept = {"angles_degrees": angles, "frequencies": frequencies, "values": values, "delay": delay}
+        settle(self, **{name: read_only(array) for name, array in kept.items()})
 
     @property
     def is_complex(self) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_choice, as_floats
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind, check_rising
 
 _SAME_FREQUENCY = 1e-9  # of an end of a band
 _SILENT = 1e-12  # of the loudest direction
@@ -22,10 +22,8 @@ def check_options(outside: Any, relative_to_axis: Any, name: Any) -> None:
     """Raise an InputError if an option that all tables share is invalid."""
     if outside is not None:
         as_choice("outside", outside, ("hold",))
-    if not isinstance(relative_to_axis, bool | np.bool_):
-        raise InputError("relative_to_axis", f"must be true or false, but is {relative_to_axis!r:.80}")
-    if not isinstance(name, str):
-        raise InputError("name", f"must be a text, but is {name!r:.80}")
+    check_kind("relative_to_axis", relative_to_axis, bool | np.bool_, "true or false")
+    check_kind("name", name, str, "a text")
 
 
 def as_frequencies(frequencies: ArrayLike) -> Floats:
@@ -33,10 +31,7 @@ def as_frequencies(frequencies: ArrayLike) -> Floats:
     f = as_floats("frequencies", frequencies, (None,))
     if f[0] < 0.0:
         raise InputError("frequencies[0]", f"must be at least 0 Hz, but is {f[0]:g} Hz")
-    for i in np.flatnonzero(np.diff(f) <= 0.0)[:1]:
-        raise InputError(
-            "frequencies", f"must increase strictly, but [{i + 1}] = {f[i + 1]:g} Hz follows [{i}] = {f[i]:g} Hz"
-        )
+    check_rising("frequencies", f, np.diff(f) > 0.0, " Hz")
     return f
 
 
@@ -51,6 +46,15 @@ def as_gains(values: Any, shape: tuple[int, int], layout: str) -> NDArray[Any]:
         hint = "; transpose them" if parts[0].shape == shape[::-1] else ""
         raise InputError("values", f"must be {layout}, {shape[0]} x {shape[1]}, but are {rows} x {columns}{hint}")
     return parts[0] if len(parts) == 1 else parts[0] + 1j * parts[1]
+
+
+def unit_directions(value: Any) -> Floats:
+    """Return directions (n, 3) of any length as unit vectors."""
+    given = as_floats("directions", value, (None, 3))
+    length = np.linalg.norm(given, axis=1)
+    for i in np.flatnonzero(length <= 0.0)[:1]:
+        raise InputError(f"directions[{i}]", "must have a length above 0, but is 0")
+    return np.asarray(given / length[:, None])
 
 
 def check_level(values: NDArray[Any], unit: str) -> None:
@@ -91,10 +95,9 @@ def check_coverage(f: Floats, band: tuple[float, float]) -> None:
 
 
 def joined_over_frequency(frequencies: Floats, values: NDArray[Any], at: Floats, *, monotone: bool = False) -> Any:
-    """Return values (n, f) at other frequencies (u,), those beyond the ends as at the ends, (n, u).
-
-    Sound has no phase at 0 Hz: below half of the lowest frequency, imaginary parts fall to nothing as a raised cosine.
-    """
+    """Return values (n, f) at other frequencies (u,), those beyond the ends as at the ends, (n, u)."""
+    # Sound has no phase at 0 Hz: below half of the lowest frequency, imaginary parts fall to nothing as a raised
+    # cosine.
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
     within = np.clip(at, frequencies[0], frequencies[-1])

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.sphere import sphere_surface_field
 from clsim.arrays import Complexes, Floats, as_floats, as_number, read_only, short_repr
-from clsim.errors import InputError
+from clsim.errors import InputError, settle
 from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.convolution import advanced, arrival_times
 from clsim.numerics.sphere import RadialOnSphere, fibonacci_sphere, largest_hole, merged, real_harmonics
-from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage
-from clsim.scene.directivity.sofa_files import read_hrtf
+from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage, unit_directions
+from clsim.scene.directivity.text_files import read_hrtf
 
 EARS = ("left", "right")
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
@@ -78,15 +78,12 @@ class HeadRelated(ChannelDirectivity):
 
     def __post_init__(self) -> None:
         rate = as_number("sampling_rate", self.sampling_rate, at_least=1000.0, at_most=10e6, unit="Hz")
-        given = as_floats("directions", self.directions, (None, 3))
-        responses = as_floats("responses", self.responses, (len(given), 2, None))
-        length = np.linalg.norm(given, axis=1)
-        for i in np.flatnonzero(length <= 0.0)[:1]:
-            raise InputError(f"directions[{i}]", "must have a length above 0, but is 0")
+        directions = unit_directions(self.directions)
+        responses = as_floats("responses", self.responses, (len(directions), 2, None))
         count = responses.shape[2]
         if count > _LONGEST:
             raise InputError("responses", f"must be at most {_LONGEST} samples long, but are {count}")
-        directions, flat = merged(given / length[:, None], responses.reshape(len(given), -1))
+        directions, flat = merged(directions, responses.reshape(len(directions), -1))
         responses = flat.reshape(len(directions), 2, count)
         for i in np.flatnonzero(np.any(np.all(responses == 0.0, axis=2), axis=1))[:1]:
             raise InputError(f"responses[{i}]", "must not be silent at an ear")
@@ -100,10 +97,9 @@ class HeadRelated(ChannelDirectivity):
         beside = _gaps(directions)
         with with_blas_threads(1):  # as many in each process, for the same bits
             weights, components = _components(np.concatenate([aligned, _coarse(directions, aligned, beside)]))
-        kept = read_only(weights), read_only(components.reshape(len(components), 2, -1))
-        values = {"directions": read_only(directions), "responses": read_only(responses), "sampling_rate": rate}
-        for key, value in (values | {"parts": kept, "beside": read_only(beside), "times": read_only(times)}).items():
-            object.__setattr__(self, key, value)
+        kept = {"directions": directions, "responses": responses, "beside": beside, "times": times}
+        settle(self, sampling_rate=rate, **{name: read_only(array) for name, array in kept.items()})
+        settle(self, parts=(read_only(weights), read_only(components.reshape(len(components), 2, -1))))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -197,9 +193,8 @@ class SphericalHead(ChannelDirectivity):
     ear_azimuth: float = 100.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", as_number("radius", self.radius, at_least=1e-4, at_most=1.0, unit="m"))
-        azimuth = as_number("ear_azimuth", self.ear_azimuth, at_least=0.0, at_most=180.0)
-        object.__setattr__(self, "ear_azimuth", azimuth)
+        settle(self, radius=as_number("radius", self.radius, at_least=1e-4, at_most=1.0, unit="m"))
+        settle(self, ear_azimuth=as_number("ear_azimuth", self.ear_azimuth, at_least=0.0, at_most=180.0))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -240,13 +235,6 @@ class SphericalHead(ChannelDirectivity):
         return np.asarray(np.clip(np.asarray(direction) @ ears.T, -1.0, 1.0))
 
 
-def _woodworth() -> Floats:
-    """Return the polynomial of the cosine that is nearest to Woodworth's lateness, in radii over the speed of sound."""
-    cosine = np.cos(np.linspace(0.0, math.pi, 181))
-    late = np.where(cosine > 0.0, -cosine, np.arcsin(-np.minimum(cosine, 0.0)))
-    return np.asarray(np.polynomial.polynomial.polyfit(cosine, late, _DEGREE), dtype=np.float64)
-
-
 @lru_cache(maxsize=32)
 def _aligned_terms(radius: float, frequencies: bytes, speed_of_sound: float) -> Complexes:
     """Chebyshev coefficients (N, F) over the cosine of incidence of a sphere's gains, their lateness taken out."""
@@ -274,7 +262,14 @@ def _components(aligned: Floats) -> tuple[Floats, Floats]:
     return np.asarray(first), np.asarray(second)
 
 
-_WOODWORTH = _woodworth()
+# The polynomial of the cosine that is nearest to Woodworth's lateness, in radii over the speed of sound.
+_COSINE = np.cos(np.linspace(0.0, math.pi, 181))
+_WOODWORTH = np.asarray(
+    np.polynomial.polynomial.polyfit(
+        _COSINE, np.where(_COSINE > 0.0, -_COSINE, np.arcsin(-np.minimum(_COSINE, 0.0))), _DEGREE
+    ),
+    dtype=np.float64,
+)
 
 
 @lru_cache(maxsize=8)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import first_order_gain, piston_gain
 from clsim.arrays import Floats, as_choice, as_count, as_number
-from clsim.errors import InputError
+from clsim.errors import InputError, settle
 from clsim.numerics.sphere import real_harmonics
 from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, ChannelDirectivity, name_directivity
@@ -44,7 +44,7 @@ class Ambisonic(ChannelDirectivity):
 
     def __post_init__(self) -> None:
         as_choice("normalization", self.normalization, NORMALIZATIONS)
-        object.__setattr__(self, "order", as_count("order", self.order, at_least=0, at_most=HIGHEST))
+        settle(self, order=as_count("order", self.order, at_least=0, at_most=HIGHEST))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -119,7 +119,7 @@ class FirstOrder(AxisymmetricDirectivity):
     weight: float = 0.5
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weight", as_number("weight", self.weight, at_least=0.0, at_most=1.0))
+        settle(self, weight=as_number("weight", self.weight, at_least=0.0, at_most=1.0))
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return the gain, the same at every frequency; see `AxisymmetricDirectivity.gain`."""
@@ -149,30 +149,23 @@ class Piston(AxisymmetricDirectivity):
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", _checked_radius(self.radius))
+        radius = as_number("radius", self.radius, at_least=1e-6, unit="m")
+        if radius > _LARGEST_RADIUS:
+            raise InputError(
+                "radius",
+                f"must be at most {_LARGEST_RADIUS:g} m, but is {radius:g} m; lengths are in metres: "
+                f"{radius:g} mm are {1e-3 * radius:g} m",
+            )
+        settle(self, radius=radius)
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:
         """Return the gain; see `AxisymmetricDirectivity.gain`."""
         return piston_gain(cosine, frequency, self.radius, speed_of_sound)
 
 
-def _checked_radius(radius: float) -> float:
-    """Return the radius of a piston, m; what is larger than a metre was given in millimetres."""
-    radius = as_number("radius", radius, at_least=1e-6, unit="m")
-    if radius > _LARGEST_RADIUS:
-        raise InputError(
-            "radius",
-            f"must be at most {_LARGEST_RADIUS:g} m, but is {radius:g} m; lengths are in metres: "
-            f"{radius:g} mm are {1e-3 * radius:g} m",
-        )
-    return radius
-
-
 def _nicera(outside: str | None) -> AxialDirectivity:
-    levels = _NICERA_DB[:, None]
-    return AxialDirectivity.from_db(
-        _NICERA_ANGLES, [_NICERA_FREQUENCY], levels, rear="hold", outside=outside, name="T4010A1"
-    )
+    table = _NICERA_ANGLES, [_NICERA_FREQUENCY], _NICERA_DB[:, None]
+    return AxialDirectivity.from_db(*table, rear="hold", outside=outside, name="T4010A1")
 
 
 name_directivity("MA40S4S", lambda outside: Piston(_MURATA_RADIUS))

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import fit_delay
-from clsim.arrays import Floats, as_count, as_floats, read_only, short_repr
-from clsim.errors import InputError
+from clsim.arrays import Floats, as_count, read_only, short_repr
+from clsim.errors import InputError, settle
 from clsim.numerics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere
 from clsim.scene.directivity.directivity import (
     Directivity,
@@ -25,8 +25,9 @@ from clsim.scene.directivity.directivity import (
     joined_over_frequency,
     over_axis,
     table_band,
+    unit_directions,
 )
-from clsim.scene.directivity.sofa_files import axes_of, cartesian, opened_sofa, sampling_rate_of
+from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, sampling_rate_of
 
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
 _MOST_SCATTERED = 4000  # directions off a grid, whose equations take 0.2 GB and two seconds
@@ -87,13 +88,10 @@ class SphericalDirectivity(Directivity):
     def __post_init__(self) -> None:
         check_options(self.outside, self.relative_to_axis, self.name)
         frequencies = as_frequencies(self.frequencies)
-        given = as_floats("directions", self.directions, (None, 3))
-        length = np.linalg.norm(given, axis=1)
-        for i in np.flatnonzero(length <= 0.0)[:1]:
-            raise InputError(f"directions[{i}]", "must have a length above 0, but is 0")
-        values = as_gains(self.values, (len(given), len(frequencies)), "directions by frequencies")
+        directions = unit_directions(self.directions)
+        values = as_gains(self.values, (len(directions), len(frequencies)), "directions by frequencies")
         check_level(values, "")
-        directions, values = merged(given / length[:, None], values)
+        directions, values = merged(directions, values)
         hole = largest_hole(directions)
         if hole > _LARGEST_HOLE:
             raise InputError(
@@ -113,9 +111,8 @@ class SphericalDirectivity(Directivity):
         delay = np.zeros(4)
         if np.iscomplexobj(values):
             delay = fit_delay(directions, frequencies, values, neighbours_on_sphere(directions))
-        kept = (directions, frequencies, values, delay)
-        for name, array in zip(("directions", "frequencies", "values", "delay"), kept, strict=True):
-            object.__setattr__(self, name, read_only(array))
+        kept = {"directions": directions, "frequencies": frequencies, "values": values, "delay": delay}
+        settle(self, **{name: read_only(array) for name, array in kept.items()})
 
     @property
     def is_complex(self) -> bool:

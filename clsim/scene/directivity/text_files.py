@@ -1,8 +1,9 @@
-"""Angles, frequencies and values from text, NumPy and MATLAB files."""
+"""Tables of directivities and head-related responses from text, NumPy, MATLAB and SOFA (AES69) files."""
 
 from __future__ import annotations
 
 import io
+import math
 import os
 import subprocess
 import sys
@@ -10,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from clsim.arrays import Floats, as_choice
-from clsim.errors import InputError, not_one_of
+from clsim.errors import InputError, check_packages, not_one_of
 from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, check_file, open_file, read_file
 from clsim.scene.directivity.mat_process import VERSION_73
 
@@ -113,11 +115,9 @@ def as_table(arrays: tuple[Any, Any, Any], angle_unit: str) -> tuple[Any, Any, A
 
 @lru_cache(maxsize=4)
 def _mat_variables(path: Path, stamp: tuple[int, ...], names: tuple[str, ...], variable: str) -> dict[str, Any]:
-    """Return content of a MATLAB file, read by `mat_process`.
-
-    Another process reads it, because SciPy can end the one in which it meets a broken file. `stamp` makes a file that
-    is another one now be read again.
-    """
+    """Return content of a MATLAB file, read by `mat_process`."""
+    # Another process reads it, because SciPy can end the one in which it meets a broken file. `stamp` makes a file that
+    # is another one now be read again.
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
     }  # fmt: skip
@@ -162,3 +162,198 @@ def _picked(
             raise InputError(what, _must_be_one_of(there, name, path) + hint)
     angles, frequencies, values = (np.asarray(file[name]) for name in names)
     return angles, frequencies, values
+
+
+_HEAD_CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "SimpleFreeFieldHRTF", "FreeFieldHRTF")
+_EVEN = 1e-6  # by which steps between frequencies may differ
+_MOST_DELAY = 1.0  # s
+
+
+def read_hrtf(path: Path) -> tuple[Floats, Floats, float]:
+    """Return directions (n, 3) in the head's frame, responses (n, 2, m) of both ears and their rate, Hz."""
+    sofa = opened_sofa(path)
+    try:
+        return _read_responses(sofa)
+    except (AttributeError, ValueError, TypeError, IndexError, KeyError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("path", f"must be a whole SOFA file, but {error}") from error
+
+
+def _read_responses(sofa: Any) -> tuple[Floats, Floats, float]:
+    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
+    if convention not in _HEAD_CONVENTIONS:
+        raise InputError(
+            "path", f"must be of the convention {', '.join(_HEAD_CONVENTIONS)}, but is of {convention!r:.80}"
+        )
+    responses, rate = _impulses(sofa) if "IR" in convention else _transformed(sofa)  # (M, 2, n, E)
+    measurements, emitters = responses.shape[0], responses.shape[3]
+    # A single emitter is what its source is, whatever type the convention gives by default.
+    if emitters > 1 and str(getattr(sofa, "EmitterPosition_Type", "cartesian")) == "spherical harmonics":
+        raise InputError("path", "must hold responses by direction, but holds spherical harmonics")
+    directions = np.concatenate([_directions(sofa, m, emitters) for m in range(measurements)])
+    return directions, _left_first(directions, np.moveaxis(responses, 3, 1).reshape(len(directions), 2, -1)), rate
+
+
+def _impulses(sofa: Any) -> tuple[Floats, float]:
+    """Return impulse responses (M, R, n, E), delays included, and their rate, Hz."""
+    samples, rate = _filled(sofa.Data_IR, 4), sampling_rate_of(sofa)
+    late = _filled(getattr(sofa, "Data_Delay", np.zeros((1, 2))), 3, ears=1)
+    if late.shape[0] not in (1, samples.shape[0]) or late.shape[2] not in (1, samples.shape[3]):
+        raise InputError("path", f"must have a delay per measurement or per ear, but has {late.shape[0]}")
+    late = np.broadcast_to(late, (*samples.shape[:2], samples.shape[3]))
+    if not np.any(late):
+        return samples, rate
+    if not 0.0 <= late.min() <= late.max() <= _MOST_DELAY * rate:
+        raise InputError(
+            "path",
+            f"must have delays of 0 to {_MOST_DELAY:g} s, but has {late.min() / rate:.3g} to {late.max() / rate:.3g} s",
+        )
+    size = samples.shape[2] + 2 * int(np.ceil(late.max())) + 64
+    turn = np.exp(-2j * np.pi * late[:, :, None] * np.fft.rfftfreq(size)[:, None])
+    return np.fft.irfft(np.fft.rfft(samples, size, axis=2) * turn, size, axis=2), rate
+
+
+def _transformed(sofa: Any) -> tuple[Floats, float]:
+    """Return impulse responses (M, R, n, E) of transfer functions at multiples of a frequency, and their rate, Hz."""
+    frequencies = np.atleast_1d(np.asarray(sofa.N, dtype=np.float64))
+    values = _filled(sofa.Data_Real, 4) + 1j * _filled(sofa.Data_Imag, 4)
+    if values.shape[2] != len(frequencies):
+        values = np.moveaxis(values, -1, 2)  # as AES69 orders it: measurements, receivers, emitters, frequencies
+    step = frequencies[-1] / (len(frequencies) - 1 + int(frequencies[0] > 0.0))
+    if len(frequencies) < 8 or np.abs(np.diff(frequencies, prepend=frequencies[0] - step) - step).max() > _EVEN * step:
+        raise InputError("path", "must hold at least 8 evenly spaced frequencies from 0 Hz or the first step on")
+    if frequencies[0] > 0.0:  # what head-related responses are at 0 Hz is real
+        values = np.concatenate([np.abs(values[:, :, :1]), values], axis=2)
+    return np.fft.irfft(values, axis=2), float(2.0 * frequencies[-1])
+
+
+def _filled(data: Floats, axes: int, ears: int = 2) -> Floats:
+    """Give finite data (M, R, ...) so many axes, of which files may leave out the last."""
+    array: Any = data.reshape(data.shape + (1,) * (axes - data.ndim))
+    if array.ndim != axes or 0 in array.shape or array.shape[1] not in (2, ears):
+        raise InputError("path", f"must have responses of two ears in {axes} axes, but has the shape {data.shape}")
+    if not np.isfinite(array).all():
+        raise InputError("path", "must hold finite real numbers, but does not")
+    return np.asarray(array)
+
+
+def _directions(sofa: Any, measurement: int, emitters: int) -> Floats:
+    """Return unit vectors (E, 3) from the listener to the emitters, in the listener's frame."""
+    source, listener = (cartesian(sofa, f"{end}Position", measurement)[0] for end in ("Source", "Listener"))
+    apart = source - listener
+    if emitters > 1:
+        apart = apart + cartesian(sofa, "EmitterPosition", measurement)[:emitters] @ axes_of(
+            sofa, "Source", measurement
+        )
+    apart = np.atleast_2d(apart) @ axes_of(sofa, "Listener", measurement).T
+    distance = np.linalg.norm(apart, axis=1)
+    if len(apart) != emitters or not distance.min() > 0.0:
+        raise InputError("path", "must have every source away from the listener, but has not")
+    return np.asarray(apart / distance[:, None])
+
+
+def _left_first(directions: Floats, responses: Floats) -> Floats:
+    """Return responses (n, 2, m) with the ear first that is louder for sound from the left."""
+    # Positions of receivers do not tell: files of early versions have them the wrong way round.
+    side = directions[:, 1] @ np.sum(responses**2, axis=2)
+    return responses if side[0] >= side[1] else responses[:, ::-1]
+
+
+_MOST_UNPACKED = 2**29  # bytes
+
+
+class SofaFields(SimpleNamespace):
+    """Numbers and attributes of a SOFA file by name, with underscores for dots: `Data_IR`, `GLOBAL_DataType`."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Refuse a field that the file lacks."""
+        raise AttributeError(f"{name.replace('_', '.')} is missing")
+
+
+def opened_sofa(path: Path) -> SofaFields:
+    """Read a SOFA file of any convention and version, for sofar reads those that it knows only."""
+    if path.suffix != ".sofa":
+        raise InputError("path", f"must end in .sofa, but is {path}")
+    try:
+        check_file(path, LARGEST_BINARY)
+    except OSError as error:
+        raise InputError("path", f"cannot be read: {path}: {error.strerror or error}") from error
+    check_packages("path", f"reading {path}", "sofa", "netCDF4")
+    from netCDF4 import Dataset
+
+    try:
+        with Dataset(path) as file:
+            return _read_fields(path, file)
+    except InputError:
+        raise
+    except (OSError, RuntimeError, ValueError, KeyError, AttributeError) as error:
+        raise InputError("path", f"must be a SOFA file, but cannot be read as one: {path}: {error}") from error
+
+
+def _read_fields(path: Path, file: Any) -> SofaFields:
+    """Read attributes and variables within a bound; NaN for what is no real number, where netCDF can crash."""
+    size = 8 * sum(math.prod(map(float, variable.shape)) for variable in file.variables.values())
+    if size > _MOST_UNPACKED:
+        raise InputError(
+            "path", f"must unpack to at most {_MOST_UNPACKED / 2**20:g} MiB, but to {size / 2**20:.4g} MiB: {path}"
+        )
+    fields = SofaFields(**{f"GLOBAL_{name}": file.getncattr(name) for name in file.ncattrs()})
+    for name, variable in file.variables.items():
+        field = name.replace(".", "_")
+        real = isinstance(variable.dtype, np.dtype) and variable.dtype.kind in "fiu"
+        values = variable[...] if real else np.full(variable.shape, np.nan)
+        setattr(fields, field, np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan))
+        for attribute in variable.ncattrs():
+            setattr(fields, f"{field}_{attribute}", variable.getncattr(attribute))
+    return fields
+
+
+def sampling_rate_of(sofa: SofaFields) -> float:
+    """Return the sampling rate of all measurements of impulse responses, Hz."""
+    rates = np.unique(np.ravel(sofa.Data_SamplingRate))
+    if len(rates) != 1 or not rates[0] > 0.0:
+        raise InputError("path", f"must have one sampling rate above 0 Hz, but has {rates.tolist()!s:.80}")
+    unit = getattr(sofa, "Data_SamplingRate_Units", "hertz")
+    if str(unit).lower() not in ("hertz", "hz"):
+        raise InputError("path", f"must have its sampling rate in hertz, but it is in {unit!r:.80}")
+    return float(rates[0])
+
+
+def axes_of(sofa: SofaFields, what: str, measurement: int) -> Floats:
+    """Return the unit vectors front, left and up as the rows of (3, 3)."""
+    if not hasattr(sofa, f"{what}View"):
+        return np.eye(3)
+    view = cartesian(sofa, f"{what}View", measurement)[0]
+    up = cartesian(sofa, f"{what}Up", measurement)[0] if hasattr(sofa, f"{what}Up") else np.array([0.0, 0.0, 1.0])
+    left = np.cross(up, view)
+    if not np.linalg.norm(left) > 1e-9 * np.linalg.norm(up) * np.linalg.norm(view):
+        raise InputError("path", f"must have {what}View and {what}Up in different directions, but has {view} and {up}")
+    axes = np.array([view, left, np.cross(view, left)])
+    return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+
+def cartesian(sofa: SofaFields, name: str, measurement: int) -> Floats:
+    """Return positions or directions (k, 3) of one measurement, m, from a field (1 or M or R, 3) or (R, 3, M)."""
+    given = getattr(sofa, name)
+    if given.ndim == 3:
+        given = given[:, :, measurement if given.shape[2] > 1 else 0]
+    given = np.atleast_2d(given)
+    if 0 not in given.shape and name not in ("ReceiverPosition", "EmitterPosition"):
+        given = given[[measurement if len(given) > 1 else 0]]
+    if given.shape[1:] != (3,) or 0 in given.shape or not np.isfinite(given).all():
+        raise InputError(
+            "path", f"must have three finite numbers in each row of {name}, but has {given.tolist()!s:.80}"
+        )
+    # An Up vector is of its View's type.
+    kind = getattr(sofa, f"{name}_Type", getattr(sofa, f"{name.removesuffix('Up')}View_Type", "cartesian"))
+    if kind == "cartesian":
+        return np.asarray(given)
+    if kind != "spherical":
+        raise InputError("path", f"must have cartesian or spherical {name}, but it is {kind!r:.80}")
+    if str(getattr(sofa, f"{name}_Units", "degree")).lower().startswith("rad"):
+        raise InputError("path", f"must have {name} in degrees, as AES69 asks, but it is in radians")
+    azimuth, elevation = np.radians(given[:, 0]), np.radians(given[:, 1])
+    around = np.cos(elevation)
+    unit = np.column_stack([around * np.cos(azimuth), around * np.sin(azimuth), np.sin(elevation)])
+    return np.asarray(unit * given[:, 2:])

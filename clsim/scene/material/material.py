@@ -20,7 +20,7 @@ from clsim.acoustics.reflection import (
     reflection_from_impedance,
 )
 from clsim.arrays import LOUDEST, Floats, as_choice, as_count, as_floats, as_number
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.scene.material.reflecting_surface import ReflectingSurface
 from clsim.scene.material.tabulated import (
@@ -30,6 +30,7 @@ from clsim.scene.material.tabulated import (
     FactorTable,
     ImpedanceTable,
     MeasuredEcho,
+    as_column,
     as_complexes,
     as_factor,
     check_clear_phase,
@@ -205,9 +206,7 @@ class Material(ReflectingSurface):
         [1.0, 0.8]
         """
         f = checked_frequencies(frequencies)
-        alpha = as_floats("coefficients", coefficients, (len(f),))
-        for i in np.flatnonzero((alpha < 0.0) | (alpha > 1.0))[:1]:
-            raise InputError(f"coefficients[{i}]", f"must be from 0 to 1, but is {alpha[i]:g}")
+        alpha = as_column("coefficients", coefficients, f, 1.0)
         return cls(AbsorptionTable(f, alpha), name, scattering=scattering)
 
     @classmethod
@@ -433,8 +432,7 @@ class Material(ReflectingSurface):
                 f"must be that of a hard solid, density times sound_speed at least {_HARD:g} Pa s/m, but that is "
                 f"{density * sound_speed:g} Pa s/m; give its impedance",
             )
-        if not isinstance(boundary_layer, bool):
-            raise InputError("boundary_layer", f"must be true or false, but is {boundary_layer!r:.80}")
+        check_kind("boundary_layer", boundary_layer, bool, "true or false")
         return cls(SolidWall(density, sound_speed, boundary_layer), name, scattering=scattering)
 
     @classmethod

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import coherent_share, limp_transmission
-from clsim.arrays import Floats, as_floats, as_number
-from clsim.errors import InputError, warn
-from clsim.scene.material.tabulated import checked_frequencies, curve_of, over_octaves
+from clsim.arrays import Floats, as_number
+from clsim.errors import InputError, check_kind, inside, settle, warn
+from clsim.scene.material.tabulated import as_column, checked_frequencies, curve_of, over_octaves
 
 _LIGHTEST, _HEAVIEST = 1e-3, 1e5  # kg/m²
 _MOST_LOSS = 300.0  # dB
@@ -78,10 +78,7 @@ def as_transmission(
     if surface_mass is not None or frequencies is None or losses_db is None:
         raise InputError("transmission", "must have surface_mass, or frequencies and losses_db")
     f = checked_frequencies(frequencies)
-    losses = as_floats("losses_db", losses_db, (len(f),))
-    for i in np.flatnonzero((losses < 0.0) | (losses > _MOST_LOSS))[:1]:
-        raise InputError(f"losses_db[{i}]", f"must be from 0 to {_MOST_LOSS:g} dB, but is {losses[i]:g} dB")
-    return LossTable(f, losses)
+    return LossTable(f, as_column("losses_db", losses_db, f, _MOST_LOSS, " dB"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,13 +109,9 @@ def as_scattering(value: Any) -> Scattering | None:
     except (TypeError, ValueError) as error:
         rule = "must be a number or a pair of frequencies and values"
         raise InputError("scattering", f"{rule}, but is {value!r:.80}") from error
-    try:
+    with inside("scattering"):
         f = checked_frequencies(frequencies)
-        shares = as_floats("values", values, (len(f),))
-    except InputError as error:
-        raise error.within("scattering") from error
-    for i in np.flatnonzero((shares < 0.0) | (shares > 1.0))[:1]:
-        raise InputError(f"scattering.values[{i}]", f"must be from 0 to 1, but is {shares[i]:g}")
+        shares = as_column("values", values, f, 1.0)
     return Scattering(f, shares) if np.any(shares) else None
 
 
@@ -178,11 +171,9 @@ class ReflectingSurface:
     def __post_init__(self) -> None:
         if not isinstance(self.model, SurfaceModel):
             raise InputError("model", f"must have what a SurfaceModel has, but is {self.model!r:.80}")
-        if not isinstance(self.name, str):
-            raise InputError("name", f"must be a text, but is {self.name!r:.80}")
-        rms = as_number("roughness", self.roughness, at_least=0.0, at_most=0.1, unit="m")
-        object.__setattr__(self, "roughness", rms)
-        object.__setattr__(self, "scattering", as_scattering(self.scattering))
+        check_kind("name", self.name, str, "a text")
+        settle(self, roughness=as_number("roughness", self.roughness, at_least=0.0, at_most=0.1, unit="m"))
+        settle(self, scattering=as_scattering(self.scattering))
         if isinstance(self.transmission, LossTable):
             self._check_energy(self.transmission)
 
@@ -370,13 +361,11 @@ class ReflectingSurface:
     def _checked(self, frequency: ArrayLike, cosine: ArrayLike, speed_of_sound: float) -> tuple[Floats, Floats, float]:
         """Return frequencies, Hz, cosines and the speed of sound, m/s, within their bounds."""
         f, cos = _numbers("frequency", frequency), _numbers("cosine", cosine)
-        sane = (f >= _FREQUENCIES[0]) & (f <= _FREQUENCIES[1])
-        if not np.all(sane):
-            low, high = _FREQUENCIES
-            raise InputError("frequency", f"must be from {low:g} to {high:g} Hz, but is {_first_bad(f, sane):g} Hz")
-        usual = (cos > 0.0) & (cos <= 1.0 + _ROUNDING)
-        if not np.all(usual):
-            raise InputError("cosine", f"must be above 0 and at most 1, but is {_first_bad(cos, usual):g}")
+        low, high = _FREQUENCIES
+        for bad in f[~((f >= low) & (f <= high))].flat[:1]:
+            raise InputError("frequency", f"must be from {low:g} to {high:g} Hz, but is {bad:g} Hz")
+        for bad in cos[~((cos > 0.0) & (cos <= 1.0 + _ROUNDING))].flat[:1]:
+            raise InputError("cosine", f"must be above 0 and at most 1, but is {bad:g}")
         c = as_number("speed_of_sound", speed_of_sound, at_least=1.0, at_most=1e5, unit="m/s")
         try:
             np.broadcast_shapes(f.shape, cos.shape)
@@ -405,18 +394,14 @@ class ReflectingSurface:
         outside = (f < low * (1.0 - _ROUNDING)) | (f > high * (1.0 + _ROUNDING))
         if not np.any(outside):
             return
+        called = repr(self.name) if self.name else f"({self.describe()})"
         if not self.model.beyond:
             raise InputError(
                 "frequency",
-                f"must be from {low:.6g} to {high:.6g} Hz, which the material {self._called} covers, but is "
+                f"must be from {low:.6g} to {high:.6g} Hz, which the material {called} covers, but is "
                 f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it",
             )
-        text = f"the material {self._called} covers {low:.6g} to {high:.6g} Hz; {self.model.beyond}"
-        warn(text)
-
-    @property
-    def _called(self) -> str:
-        return repr(self.name) if self.name else f"({self.describe()})"
+        warn(f"the material {called} covers {low:.6g} to {high:.6g} Hz; {self.model.beyond}")
 
 
 def _numbers(field: str, value: ArrayLike) -> Floats:
@@ -424,7 +409,3 @@ def _numbers(field: str, value: ArrayLike) -> Floats:
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(field, f"must be numbers, but is {value!r:.80}") from error
-
-
-def _first_bad(values: Floats, good: NDArray[np.bool_]) -> float:
-    return float(values[~good].flat[0])

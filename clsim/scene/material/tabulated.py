@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import reflection_from_absorption, reflection_from_impedance
 from clsim.arrays import Floats, as_floats, as_number, read_only
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_rising, warn
 
 _LONGEST = 2**17  # samples of an impulse response
 ROUNDING = 1e-9  # by which a magnitude may exceed 1, and within which frequencies are the same
@@ -28,11 +28,16 @@ def checked_frequencies(value: ArrayLike) -> Floats:
     f = as_floats("frequencies", value, (None,))
     for i in np.flatnonzero(f <= 0.0)[:1]:
         raise InputError(f"frequencies[{i}]", f"must be above 0 Hz, but is {f[i]:g} Hz")
-    for i in np.flatnonzero(np.diff(f) <= ROUNDING * f[:-1])[:1] + 1:
-        raise InputError(
-            "frequencies", f"must increase strictly, but [{i}] = {f[i]:g} Hz follows [{i - 1}] = {f[i - 1]:g} Hz"
-        )
+    check_rising("frequencies", f, np.diff(f) > ROUNDING * f[:-1], " Hz")
     return f
+
+
+def as_column(field: str, value: ArrayLike, frequencies: Floats, most: float, unit: str = "") -> Floats:
+    """Return a table's values (n,) from 0 to the largest allowed, one for each frequency."""
+    found = as_floats(field, value, (len(frequencies),))
+    for i in np.flatnonzero((found < 0.0) | (found > most))[:1]:
+        raise InputError(f"{field}[{i}]", f"must be from 0 to {most:g}{unit}, but is {found[i]:g}{unit}")
+    return found
 
 
 def as_factor(field: str, value: Any) -> float | complex:
@@ -190,15 +195,16 @@ class FactorTable:
         return curve_of(self)(frequency)
 
     def curves(self) -> Callable[[Floats], NDArray[Any]]:
-        """Return the factor as a function of frequency.
-
-        Complex factors lose their mean delay first, so that a delay stays one however coarse the table, and get it
-        back behind. Real and imaginary parts of the rest are joined by monotone cubics: magnitudes and phases would
-        go astray where a factor comes near zero.
-        """
+        """Return the factor as a function of frequency."""
+        # Complex factors lose their mean delay first, so that a delay stays one however coarse the table, and get it
+        # back behind. Real and imaginary parts of the rest are joined by monotone cubics: magnitudes and phases would
+        # go astray where a factor comes near zero.
         if not self.is_complex:
             return over_octaves(self.frequencies, self.factors)
-        turn = _mean_turn(self.frequencies, self.factors)
+        step = self.factors[1:] * self.factors[:-1].conj()
+        weight = np.abs(step)
+        total = float(weight @ np.diff(self.frequencies))
+        turn = float(weight @ np.angle(step)) / total if total > 0.0 else 0.0  # mean slope of the phase, rad/Hz
         rest = self.factors * np.exp(-1j * turn * self.frequencies)
         real, imaginary = _smooth(self.frequencies, rest.real), _smooth(self.frequencies, rest.imag)
         low, high = self.frequencies[0], self.frequencies[-1]
@@ -274,14 +280,6 @@ class MeasuredEcho:
 
 def _band(frequencies: Floats, outside: str | None) -> tuple[float, float]:
     return (0.0, math.inf) if outside == "hold" else (float(frequencies[0]), float(frequencies[-1]))
-
-
-def _mean_turn(frequencies: Floats, factors: NDArray[Any]) -> float:
-    """Return mean phase slope of a table, rad/Hz, weighted by magnitude."""
-    step = factors[1:] * factors[:-1].conj()
-    weight = np.abs(step)
-    total = float(weight @ np.diff(frequencies))
-    return float(weight @ np.angle(step)) / total if total > 0.0 else 0.0
 
 
 @lru_cache(maxsize=256)

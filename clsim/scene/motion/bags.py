@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import Floats
-from clsim.errors import InputError
+from clsim.errors import InputError, check_packages
 from clsim.files.input_files import check_file
-from clsim.packages import check_packages
 
 _LARGEST = 2**40  # bytes of a bag: pictures and clouds of points are passed over
 _MOST = 5_000_000  # poses

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_number, read_only, short_repr
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, settle, warn
 from clsim.numerics.quaternions import rotate
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class Piecewise:
         knots = self.derivative.x
         slices = np.split(np.arange(len(knots) - 1), range(_SLICE, len(knots) - 1, _SLICE))
         fastest = [self._within(pieces, knots[pieces], knots[pieces + 1]) for pieces in slices]
-        object.__setattr__(self, "_fastest", read_only(np.concatenate(fastest)))
+        settle(self, _fastest=read_only(np.concatenate(fastest)))
 
     def position(self, time: Floats) -> Floats:
         return np.asarray(self.polynomial(time), dtype=np.float64)
@@ -154,11 +154,9 @@ def is_static(curve: Curve) -> bool:
 
 
 def frame_about(axis: Floats) -> tuple[Floats, Floats]:
-    """Return the unit vectors (3,) from which and towards which a circle about `axis` (3,) turns at angle 0.
-
-    The first is +x projected on the plane across the axis (+y where the axis lies along x); both and the axis are a
-    right-handed frame.
-    """
+    """Return the unit vectors (3,) from which and towards which a circle about `axis` (3,) turns at angle 0."""
+    # The first is +x projected on the plane across the axis (+y where the axis lies along x); both and the axis are a
+    # right-handed frame.
     largest = np.abs(axis).max()
     if largest == 0.0:
         raise InputError("axis", "must be a direction, but is 0, 0, 0")
@@ -188,10 +186,9 @@ def spline_through(times: Floats, positions: Floats, ends: Literal["not-a-knot",
 
 
 def _parabola_slopes(times: Floats, positions: Floats) -> Floats:
-    """Slopes (3, 3) of the parabola through three points, as `CubicSpline` has them.
-
-    SciPy's own solution starts threads of its library, which stay busy for 20 ms: more than the plan of a short scene.
-    """
+    """Slopes (3, 3) of the parabola through three points, as `CubicSpline` has them."""
+    # SciPy's own solution starts threads of its library, which stay busy for 20 ms: more than the plan of a short
+    # scene.
     (first, second), across = np.diff(times), np.diff(positions, axis=0) / np.diff(times)[:, None]
     matrix = np.array([[1.0, 1.0, 0.0], [second, 2 * (first + second), first], [0.0, 1.0, 1.0]])
     wanted = np.stack([2 * across[0], 3 * (first * across[1] + second * across[0]), 2 * across[1]])
@@ -352,11 +349,9 @@ class Smoothed:
 
 
 def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
-    """Smooth each column of values (n, k) at times (n,) by the λ that generalised cross-validation chooses.
-
-    λ minimises ``GCV(λ) = n Σ (y − f)² / tr(I − A)²``, A the matrix that turns y into f. The trace needs no inverse:
-    ``tr(I − A) = tr(λ QᵀQ (R + λ QᵀQ)⁻¹) = d ln det(R + λ QᵀQ) / d ln λ``.
-    """
+    """Smooth each column of values (n, k) at times (n,) by the λ that generalised cross-validation chooses."""
+    # λ minimises ``GCV(λ) = n Σ (y − f)² / tr(I − A)²``, A the matrix that turns y into f. The trace needs no inverse:
+    # ``tr(I − A) = tr(λ QᵀQ (R + λ QᵀQ)⁻¹) = d ln det(R + λ QᵀQ) / d ln λ``.
     system = _system(times)
     grid = _STEP * np.arange(np.floor(_LEAST / _STEP) - 3, np.floor(system.greatest / _STEP) + 1)
     solved = [system.solve(strength, values) for strength in np.exp(grid)]
@@ -371,11 +366,9 @@ def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
 
 
 def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smoothed:
-    """Smooth each column of values (n, k) at times (n,) until the root mean square of its residual is that given.
-
-    A column that is nearer to a straight line than that becomes the line (or what is slower than 7000 steps), with the
-    smaller residual it has.
-    """
+    """Smooth each column of values (n, k) at times (n,) until the root mean square of its residual is that given."""
+    # A column that is nearer to a straight line than that becomes the line (or what is slower than 7000 steps), with
+    # the smaller residual it has.
     from scipy.optimize import brentq
 
     system = _system(times)
@@ -399,15 +392,13 @@ def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smooth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _System:
-    """Diagonals of Q (n x n - 2), and of R and QᵀQ in the lower banded form (3, n - 2).
+    """Diagonals of Q (n x n - 2), and of R and QᵀQ in the lower banded form (3, n - 2)."""
 
-    The spline f minimises ``Σ (y_i − f(t_i))² + λ ∫ f″(t)² dt``. With Q and R the banded matrices of the second
-    differences, ``(R + λ QᵀQ) γ = Qᵀy`` and the residual is ``y − f = λ Q γ``. The matrix has five diagonals, so that
-    everything takes time in proportion to the number of points. P. J. Green, B. W. Silverman, "Nonparametric Regression
-    and Generalized Linear Models", 1994, sections 2.1 to 2.3 (splines) and 3.1 to 3.3 (cross-validation); P. Craven, G.
-    Wahba, "Smoothing noisy data with spline functions", Numerische Mathematik 31, 1979.
-    """
-
+    # The spline f minimises ``Σ (y_i − f(t_i))² + λ ∫ f″(t)² dt``. With Q and R the banded matrices of the second
+    # differences, ``(R + λ QᵀQ) γ = Qᵀy`` and the residual is ``y − f = λ Q γ``. The matrix has five diagonals, so that
+    # everything takes time in proportion to the number of points. P. J. Green, B. W. Silverman, "Nonparametric
+    # Regression and Generalized Linear Models", 1994, sections 2.1 to 2.3 (splines) and 3.1 to 3.3 (cross-validation);
+    # P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numerische Mathematik 31, 1979.
     q: Floats
     r: Floats
     qq: Floats

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_number, read_only
+from clsim.errors import InputError
 from clsim.numerics.quaternions import inverse, rotate
 from clsim.scene.motion.curves import CONTINUATION, Curve, is_static
 from clsim.scene.motion.orientation import Hinge, Turning, quaternion_product
@@ -49,11 +50,10 @@ class Instants:
         return np.asarray(self.step * np.maximum(middle - first, last - middle))
 
     def first(self, probe: Probe) -> int | None:
-        """Return the first instant for which `probe` reports a hit, the same as by evaluating every instant.
-
-        It takes the first, middle and last instants of ranges (n,), in the order of time. It returns the first that is
-        surely met in each, or -1, and whether others of the range may be met: its halves are then evaluated as well.
-        """
+        """Return the first instant for which `probe` reports a hit, the same as by evaluating every instant."""
+        # It takes the first, middle and last instants of ranges (n,), in the order of time. It returns the first that
+        # is surely met in each, or -1, and whether others of the range may be met: its halves are then evaluated as
+        # well.
         met, waiting = None, [np.array([[0, self.count - 1]])]
         while waiting:
             ranges = waiting.pop()
@@ -81,10 +81,6 @@ def _halves(first: Indices, middle: Indices, last: Indices) -> Any:
     return halves[halves[:, 0] <= halves[:, 1]]
 
 
-def _no_breaks() -> Floats:
-    return read_only(np.empty(0))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """A motion from `start` to `end`, s; its fields are those of `Trajectory`.
@@ -99,7 +95,7 @@ class Motion:
     end: float
     turning: Turning | None = None
     notes: tuple[str, ...] = ()
-    breaks: Floats = field(default_factory=_no_breaks)
+    breaks: Floats = field(default_factory=lambda: read_only(np.empty(0)))
     residual: Floats | None = None
     # By range and rate: every scene that the motion is in asks, and each of its scatterers' ways.
     _peaks: dict[tuple[float, float, float], tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
@@ -123,6 +119,11 @@ class Motion:
     def turns(self) -> bool:
         """Whether the orientation changes."""
         return self.turning is not None and self.turning.turns
+
+    def check_start(self) -> None:
+        """Refuse a motion that begins after 0 s."""
+        if self.start > 0.0:
+            raise InputError("trajectory", f"must begin at 0 s or before, but begins at {self.start:g} s")
 
     def position(self, t: ArrayLike) -> Floats:
         """Return positions (..., 3), m: of the shape of `t` with one more axis.
@@ -258,11 +259,9 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swung:
-    """A point that swings about an axis, whose nearest point is `foot` (3,) m.
+    """A point that swings about an axis, whose nearest point is `foot` (3,) m."""
 
-    `along` and `across` (3,) m lead from there to the point at angle 0, and at a quarter turn.
-    """
-
+    # `along` and `across` (3,) m lead from there to the point at angle 0, and at a quarter turn.
     foot: Floats
     along: Floats
     across: Floats

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_rising, warn
 from clsim.numerics.quaternions import same_hemisphere
 from clsim.scene.motion.curves import Piecewise
 
@@ -53,15 +53,8 @@ def as_increasing(times: Any) -> Floats:
     t = as_floats("times", times, (None,))
     if len(t) < 2:
         raise InputError("times", f"must hold at least two, but holds {len(t)}")
-    if np.abs(t).max() > 2.0 * LONGEST:  # seconds since 1970 pass
-        i = int(np.argmax(np.abs(t)))
-        raise InputError(f"times[{i}]", f"must be within {2.0 * LONGEST:g} s, but is {t[i]:g} s")
-    close = np.flatnonzero(np.diff(t) < SHORTEST)
-    if len(close):
-        i = int(close[0])
-        raise InputError(
-            "times", f"must increase strictly, but [{i + 1}] = {t[i + 1]:.12g} s follows [{i}] = {t[i]:.12g} s"
-        )
+    as_floats("times", t, (None,), within=2.0 * LONGEST, unit="s")  # seconds since 1970 pass
+    check_rising("times", t, np.diff(t) >= SHORTEST, " s", ".12g")
     return t
 
 
@@ -127,14 +120,12 @@ class Turning(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GreatArcs:
-    """Spherical linear interpolation between orientations, held before the first and after the last.
+    """Spherical linear interpolation between orientations, held before the first and after the last."""
 
-    On each piece ``q(u) = base cos(u Ω) + side sin(u Ω)``, u from 0 to 1, with the angle Ω between both quaternions and
-    the unit quaternion `side` at a right angle to `base`; the last piece does not turn. The sign never jumps. Shapes:
-    times (n,) s; base, side (n, 4); angle (n,) rad. K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH
-    Computer Graphics 19(3), 1985.
-    """
-
+    # On each piece ``q(u) = base cos(u Ω) + side sin(u Ω)``, u from 0 to 1, with the angle Ω between both quaternions
+    # and the unit quaternion `side` at a right angle to `base`; the last piece does not turn. The sign never jumps.
+    # Shapes: times (n,) s; base, side (n, 4); angle (n,) rad. K. Shoemake, "Animating rotation with quaternion curves",
+    # SIGGRAPH Computer Graphics 19(3), 1985.
     times: Floats
     base: Floats
     side: Floats
@@ -166,10 +157,8 @@ class GreatArcs:
         return turned
 
     def angular_velocity(self, time: Floats) -> Floats:
-        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns.
-
-        At the end of a piece it is that of the next one; before the first and from the last orientation on it is 0.
-        """
+        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns."""
+        # At the end of a piece it is that of the next one; before the first and from the last orientation on it is 0.
         inverse = self.base * np.array([-1.0, -1.0, -1.0, 1.0])
         step = np.append(np.diff(self.times), np.inf)
         turns = 2.0 * (self.angle / step)[:, None] * quaternion_product(self.side, inverse)[:, :3]
@@ -233,11 +222,9 @@ def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> 
     """Return unit quaternions x y z w, freed of rounding in their norm."""
     quaternions = as_floats(field, value, shape, within=1e100)  # whose squares are numbers
     norm = np.linalg.norm(quaternions, axis=-1, keepdims=True)
-    bad = np.argwhere(np.abs(norm[..., 0] - 1.0) > _UNIT_TOLERANCE)
-    if len(bad):
-        index = tuple(bad[0])
+    for index in np.argwhere(np.abs(norm[..., 0] - 1.0) > _UNIT_TOLERANCE)[:1].tolist():
         name = field + "".join(f"[{i}]" for i in index)
-        raise InputError(name, f"must be a unit quaternion x y z w, but its norm is {norm[index][0]:.6g}")
+        raise InputError(name, f"must be a unit quaternion x y z w, but its norm is {norm[tuple(index)][0]:.6g}")
     unit: Floats = quaternions / norm
     return unit
 

@@ -58,10 +58,9 @@ class Edges:
         return np.stack([self.start, self.across, self.out, self.along], axis=1)
 
     def cylindrical(self, edge: NDArray[np.int64], places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return distances r (...), angles θ (...) and heights z (...) of places (..., 3) about edges (...).
-
-        Angles are from the 0-face through the air, 0 to nπ; those inside a wedge are beyond either by up to half of it.
-        """
+        """Return distances r (...), angles θ (...) and heights z (...) of places (..., 3) about edges (...)."""
+        # Angles are from the 0-face through the air, 0 to nπ; those inside a wedge are beyond either by up to half of
+        # it.
         away = places - self.start[edge]
         x, y, z = (np.einsum("...i,...i->...", away, axis[edge]) for axis in (self.across, self.out, self.along))
         n = self.n[edge]
@@ -93,10 +92,8 @@ class Edges:
         return np.where(one, r, next(seen)), np.where(one, z, next(seen))
 
     def pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return edges (n, 2) that share a face, in either order, and which face of each that is (n, 2), 0 or 1.
-
-        Of sheets that is the same side of them. Changes of material are left out.
-        """
+        """Return edges (n, 2) that share a face, in either order, and which face of each that is (n, 2), 0 or 1."""
+        # Of sheets that is the same side of them. Changes of material are left out.
         solid = np.flatnonzero(self.n != 1.0)
         same = self.faces[solid][:, None, :, None] == self.faces[solid][None, :, None, :]
         first, second, one, other = np.nonzero(same & ~np.eye(len(solid), dtype=bool)[:, :, None, None])
@@ -155,11 +152,9 @@ class _Piece:
 
 
 def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | None = None) -> Edges:
-    """Return the edges of walls at which sound is diffracted; `inside` masks positions (n, 3) in the air of a room.
-
-    Those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between faces of
-    different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
-    """
+    """Return the edges of walls at which sound is diffracted; `inside` masks positions (n, 3) in the air of a room."""
+    # Those between two neighbouring faces, with 360 degrees about a single one, and with 180 degrees between faces of
+    # different materials. Inner corners of 180/m degrees are left out: their reflections are the whole field.
     found: list[_Piece] = []
     for line in _lines(walls):
         if wall is not None and wall not in line.walls:

@@ -47,7 +47,7 @@ class Shells:
 
     def volume_between(self) -> float:
         """Return the volume that is in an odd number of shells, none of which cross, m³."""
-        low, high = self._boxes()
+        low, high = self.boxes()
         normal = cross_products(self.corners)
         area = np.linalg.norm(normal, axis=1)
         total = 0.0
@@ -61,14 +61,12 @@ class Shells:
         return float(total)
 
     def holds(self, shell: int, points: Floats) -> NDArray[np.bool_]:
-        """Return a mask of the points (n, 3) that a shell, which may have holes, surrounds more than half.
-
-        The generalised winding number: the share of all directions in which rays leave through the shell, those that
-        enter it counted off; 1 inside a closed shell and 0 outside. A. Jacobson, L. Kavan, O. Sorkine-Hornung, "Robust
-        inside-outside segmentation using generalized winding numbers", ACM Transactions on Graphics 32(4), 2013; solid
-        angles: A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on Biomedical
-        Engineering 30(2), 1983.
-        """
+        """Return a mask of the points (n, 3) that a shell, which may have holes, surrounds more than half."""
+        # The generalised winding number: the share of all directions in which rays leave through the shell, those that
+        # enter it counted off; 1 inside a closed shell and 0 outside. A. Jacobson, L. Kavan, O. Sorkine-Hornung,
+        # "Robust inside-outside segmentation using generalized winding numbers", ACM Transactions on Graphics 32(4),
+        # 2013; solid angles: A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on
+        # Biomedical Engineering 30(2), 1983.
         corners = self.corners[self.shell == shell]
         step = max(1, _PAIRS // len(corners))
         parts = [_winding(points[i : i + step], corners) for i in range(0, len(points), step)]
@@ -76,18 +74,12 @@ class Shells:
 
     def rooms(self) -> Ints | None:
         """Return the shells with few holes or none, if one of them reaches over all of the mesh; else None."""
-        low, high = self._boxes()
+        low, high = self.boxes()
         nearly = self.holes <= _LEAK
         whole = np.all(high - low >= _WHOLE * (high.max(axis=0) - low.min(axis=0)), axis=1)
         return np.flatnonzero(nearly) if np.any(nearly & whole) else None
 
-    def box_of_largest(self) -> tuple[Floats, Floats]:
-        """Return the lowest and highest corner of the shell with the largest volume, (3,) m each."""
-        low, high = self._boxes()
-        largest = int(np.argmax(self.volume))
-        return low[largest], high[largest]
-
-    def _boxes(self) -> tuple[Floats, Floats]:
+    def boxes(self) -> tuple[Floats, Floats]:
         """Return the lowest and highest corner of every shell, (S, 3) m each."""
         order = np.argsort(self.shell, kind="stable")
         first = np.searchsorted(self.shell[order], np.arange(len(self.volume)))
@@ -107,7 +99,9 @@ def enclosed_volume(
     shells = Shells.of(vertices, triangles)
     between = None if shells is None or np.any(shells.holes) else shells.volume_between()
     if between is None or (crossing and shells is not None and len(shells.volume) > 1):
-        low, high = shells.box_of_largest() if shells is not None else (vertices.min(axis=0), vertices.max(axis=0))
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        if shells is not None:
+            low, high = (corners[np.argmax(shells.volume)] for corners in shells.boxes())
         # Kronecker's lattice of the plastic number's next one, whose points are spread evenly in three dimensions.
         share = (0.5 + np.arange(_POINTS)[:, None] * 1.2207440846057596 ** -np.arange(1.0, 4.0)) % 1.0
         found = float(np.mean(contains(low + share * (high - low))) * np.prod(high - low))
@@ -117,10 +111,8 @@ def enclosed_volume(
 
 
 def held_by_rooms(vertices: Floats, triangles: Ints, points: Floats) -> tuple[NDArray[np.bool_], bool] | None:
-    """Return mask of points (n, 3), m, in an odd number of nearly closed shells, and whether all these are closed.
-
-    Sheets and shells with large holes do not count. None if none of the others reaches over all of the mesh.
-    """
+    """Return mask of points (n, 3), m, in an odd number of nearly closed shells, and whether all these are closed."""
+    # Sheets and shells with large holes do not count. None if none of the others reaches over all of the mesh.
     shells = Shells.of(vertices, triangles)
     rooms = None if shells is None else shells.rooms()
     if shells is None or rooms is None:
@@ -130,10 +122,8 @@ def held_by_rooms(vertices: Floats, triangles: Ints, points: Floats) -> tuple[ND
 
 
 def _oriented(triangles: Ints) -> tuple[Ints, Ints] | None:
-    """Return 1 or -1 for each triangle (T,), by which all of a shell turn alike, and the shell of each; or None.
-
-    Triangles are nodes of a graph twice, as they are and turned over: a shell with two sides is two parts of it.
-    """
+    """Return 1 or -1 for each triangle (T,), by which all of a shell turn alike, and the shell of each; or None."""
+    # Triangles are nodes of a graph twice, as they are and turned over: a shell with two sides is two parts of it.
     count = len(triangles)
     edge, rising, owner = _edges(triangles)
     shared = np.flatnonzero((np.bincount(edge) == 2)[edge])

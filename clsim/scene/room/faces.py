@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clsim.arrays import Complexes, Floats, as_floats, read_only
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind, settle
 from clsim.scene.material.material import Material
 
 NEAREST = 1e-6  # m; what is nearer to a wall is on it
@@ -18,11 +18,9 @@ _FINEST = 1e-8  # of the room's size: less could not be distinguished from round
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faces:
-    """The F walls of a room, in the order of their indices: unit normals (F, 3) and offsets (F,), m.
+    """The F walls of a room, in the order of their indices: unit normals (F, 3) and offsets (F,), m."""
 
-    Normals point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
-    """
-
+    # Normals point inwards in a room that `Room.is_convex`; elsewhere their sign means nothing.
     normals: Floats
     offsets: Floats
     names: tuple[str, ...]
@@ -36,16 +34,13 @@ class Faces:
         for i in np.flatnonzero(np.abs(length - 1.0) > _UNIT)[:1]:
             raise InputError(f"faces.normals[{i}]", f"must be a unit vector, but has the length {length[i]:.9g}")
         for field in ("names", "materials"):
-            object.__setattr__(self, field, tuple(getattr(self, field)))
-            if len(getattr(self, field)) != count:
-                raise InputError(
-                    f"faces.{field}", f"must be one per wall, {count}, but are {len(getattr(self, field))}"
-                )
+            given = tuple(getattr(self, field))
+            settle(self, **{field: given})
+            if len(given) != count:
+                raise InputError(f"faces.{field}", f"must be one per wall, {count}, but are {len(given)}")
         for i, material in enumerate(self.materials):
-            if not isinstance(material, Material):
-                raise InputError(f"faces.materials[{i}]", f"must be a Material, but is {material!r:.80}")
-        object.__setattr__(self, "normals", read_only(normals))
-        object.__setattr__(self, "offsets", read_only(offsets))
+            check_kind(f"faces.materials[{i}]", material, Material, "a Material")
+        settle(self, normals=read_only(normals), offsets=read_only(offsets))
 
     def __len__(self) -> int:
         return len(self.names)

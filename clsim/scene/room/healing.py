@@ -63,11 +63,9 @@ def _weld(points: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def without_copies(vertices: Floats, triangles: Ints) -> Ints:
-    """Rows of the triangles (T, 3), on welded vertices (V, 3), m, that are no copies of earlier ones.
-
-    Copies have the same corners, or cover together the same region of a plane, whatever the diagonals of both. Of the
-    latter, faces of shells that touch are kept, as of crates on each other: without them edges would be open.
-    """
+    """Rows of the triangles (T, 3), on welded vertices (V, 3), m, that are no copies of earlier ones."""
+    # Copies have the same corners, or cover together the same region of a plane, whatever the diagonals of both. Of the
+    # latter, faces of shells that touch are kept, as of crates on each other: without them edges would be open.
     once = np.sort(unique_rows(np.sort(triangles, axis=1))[1])
     return once[~_copies(vertices, triangles[once])]
 
@@ -187,13 +185,11 @@ class Healed:
 
 
 def heal_mesh(vertices: Floats, triangles: Ints, heal: str | float) -> Healed:
-    """Join what nearly meets in triangles (T, 3) of vertices (V, 3) m, by "auto", "off" or a tolerance, m.
-
-    Corners nearer than the tolerance become one. A triangle with a corner of another one on its side is cut there, so
-    that no slit without an area is left. Where edges stay open, it is tried without triangles thinner than the
-    tolerance. "auto" tries tolerances from 0.1 to 12 mm, 2 per mille of the size of the mesh at most, and takes the
-    first of those that leave the fewest open edges. A mesh that is closed, or that gains nothing, is left as it is.
-    """
+    """Join what nearly meets in triangles (T, 3) of vertices (V, 3) m, by "auto", "off" or a tolerance, m."""
+    # Corners nearer than the tolerance become one. A triangle with a corner of another one on its side is cut there, so
+    # that no slit without an area is left. Where edges stay open, it is tried without triangles thinner than the
+    # tolerance. "auto" tries tolerances from 0.1 to 12 mm, 2 per mille of the size of the mesh at most, and takes the
+    # first of those that leave the fewest open edges. A mesh that is closed, or that gains nothing, is left as it is.
     as_it_is = Healed(vertices, triangles, np.arange(len(triangles)), (), np.empty((0, 3)))
     if heal == "off":
         return as_it_is
@@ -280,10 +276,8 @@ def _welded(vertices: Floats, tolerance: float) -> tuple[Ints, Floats, Floats]:
 
 
 def _without_flat(places: Floats, corners: Ints, origin: Ints, thinner: float) -> tuple[Ints, Ints, int]:
-    """Drop triangles without area, copies, and triangles thinner than a distance, m; these are counted.
-
-    What is thinner has a corner on its longest side, at which the triangles beyond this side are cut.
-    """
+    """Drop triangles without area, copies, and triangles thinner than a distance, m; these are counted."""
+    # What is thinner has a corner on its longest side, at which the triangles beyond this side are cut.
     sides = places[corners] - places[np.roll(corners, 1, axis=1)]
     area = 0.5 * np.linalg.norm(cross_products(places[corners]), axis=1)
     thick = 2.0 * area > thinner * np.linalg.norm(sides, axis=2).max(axis=1)

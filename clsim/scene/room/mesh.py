@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_number, read_only, short_repr
-from clsim.errors import InputError, meant
+from clsim.errors import InputError, check_kind, meant, settle
 from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges, find_edges, numbered
 from clsim.scene.room.enclosed import enclosed_volume
@@ -108,7 +108,13 @@ class MeshRoom:
 
     def __post_init__(self) -> None:
         vertices = as_floats("vertices", self.vertices, (None, 3), within=FARTHEST, unit="m")
-        triangles = _checked_triangles(self.triangles, len(vertices))
+        triangles = np.asarray(self.triangles)
+        if triangles.ndim != 2 or triangles.shape[1] != 3 or not len(triangles) or triangles.dtype.kind not in "iu":
+            raise InputError("triangles", f"must be n x 3 whole numbers, but have {triangles.shape} {triangles.dtype}")
+        for i in np.flatnonzero(np.any((triangles < 0) | (triangles >= len(vertices)), axis=1))[:1]:
+            problem = f"must be indices of {len(vertices)} vertices, but is {triangles[i].tolist()}"
+            raise InputError(f"triangles[{i}]", problem)
+        triangles = triangles.astype(np.int64)
         materials = _per_one("materials", self.materials, len(triangles), "triangle")
         labels = ("",) * len(triangles) if self.labels is None else tuple(self.labels)
         if len(labels) != len(triangles):
@@ -123,20 +129,13 @@ class MeshRoom:
         healed_at = np.empty((0, 3)) if self.healed_at is None else np.asarray(self.healed_at)
         if healed_at.size:
             healed_at = as_floats("healed_at", healed_at, (None, 3), within=FARTHEST, unit="m")
-        values: dict[str, Any] = {
-            "healed_at": healed_at,
-            "vertices": read_only(clean.vertices),
-            "triangles": read_only(clean.triangles),
-            "materials": tuple(kept),
-            "flatness": flatness,
-            "labels": tuple(labels[i] for i in clean.kept),
-            "notes": (*self.notes, *clean.notes),
-            "walls": walls,
-            "faces": Faces(walls.normal, walls.offset, names, tuple(kept[i] for i in first)),
-            "shape": mesh_shape(clean.vertices, clean.triangles),
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        settle(
+            self, healed_at=healed_at, vertices=read_only(clean.vertices), triangles=read_only(clean.triangles),
+            materials=tuple(kept), flatness=flatness, labels=tuple(labels[i] for i in clean.kept),
+            notes=(*self.notes, *clean.notes), walls=walls,
+            faces=Faces(walls.normal, walls.offset, names, tuple(kept[i] for i in first)),
+            shape=mesh_shape(clean.vertices, clean.triangles),
+        )  # fmt: skip
 
     @staticmethod
     def from_file(
@@ -506,17 +505,6 @@ def _volume(room: MeshRoom) -> float | None:
     return enclosed_volume(room.vertices, room.triangles[~room.shape.sheets], room.walls.crossing, room.contains)
 
 
-def _checked_triangles(value: object, count: int) -> NDArray[np.int64]:
-    triangles = np.asarray(value)
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or not len(triangles) or triangles.dtype.kind not in "iu":
-        raise InputError("triangles", f"must be n x 3 whole numbers, but have {triangles.shape} {triangles.dtype}")
-    bad = np.flatnonzero(np.any((triangles < 0) | (triangles >= count), axis=1))
-    if len(bad):
-        at = triangles[bad[0]].tolist()
-        raise InputError(f"triangles[{bad[0]}]", f"must be indices of {count} vertices, but is {at}")
-    return triangles.astype(np.int64)
-
-
 def _per_one(name: str, materials: object, count: int, of: str) -> list[Material]:
     if isinstance(materials, Material):
         return [materials] * count
@@ -525,8 +513,7 @@ def _per_one(name: str, materials: object, count: int, of: str) -> list[Material
     if len(materials) != count:
         raise InputError(name, f"must be one per {of}, {count}, but are {len(materials)}")
     for i, material in enumerate(materials):
-        if not isinstance(material, Material):
-            raise InputError(f"{name}[{i}]", f"must be a Material, but is {material!r:.80}")
+        check_kind(f"{name}[{i}]", material, Material, "a Material")
     return list(materials)
 
 
@@ -542,8 +529,7 @@ def by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str,
             raise InputError(
                 f"materials.{key}", f"is no group of {name}, whose groups are {listed}{meant(key, groups)}"
             )
-        if not isinstance(material, Material):
-            raise InputError(f"materials.{key}", f"must be a Material, but is {material!r:.80}")
+        check_kind(f"materials.{key}", material, Material, "a Material")
     missing = [g for g in groups if g not in materials]
     if missing and "default" not in materials:
         raise InputError("materials", f"must name the group {missing[0]!r} of {name} or a default")

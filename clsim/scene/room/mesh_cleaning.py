@@ -21,12 +21,10 @@ _HOLES_LISTED = 5
 def outward_sides(
     corners: Floats, triangles: Ints, neighbours: Ints, of_triangle: Ints, normal: Floats, crossing: Ints, level: Ints
 ) -> tuple[Ints, Ints]:
-    """Return the shell (W,) of each wall, and the side (W,) of the wall on which the outside of this shell lies.
-
-    The side is 1 if the normal of the wall points out of the shell, -1 if into it, and 0 where there is no such side:
-    in a shell that is open, runs through itself, lies on itself the other way round, or whose triangles turn both ways.
-    Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); crossing (m, 2); level (k, 2).
-    """
+    """Return the shell (W,) of each wall, and the side (W,) of the wall on which the outside of this shell lies."""
+    # The side is 1 if the normal of the wall points out of the shell, -1 if into it, and 0 where there is no such side:
+    # in a shell that is open, runs through itself, lies on itself the other way round, or whose triangles turn both
+    # ways. Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); crossing (m, 2); level (k, 2).
     count, of_face = clusters(len(triangles), neighbours)
     shell = np.empty(len(normal), dtype=np.int64)
     shell[of_triangle] = of_face
@@ -99,10 +97,8 @@ def _panels(
 
 
 def _side(corners: Floats, area: Floats) -> tuple[NDArray[np.int64], Floats, float]:
-    """Return triangles (n,) of one side of a panel, the shift (3,) to its middle, m, and its thickness, m.
-
-    The thickness is 0 for a flat shell, or one that is no panel.
-    """
+    """Return triangles (n,) of one side of a panel, the shift (3,) to its middle, m, and its thickness, m."""
+    # The thickness is 0 for a flat shell, or one that is no panel.
     largest = corners[np.argmax(area)]
     normal = np.cross(largest[1] - largest[0], largest[2] - largest[0])
     normal /= np.linalg.norm(normal)
@@ -222,7 +218,10 @@ def describe_mesh(
         f"{len(triangles)} triangles, {len(plane_of_wall)} walls in {plane_of_wall.max() + 1} planes, "
         f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} m from ({low[0]:.4g}, {low[1]:.4g}, {low[2]:.4g}) m"
     ]
-    shells, closed = _shells(triangles)
+    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    shells, part = clusters(int(triangles.max()) + 1, edges)
+    closed = shells - len(np.unique(part[edges[uses % 2 == 1, 0]]))
     if shells > 1:
         lines.append(f"{shells} separate shells, {closed} of them closed")
     sheets = f", but for sheets of {shape.sheets.sum()} triangles in it" if shape.sheets.any() else ""
@@ -232,14 +231,6 @@ def describe_mesh(
     elif shape.inwards:
         lines.append("all triangles face inwards; harmless, since walls are two-sided")
     return [f"room: {line}" for line in (*lines, *notes)]
-
-
-def _shells(triangles: NDArray[np.int64]) -> tuple[int, int]:
-    """Return number of parts of a mesh that share no vertex, and the number of watertight ones."""
-    directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
-    count, part = clusters(int(triangles.max()) + 1, edges)
-    return count, count - len(np.unique(part[edges[uses % 2 == 1, 0]]))
 
 
 def _openings(edges: Floats) -> list[str]:

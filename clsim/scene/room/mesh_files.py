@@ -74,10 +74,8 @@ def _check_unpacked(file: Path, kind: str) -> None:
 
 
 def _check_nodes(file: Path, header: dict[str, Any]) -> None:
-    """Refuse nodes of a glTF file that are no trees: trimesh leaves out places of a node that has two parents.
-
-    It never ends where a node is its own descendant.
-    """
+    """Refuse nodes of a glTF file that are no trees: trimesh leaves out places of a node that has two parents."""
+    # It never ends where a node is its own descendant.
     children = [list(node.get("children", ())) for node in header.get("nodes", ())]
     parents = Counter(child for several in children for child in several)
     reached = [node for node in range(len(children)) if node not in parents]

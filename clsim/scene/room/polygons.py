@@ -42,10 +42,8 @@ def polygon_notes(counts: dict[str, int]) -> tuple[str, ...]:
 
 
 def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
-    """Cut a polygon, corners (n, 3) in order, into triangles (T, 3) of their indices, which turn as it does.
-
-    It may be concave, and touch itself along a seam, as polygons with holes are written; one without area gives none.
-    """
+    """Cut a polygon, corners (n, 3) in order, into triangles (T, 3) of their indices, which turn as it does."""
+    # It may be concave, and touch itself along a seam, as polygons with holes are written; one without area gives none.
     from mapbox_earcut import triangulate_float64
 
     flat, depth, size = _project(corners)
@@ -130,10 +128,8 @@ def triangulated(corners: Floats, polygons: list[Ints], which: list[int], near: 
 
 
 def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tuple[list[list[Ints]], list[int]]:
-    """Cut out of each polygon, corner numbers (k,), the smaller ones that lie in it, within a distance, m.
-
-    Returns for each polygon its triangles (T, 3) by part if it was cut, else none, and the polygons that were.
-    """
+    """Cut out of each polygon, corner numbers (k,), the smaller ones that lie in it, within a distance, m."""
+    # Returns for each polygon its triangles (T, 3) by part if it was cut, else none, and the polygons that were.
     from shapely import Polygon
 
     planes = [_plane(corners[polygon]) for polygon in polygons]
@@ -156,7 +152,9 @@ def without_inner(corners: Floats, polygons: Sequence[Ints], near: float) -> tup
             if not flat:
                 flat.append(Polygon(((corners[polygon] - centre) @ axes.T)[:, :2]))
             shape = Polygon(local[:, :2])
-            if _lies_in(shape, flat[0], _GRID * area**0.5):
+            # Without a grid, intersections of polygons that share an edge but for rounding may be wrong.
+            valid = shape.is_valid and flat[0].is_valid
+            if valid and flat[0].intersection(shape, grid_size=_GRID * area**0.5).area > _MOSTLY * shape.area:
                 flat.append(shape)
                 inner.append(other)
         if not inner:
@@ -180,15 +178,6 @@ def _triangles(shape: Any, places: Floats, near: float) -> Iterator[Ints]:
         apart = np.linalg.norm(places - ring[:, None], axis=2)
         if np.all(apart.min(axis=1) <= near):
             yield apart.argmin(axis=1)
-
-
-def _lies_in(inner: Any, outer: Any, grid: float) -> bool:
-    """Test whether most of a polygon of shapely lies in another one, on a grid, m.
-
-    Without a grid, intersections of polygons that share an edge but for rounding may be wrong.
-    """
-    valid = inner.is_valid and outer.is_valid
-    return bool(valid and outer.intersection(inner, grid_size=grid).area > _MOSTLY * inner.area)
 
 
 def _plane(corners: Floats) -> tuple[Floats, Floats, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import LARGEST_ROOM, SMALLEST_ROOM, Complexes, Floats, as_floats, as_number, read_only, short_repr
-from clsim.errors import InputError, meant
+from clsim.errors import InputError, check_kind, meant, settle
 from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
@@ -126,8 +126,7 @@ class Shoebox(ConvexRoom):
         walls = _checked_walls(self.walls)
         inwards = np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3)
         offsets = np.stack([np.zeros(3), -size], axis=1).ravel()
-        for name, value in {"size": size, "walls": walls, "faces": Faces(inwards, offsets, WALLS, walls)}.items():
-            object.__setattr__(self, name, value)
+        settle(self, size=size, walls=walls, faces=Faces(inwards, offsets, WALLS, walls))
 
     @property
     def extent(self) -> tuple[Floats, Floats]:
@@ -175,20 +174,15 @@ def _checked_walls(walls: object) -> tuple[Material, ...]:
         if missing and "default" not in walls:
             raise InputError(f"walls.{missing[0]}", "is missing, and there is no default")
         for name, material in walls.items():
-            _check_material(f"walls.{name}", material)
+            check_kind(f"walls.{name}", material, Material, "a Material")
         return tuple(walls[name] if name in walls else walls["default"] for name in WALLS)
     if isinstance(walls, Sequence) and not isinstance(walls, str):
         if len(walls) != len(WALLS):
             raise InputError("walls", f"must be {len(WALLS)} materials, but are {len(walls)}")
         for i, material in enumerate(walls):
-            _check_material(f"walls[{i}]", material)
+            check_kind(f"walls[{i}]", material, Material, "a Material")
         return tuple(walls)
     raise InputError("walls", f"must be a Material or materials by name of wall, but is {walls!r:.80}")
-
-
-def _check_material(field: str, material: object) -> None:
-    if not isinstance(material, Material):
-        raise InputError(field, f"must be a Material, but is {material!r:.80}")
 
 
 def enclosure_of(room: Room) -> tuple[float | None, Floats, tuple[Material, ...]]:

@@ -32,12 +32,11 @@ def touching_pairs(tree: WallTree, low: Floats, high: Floats, slack: float) -> I
 
 
 def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, size: float) -> Ints:
-    """Return numbers that are equal for walls in one plane, (W,).
-
-    If all corners of each of two walls lie within a distance t of the plane of the other, the sine of the angle between
-    the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle of all
-    walls differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each other.
-    """
+    """Return numbers that are equal for walls in one plane, (W,)."""
+    # If all corners of each of two walls lie within a distance t of the plane of the other, the sine of the angle
+    # between the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle
+    # of all walls differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each
+    # other.
     from scipy.spatial import cKDTree
 
     tolerance = SAME_PLANE * size
@@ -148,13 +147,14 @@ class WallTree:
 
     @staticmethod
     def around(low: Floats, high: Floats) -> WallTree:
-        """Return the tree of walls with given lowest and highest corners, (W, 3) m.
-
-        Large walls are grouped apart from small ones, and walls of a size along a curve that fills the room.
-        """
+        """Return the tree of walls with given lowest and highest corners, (W, 3) m."""
+        # Large walls are grouped apart from small ones, and walls of a size along a curve that fills the room.
         order = np.arange(len(low))
         if len(low) > _TOP:
-            order = np.lexsort((_curve(0.5 * (low + high)), -_octave(high - low)))
+            length = (high - low).max(axis=1)
+            share = np.maximum(length / max(float(length.max()), 1e-300), 2.0**-_OCTAVES)
+            octave = np.floor(np.log2(share)).astype(np.int64)  # below the largest wall
+            order = np.lexsort((_curve(0.5 * (low + high)), -octave))
         middle, half = [0.5 * (low + high)[order]], [0.5 * (high - low)[order]]
         while len(middle[-1]) > _TOP:
             starts = np.arange(0, len(middle[-1]), GROUP)
@@ -257,13 +257,6 @@ class WallTree:
             near = meets(row, self.middle[below][box], self.half[below][box])
             row, box = row[near], box[near]
         return row, self.wall[box]
-
-
-def _octave(extent: Floats) -> Ints:
-    """Return size class (n,) of walls of an extent (n, 3): octaves below the largest wall."""
-    length = extent.max(axis=1)
-    share = np.maximum(length / max(float(length.max()), 1e-300), 2.0**-_OCTAVES)
-    return np.asarray(np.floor(np.log2(share)).astype(np.int64))
 
 
 def _curve(points: Floats) -> Ints:

@@ -71,10 +71,8 @@ def _turn(a: list[float], b: list[float], c: list[float]) -> float:
 
 
 def boundaries(vertices: Floats, triangles: Ints, of_triangle: Ints, normal: Floats) -> tuple[Floats, Ints]:
-    """Return the edges (n, 2, 3) at which walls end, and where those of each begin.
-
-    A wall ends where its triangles do not lie on both sides of an edge alike.
-    """
+    """Return the edges (n, 2, 3) at which walls end, and where those of each begin."""
+    # A wall ends where its triangles do not lie on both sides of an edge alike.
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     low, high = vertices[edges.min(axis=1)], vertices[edges.max(axis=1)]
     other = vertices[triangles[:, [2, 0, 1]].ravel()]
@@ -141,12 +139,10 @@ def _filled(lines: Floats, first_line: Ints, edge: Floats, first_edge: Ints, siz
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Walls:
-    """W flat walls. What a wall has several of stands in a row, from ``first_…[w]`` to ``first_…[w + 1]``.
+    """W flat walls. What a wall has several of stands in a row, from ``first_…[w]`` to ``first_…[w + 1]``."""
 
-    A wall is the union of convex pieces (P,), each bounded by lines (L, 4): x lies on a piece if ``line[:, :3] @ x >=
-    line[:, 3]`` for all of its lines.
-    """
-
+    # A wall is the union of convex pieces (P,), each bounded by lines (L, 4): x lies on a piece if ``line[:, :3] @ x >=
+    # line[:, 3]`` for all of its lines.
     size: float  # diagonal of the bounding box, m
     normal: Floats  # (W, 3) plane ``normal @ x = offset``; the normal's sign means nothing
     offset: Floats  # likewise
@@ -189,10 +185,8 @@ class Walls:
 
 
 def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArray[np.int64], flatness: float) -> Walls:
-    """Merge coplanar neighbours of one material (T,), triangles (T, 3) of vertices (V, 3) m, into walls.
-
-    Neighbours are one wall if the corners of each lie within `flatness`, m, of the plane of the other.
-    """
+    """Merge coplanar neighbours of one material (T,), triangles (T, 3) of vertices (V, 3) m, into walls."""
+    # Neighbours are one wall if the corners of each lie within `flatness`, m, of the plane of the other.
     corners = vertices[triangles]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     neighbours = _neighbours(triangles)

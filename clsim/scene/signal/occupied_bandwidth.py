@@ -66,12 +66,10 @@ class ShortTimeSpectra:
         return float(self.frequencies[min(low, last)]), float(self.frequencies[max(high, 0)])
 
     def importance(self, high: float, loudness: Floats) -> Floats:
-        """Return the weights (CELLS,) of errors in equal cells from 0 Hz to `high` Hz.
-
-        Where errors times weights stay below a bound, their root mean square over the spectrum of any window, relative
-        to its audible energy, is at most 3 dB above it: 1 for the strongest components, small for skirts of onsets.
-        `loudness` (W,) is the inverse of the audible energy of each window.
-        """
+        """Return the weights (CELLS,) of errors in equal cells from 0 Hz to `high` Hz."""
+        # Where errors times weights stay below a bound, their root mean square over the spectrum of any window,
+        # relative to its audible energy, is at most 3 dB above it: 1 for the strongest components, small for skirts of
+        # onsets. `loudness` (W,) is the inverse of the audible energy of each window.
         cell = (self.frequencies * (CELLS / high)).astype(np.int64)
         bins = np.flatnonzero(cell < CELLS)
         energy = self._gathered(bins, cell[bins], np.ones(len(bins)), CELLS)
@@ -85,11 +83,9 @@ class ShortTimeSpectra:
 
 
 def spectra(signal: Signal) -> tuple[ShortTimeSpectra, Callable[[], tuple[Floats, Floats]]]:
-    """Return a signal's short-time spectra (without a window for silence) and a function for its energy spectrum.
-
-    The function gives frequencies (n,), Hz, and energy (n,) as `Signal.energy_spectrum`. Both are computed together
-    where their windows have the same length; otherwise the function computes it when first called.
-    """
+    """Return a signal's short-time spectra (without a window for silence) and a function for its energy spectrum."""
+    # The function gives frequencies (n,), Hz, and energy (n,) as `Signal.energy_spectrum`. Both are computed together
+    # where their windows have the same length; otherwise the function computes it when first called.
     frequencies, energy, weights, whole = signal.short_time_spectra()
     found = ShortTimeSpectra(frequencies, energy, weights)
     if len(whole) == SEGMENT_LENGTH // 2 + 1:

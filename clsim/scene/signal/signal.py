@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, check_kind, warn
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.scene.signal.waveforms import (
     SEQUENCES,
@@ -321,8 +321,7 @@ class Signal:
         >>> Signal.pulses(Signal.tone(40e3, 0.001, 192e3), period=0.1, count=3).duration
         0.201
         """
-        if not isinstance(pulse, Signal):
-            raise InputError("pulse", f"must be a Signal, but is {pulse!r:.80}")
+        check_kind("pulse", pulse, Signal, "a Signal")
         if isinstance(pulse.waveform, Pulses):
             raise InputError("pulse", "must be a single pulse, but is a train")
         period = as_number("period", period, at_least=pulse.duration, at_most=_LONGEST, unit="s")
@@ -473,7 +472,7 @@ class Signal:
                 "1 Pa with scale=1 / 32768",
             )
         _question_level("samples", pressure)
-        return cls(_with_centroid(pressure, rate), rate)
+        return _with_centroid(pressure, rate)
 
     @classmethod
     def from_wav(
@@ -501,14 +500,12 @@ class Signal:
         samples, rate = read_sound_file(path, channel, truncated)
         samples *= scale
         _question_level("scale", samples)
-        return cls(_with_centroid(read_only(samples), _rate(rate)), rate)
+        return _with_centroid(read_only(samples), _rate(rate))
 
 
 def _picked_segments(count: int, hop: int) -> tuple[NDArray[np.int64], Floats]:
-    """Return segments of `hop` samples, those before the onset included, and how many each stands for.
-
-    Of many segments the first, the last and equally spaced ones between them are taken.
-    """
+    """Return segments of `hop` samples, those before the onset included, and how many each stands for."""
+    # Of many segments the first, the last and equally spaced ones between them are taken.
     last = -(-count // hop)
     if last + 1 <= _ALL_SEGMENTS:
         return np.arange(-1, last), np.ones(last + 1)
@@ -535,10 +532,8 @@ def _hann(length: int) -> Floats:
 
 
 def _question_level(field: str, pressure: NDArray[Any]) -> None:
-    """Warn of samples above 160 dB SPL: of a converter's steps, or of another unit.
-
-    A signal does not know whether it drives a transducer, so the message names both units.
-    """
+    """Warn of samples above 160 dB SPL: of a converter's steps, or of another unit."""
+    # A signal does not know whether it drives a transducer, so the message names both units.
     peak = float(np.abs(pressure).max())
     level = 20.0 * math.log10(max(peak, _REFERENCE) / (math.sqrt(2.0) * _REFERENCE))
     if level > _LOUD:
@@ -549,11 +544,17 @@ def _question_level(field: str, pressure: NDArray[Any]) -> None:
         )
 
 
-def _with_centroid(samples: NDArray[Any], rate: float) -> Samples:
-    """Return samples with the centroid of their energy as centre frequency; silence has none."""
-    frequencies, energy = Signal(Samples(samples, rate, None), rate).energy_spectrum()
+def energy_centroid(signal: Signal) -> float | None:
+    """Return the centroid of a signal's energy over frequency, Hz; None for silence."""
+    frequencies, energy = signal.energy_spectrum()
     total = float(energy.sum())
-    return Samples(samples, rate, float(frequencies @ energy) / total if total > 0.0 else None)
+    return float(frequencies @ energy) / total if total > 0.0 else None
+
+
+def _with_centroid(samples: NDArray[Any], rate: float) -> Signal:
+    """Return samples whose centre frequency is the centroid of their energy."""
+    centre = energy_centroid(Signal(Samples(samples, rate, None), rate))
+    return Signal(Samples(samples, rate, centre), rate)
 
 
 def _rate(sampling_rate: float) -> float:

@@ -75,11 +75,9 @@ class Tone:
         return _count(self.duration, sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        """Return samples.
-
-        Every block's phase is a fraction of whole numbers, so that late samples are as exact as the first; inside
-        a block ``sin(a + b) = sin a cos b + cos a sin b`` with a table of the angles `b`.
-        """
+        """Return samples."""
+        # Every block's phase is a fraction of whole numbers, so that late samples are as exact as the first; inside a
+        # block ``sin(a + b) = sin a cos b + cos a sin b`` with a table of the angles `b`.
         cosine, sine = _block_angles(self.frequency, sampling_rate)
         per_sample = Fraction(self.frequency) / Fraction(sampling_rate)
         p, q = per_sample.numerator * _TONE_BLOCK, per_sample.denominator
@@ -381,11 +379,9 @@ def most_repeats(chips: int, chip_rate: float, sampling_rate: float) -> int:
 
 @lru_cache(maxsize=4)
 def shaped_sequence(sequence: Sequence, sampling_rate: float) -> Floats:
-    """Return a sequence on a carrier, (n,), its chips of level 1 shaped by a raised cosine.
-
-    The first chip is centred 16 chips after the beginning, so that its pulse begins from nothing. J. G. Proakis,
-    Digital Communications, 4th ed., eq. 9.2-27.
-    """
+    """Return a sequence on a carrier, (n,), its chips of level 1 shaped by a raised cosine."""
+    # The first chip is centred 16 chips after the beginning, so that its pulse begins from nothing. J. G. Proakis,
+    # Digital Communications, 4th ed., eq. 9.2-27.
     chip_rate = sequence.chip_rate
     chips = np.tile(binary_sequence(sequence.kind, sequence.bits, sequence.code), sequence.repeats)
     out = np.empty(shaped_count(len(chips), chip_rate, sampling_rate))

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from clsim.arrays import FASTEST, LOUDEST, QUIETEST, SLOWEST, Floats, as_count, as_number
-from clsim.errors import InputError
+from clsim.errors import InputError, settle
 
 _REFERENCE = 20e-6  # Pa
 _LARGEST_OFFSET = 1.0  # s
@@ -79,28 +79,21 @@ class Electronics:
     clock_offset: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, low, high, unit in (
-            ("ambient_noise_db", -200.0, 200.0, "dB"),
-            ("snr_db", -200.0, 200.0, "dB"),
-            ("reference_level_db", -200.0, 200.0, "dB"),
-            ("self_noise_db", -200.0, 200.0, "dB"),
-            ("gain_db", -200.0, 200.0, "dB"),
-            ("clock_ppm", -_LARGEST_ERROR, _LARGEST_ERROR, "ppm"),
-            ("clock_offset", -_LARGEST_OFFSET, _LARGEST_OFFSET, "s"),
-            ("low_cut", SLOWEST, FASTEST, "Hz"),
-            ("high_cut", SLOWEST, FASTEST, "Hz"),
-            ("adc_full_scale", QUIETEST, LOUDEST, ""),
-        ):
+        levels = ("ambient_noise_db", "snr_db", "reference_level_db", "self_noise_db", "gain_db")
+        rules = dict.fromkeys(levels, (-200.0, 200.0, "dB")) | {
+            "clock_ppm": (-_LARGEST_ERROR, _LARGEST_ERROR, "ppm"),
+            "clock_offset": (-_LARGEST_OFFSET, _LARGEST_OFFSET, "s"),
+            "low_cut": (SLOWEST, FASTEST, "Hz"), "high_cut": (SLOWEST, FASTEST, "Hz"),
+            "adc_full_scale": (QUIETEST, LOUDEST, ""),
+        }  # fmt: skip
+        for name, (low, high, unit) in rules.items():
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, as_number(name, value, at_least=low, at_most=high, unit=unit))
+                settle(self, **{name: as_number(name, value, at_least=low, at_most=high, unit=unit)})
         as_count("seed", self.seed, at_least=0, at_most=2**64 - 1)
         as_count("order", self.order, at_least=1, at_most=8)
         if self.adc_bits is not None:
             as_count("adc_bits", self.adc_bits, at_least=1, at_most=24)
-        self._check_pairs()
-
-    def _check_pairs(self) -> None:
         for one, other in (
             ("snr_db", "reference_level_db"), ("reference_level_db", "snr_db"),
             ("adc_bits", "adc_full_scale"), ("adc_full_scale", "adc_bits"),

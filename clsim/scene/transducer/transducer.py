@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.air import absorption_iso9613
 from clsim.arrays import LOUDEST, QUIETEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
-from clsim.errors import InputError
+from clsim.errors import InputError, check_kind, inside
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.numerics.band_filters import minimum_phase, resonance_response, resonance_taps
 from clsim.numerics.resampling import Resampler
-from clsim.scene.signal.signal import Signal
+from clsim.scene.signal.signal import Signal, energy_centroid
 from clsim.scene.signal.waveforms import Waveform
 
 _BLOCK = 8192  # samples of a filtered signal that are made at a time
@@ -69,12 +69,10 @@ class Filtered:
 
 
 class StreamFilter:
-    """Filters what comes in blocks of a fixed length by taps (n,), the last one perhaps shorter.
+    """Filters what comes in blocks of a fixed length by taps (n,), the last one perhaps shorter."""
 
-    `ringing` (n - 1,) is what it remembers: the part of its output so far that is still to come. The rounding is the
-    same whatever the length of the pieces that it is given.
-    """
-
+    # `ringing` (n - 1,) is what it remembers: the part of its output so far that is still to come. The rounding is the
+    # same whatever the length of the pieces that it is given.
     def __init__(self, taps: Floats, block: int) -> None:
         from scipy.fft import next_fast_len, rfft
 
@@ -129,12 +127,10 @@ class Resonance:
         return 0.0, math.inf
 
     def taps(self, sampling_rate: float) -> Floats:
-        """Return the impulse response.
-
-        With three samples a period or more the response is the band-pass's own, phase included, at both -6 dB points,
-        and within 0.05 dB and 2 degrees between them. With fewer, magnitudes are its own everywhere and the phase is
-        the least, which is early by up to half a sample.
-        """
+        """Return the impulse response."""
+        # With three samples a period or more the response is the band-pass's own, phase included, at both -6 dB points,
+        # and within 0.05 dB and 2 degrees between them. With fewer, magnitudes are its own everywhere and the phase is
+        # the least, which is early by up to half a sample.
         top = self.frequency + self.width
         if top > 0.5 * sampling_rate:
             raise InputError(
@@ -285,12 +281,9 @@ class Transducer:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        if not isinstance(self.model, Resonance | ResponseTable | ImpulseResponse):
-            raise InputError(
-                "model", f"must be a Resonance, ResponseTable or ImpulseResponse, but is {self.model!r:.80}"
-            )
-        if not isinstance(self.name, str):
-            raise InputError("name", f"must be a text, but is {self.name!r:.80}")
+        kinds = Resonance | ResponseTable | ImpulseResponse
+        check_kind("model", self.model, kinds, "a Resonance, ResponseTable or ImpulseResponse")
+        check_kind("name", self.name, str, "a text")
 
     @property
     def sensitivity(self) -> float:
@@ -321,14 +314,12 @@ class Transducer:
         InputError
             If the voltage has a wider band than the transducer's table.
         """
-        if not isinstance(voltage, Signal):
-            raise InputError("signal", f"must be a Signal, but is {voltage!r:.80}")
+        check_kind("signal", voltage, Signal, "a Signal")
         self.check_coverage(voltage.band(), "the signal")
         made = Signal(Filtered(voltage.waveform, self, None), voltage.sampling_rate)
-        frequencies, energy = made.energy_spectrum()
-        total = float(energy.sum())
-        centre = float(frequencies @ energy) / total if total > 0.0 else voltage.centre_frequency
-        return Signal(Filtered(voltage.waveform, self, centre), voltage.sampling_rate)
+        centre = energy_centroid(made)
+        made_about = Filtered(voltage.waveform, self, voltage.centre_frequency if centre is None else centre)
+        return Signal(made_about, voltage.sampling_rate)
 
     def check_coverage(self, band: tuple[float, float], what: str) -> None:
         """Raise an InputError if the `band` (low, high), Hz, of `what` is not covered by the response."""
@@ -362,9 +353,8 @@ class Transducer:
         """
         frequency = as_number("frequency", frequency, at_least=1.0, at_most=50e6, unit="Hz")
         width = as_number("width", width, at_least=1e-3 * frequency, below=frequency, unit="Hz")
-        return cls(
-            Resonance(frequency, width, as_number("sensitivity", sensitivity, at_least=QUIETEST, at_most=LOUDEST)), name
-        )
+        sensitivity = as_number("sensitivity", sensitivity, at_least=QUIETEST, at_most=LOUDEST)
+        return cls(Resonance(frequency, width, sensitivity), name)
 
     @classmethod
     def from_table(cls, frequencies: ArrayLike, values: Any, outside: str | None = None, name: str = "") -> Transducer:
@@ -486,7 +476,5 @@ class Transducer:
 
 @lru_cache(maxsize=32)
 def _taps(transducer: Transducer, sampling_rate: float) -> Floats:
-    try:
+    with inside("transducer"):
         return read_only(transducer.model.taps(sampling_rate))
-    except InputError as error:
-        raise error.within("transducer") from error

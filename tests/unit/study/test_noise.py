@@ -9,7 +9,7 @@ from scipy.signal import csd, welch
 from scipy.special import j0
 
 import clsim
-from clsim.study.noise import NoiseModel
+from clsim.study.draws import NoiseModel
 
 RATE, SPEED = 16e3, 343.0
 PLACES = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.2, 0.1]])
