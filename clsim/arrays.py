@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,19 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 def texts(values: Iterable[str]) -> NDArray[Any]:
     """Return texts (n,) as an array that pandas, xarray, Zarr and HDF5 store with variable lengths."""
     return np.array(list(values), dtype=object)
+
+
+class ByRow:
+    """Base class of dataclasses whose arrays have a row for each of n things."""
+
+    __slots__ = ()
+
+    def part(self, rows: Any) -> Self:
+        """Return some of the rows, by indices, a mask or a slice; what is no array and has no rows stays as it is."""
+        whole: Any = self
+        values: list[Any] = [getattr(whole, field.name) for field in fields(whole)]
+        parts = (x[rows] if isinstance(x, np.ndarray) else x.part(rows) if hasattr(x, "part") else x for x in values)
+        return type(self)(*parts)
 
 
 def firsts(count: NDArray[np.int64]) -> NDArray[np.int64]:

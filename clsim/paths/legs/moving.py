@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import ByRow, Floats, read_only
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.chain import Chain
-from clsim.paths.family import DIFFRACTION, Instant, Rows
+from clsim.paths.family import DIFFRACTION, Instant
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.links import Columns, Integers, Links, Vertex, in_chunks, met_in_order
@@ -112,7 +112,7 @@ def _columns(kinematics: Kinematics, links: Any, times: Floats) -> Columns:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovingLeg:
+class MovingLeg(ByRow):
     """Legs of P paths of which some surfaces belong to bodies.
 
     Attributes
@@ -127,10 +127,6 @@ class MovingLeg:
     kind: ClassVar[str] = "moving"
     moving: ClassVar[bool] = True
     links: ClassVar[type[Links]] = MovingLinks
-
-    def part(self, rows: Rows) -> MovingLeg:
-        """Return some of the legs."""
-        return MovingLeg(self.surfaces[rows], self.mirrors)
 
     def in_scene(self, scene: Scene, surfaces: Integers) -> MovingLeg:
         """Return legs by the mirrors of another scene."""

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import ByRow, Floats, read_only
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.chain import Chain
-from clsim.paths.family import NONE, SPECULAR, TRANSMISSION, Instant, Rows
+from clsim.paths.family import NONE, SPECULAR, TRANSMISSION, Instant
 from clsim.paths.links import Integers, Links
 from clsim.paths.propagation import Folds, arrivals_by, straight
 from clsim.scene.scene import Scene
@@ -92,7 +92,7 @@ class StaticLinks(Links):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StaticLeg:
+class StaticLeg(ByRow):
     """Legs of P paths whose surfaces rest.
 
     Attributes
@@ -108,10 +108,6 @@ class StaticLeg:
     kind: ClassVar[str] = "static"
     moving: ClassVar[bool] = False
     links: ClassVar[type[Links]] = StaticLinks
-
-    def part(self, rows: Rows) -> StaticLeg:
-        """Return some of the legs."""
-        return StaticLeg(self.matrix[rows], self.offset[rows])
 
     def in_scene(self, scene: Scene, surfaces: Integers) -> StaticLeg:
         """Return legs whose offsets are those of displaced walls: ``b <- b - 2 (n b - d) n``; normals stay."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, firsts
+from clsim.arrays import ByRow, Floats, firsts
 from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.visibility.occlusion import (
     BEHIND,
@@ -89,17 +89,13 @@ class FoundPaths:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Beams:
+class _Beams(ByRow):
     """Beams after the same number of reflections: image of the sphere, aperture on the last wall, sequence."""
 
     centre: Floats
     ring: Floats
     corners: NDArray[np.int64]
     sequence: NDArray[np.int32]
-
-    def part(self, which: slice | NDArray[np.int64] | NDArray[np.bool_]) -> _Beams:
-        """Return some of the beams, by index or mask."""
-        return _Beams(self.centre[which], self.ring[which], self.corners[which], self.sequence[which])
 
     @staticmethod
     def joined(parts: list[_Beams]) -> _Beams:

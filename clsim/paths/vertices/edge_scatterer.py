@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
-from clsim.arrays import Floats
+from clsim.arrays import ByRow, Floats
 from clsim.errors import InputError
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import Instant, Rows, ends_at
@@ -36,16 +36,12 @@ _ROUNDS, _CLOSE, _CONVERGED = 80, 1e-9, 1e-3  # of Newton's method; s and rad th
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeBeside:
+class EdgeBeside(ByRow):
     """Edges on one side of scatterers (P,), and what reflects between both."""
 
     edge: EdgeVertex
     leg: StaticLeg  # image of the scatterer as the edge sees it
     walls: Integers  # (P, N) from the scatterer's side, -1 behind the last
-
-    def part(self, rows: Rows) -> EdgeBeside:
-        """Take some of them."""
-        return EdgeBeside(self.edge.part(rows), self.leg.part(rows), self.walls[rows])
 
     @property
     def view(self) -> EdgeView:

@@ -23,12 +23,12 @@ it. Hence
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import ByRow, Floats
 from clsim.paths.visibility.occlusion import INNER
 from clsim.scene.room.walls import INSIDE, Walls
 
@@ -43,7 +43,7 @@ PARALLEL = 1e-14  # square of the sine of an angle below which segments are para
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reach:
+class Reach(ByRow):
     """How far the ends of n paths may move."""
 
     source: Floats  # (n,) m
@@ -59,7 +59,7 @@ class Reach:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unfolded:
+class Unfolded(ByRow):
     """The straight line of n paths of N reflections in the real space of each leg."""
 
     start: Floats  # (n, N + 1, 3) its ends: mirrored source and mirrored receiver, m
@@ -82,13 +82,6 @@ class Unfolded:
         slides = (np.sum(facing[:, leg] * normal, axis=-1) for facing in (self.start_facing, self.stop_facing))
         start, stop = (np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) for cosine in slides)
         return np.asarray((1.0 - tau) * self.reach.source * start + tau * self.reach.receiver * stop)
-
-    def part(self, rows: Ints) -> Unfolded:
-        """Return some of the paths."""
-        reach = Reach(*(getattr(self.reach, f.name)[rows] for f in fields(Reach)))
-        return Unfolded(
-            **{f.name: getattr(self, f.name)[rows] for f in fields(Unfolded) if f.name != "reach"}, reach=reach
-        )
 
 
 def unfold(walls: Walls, sequence: Ints, source: Floats, receiver: Floats, reach: Reach) -> Unfolded:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import ByRow, Floats
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, Mirrors
 from clsim.paths.visibility.clearance import edges_apart
@@ -25,7 +25,7 @@ _SPARE = 1.01  # of a body's radius, for legs that are curved as it sees them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Legs:
+class Legs(ByRow):
     """Straight ways of sound, n of them: from and to where, (n, 3) m, and when, (n,) s."""
 
     start: Floats
@@ -33,13 +33,9 @@ class Legs:
     left: Floats
     arrived: Floats
 
-    def part(self, rows: Rows) -> Legs:
-        """Return some of them."""
-        return Legs(self.start[rows], self.stop[rows], self.left[rows], self.arrived[rows])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LegDrift:
+class LegDrift(ByRow):
     """Upper bounds of the rates at which n legs change, per time of reception."""
 
     start: Floats  # (n,) how fast their ends move in the room, m/s
@@ -48,13 +44,9 @@ class LegDrift:
     held: Bools  # (n, B, 2) whether bodies hold their starts and stops where they are
     pace: Pace  # of all that moves
 
-    def part(self, rows: Rows) -> LegDrift:
-        """Return that of some of them."""
-        return LegDrift(self.start[rows], self.stop[rows], self.dilation[rows], self.held[rows], self.pace.part(rows))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LocalDrift:
+class LocalDrift(ByRow):
     """Upper bounds of the rates of n legs in a body's frame, m/s: at their ends, and between them beyond those.
 
     They are off the straight line from one end to the other by `curved`, m, and that matters for `half`, s.
@@ -65,10 +57,6 @@ class LocalDrift:
     extra: Floats
     curved: Floats
     half: Floats
-
-    def part(self, rows: Rows) -> LocalDrift:
-        """Return that of some of them."""
-        return LocalDrift(*(getattr(self, f.name)[rows] for f in fields(LocalDrift)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

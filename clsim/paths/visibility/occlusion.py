@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, spread
+from clsim.arrays import ByRow, Floats, spread
 from clsim.scene.room.walls import INSIDE, Walls
 
 Ints = NDArray[np.int64]
@@ -121,7 +121,7 @@ _ROUNDS = 5  # of taking hidden parts off apertures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beams:
+class Beams(ByRow):
     """n beams: what a ball lights through an aperture."""
 
     planes: Floats  # (n, p, 4) half-spaces that hold a beam; see `beam_planes`
@@ -129,10 +129,6 @@ class Beams:
     radius: float  # of all balls, m
     last: NDArray[np.int32]  # (n,) walls that the apertures are on
     slack: float  # by which walls are taken to be larger, m
-
-    def part(self, which: slice) -> Beams:
-        """Return some of them."""
-        return Beams(self.planes[which], self.centre[which], self.radius, self.last[which], self.slack)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

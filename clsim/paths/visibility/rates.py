@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import ByRow, Floats, read_only
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.paths.legs.mirrors import FARTHEST
 from clsim.scene.body import Body
@@ -103,7 +103,7 @@ class Peaks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pace:
+class Pace(ByRow):
     """Bounds over n stretches of time, of B bodies and two ends."""
 
     half: Floats  # (n,) half of each stretch of times of reception, s
@@ -118,10 +118,6 @@ class Pace:
     jolt: Floats
     twist: Floats  # (n, B) likewise
     held: NDArray[np.bool_]  # (n, B, 2) whether bodies hold source and receiver where they are
-
-    def part(self, rows: NDArray[np.int64]) -> Pace:
-        """Return some of the stretches."""
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
     @property
     def all_lengths(self) -> Floats:
