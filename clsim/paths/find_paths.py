@@ -30,7 +30,6 @@ from clsim.paths.search.edges import double_edge_paths, edge_paths, gap_edge_pat
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.vertices.scatterer_pair import scatterer_pair_paths
-from clsim.paths.visibility.hidden import behind_bodies
 from clsim.paths.without_edges import warn_without_edges, warn_without_shadows
 from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.placement import together
@@ -85,7 +84,7 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     if scene.bodies:
         bodies = BodySearch(scene, options)
         by_bodies = bodies.paths(next(parts).notify)
-        found = (*(behind_bodies(bodies, family, next(parts).notify) for family in found), by_bodies)
+        found = (*(bodies.unhidden(family, next(parts).notify) for family in found), by_bodies)
         for of_bodies in OVER_BODIES[:edges]:
             found = (*found, of_bodies(bodies, found))
     if scene.scatterers:
@@ -109,8 +108,8 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
         edges: Any = edge_paths(side, given, (walls,)) if search.edge_scattering else None
         if scene.bodies:
             bodies = BodySearch(side, given)
-            walls = behind_bodies(bodies, walls)
-            edges = edges and behind_bodies(bodies, edges)
+            walls = bodies.unhidden(walls)
+            edges = edges and bodies.unhidden(edges)
             by_bodies.append(Side.of(walls, bodies.paths()))
         by_walls.append(Side.of(walls))
         over_edges.append(edges)
@@ -138,7 +137,7 @@ def _unreflected(scene: Scene, search: PathOptions) -> Side:
     """Find the paths that nothing reflects, where no body is in the way."""
     paths: Any = _specular_paths(scene, replace(search, max_order=0))
     if scene.bodies:
-        paths = behind_bodies(BodySearch(scene, search), paths)
+        paths = BodySearch(scene, search).unhidden(paths)
     return Side.of(paths)
 
 

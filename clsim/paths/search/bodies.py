@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain
+from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.options import PathOptions
@@ -24,11 +25,11 @@ from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
 from clsim.paths.support import check_support
 from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
 from clsim.paths.visibility.intervals import VisibilityQuery
-from clsim.paths.visibility.mirrors import MirrorEvaluation
+from clsim.paths.visibility.mirrors import MirrorEvaluation, PastBodies
 from clsim.paths.visibility.obstacles import Obstacles
 from clsim.paths.visibility.occlusion import air_sides
 from clsim.paths.visibility.rates import BodyRates, EndRates
-from clsim.paths.visibility.subdivision import certified, evaluations
+from clsim.paths.visibility.subdivision import certified, evaluations, sampled
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.motion import Motion, even_lengths
@@ -132,6 +133,33 @@ class BodySearch:
         if self._known is None or longest > -self._known.first or last > self._known.last:
             self._known = BodyRates.of(self.scene.bodies, longest, last)
         return self._known
+
+    def unhidden(self, family: PathFamily, progress: Progress = lambda share: None) -> PathFamily:
+        """Return the paths of a kind that is reflected by no body without what bodies hide, rows cut as it takes."""
+        rows: list[Any] = [np.empty(0, dtype=np.int64)]
+        begins, ends = [np.empty(0)], [np.empty(0)]
+        pairs = list(family.pairs())
+        for number, pair in enumerate(pairs):
+            part = partial(report, progress, number / len(pairs), (number + 1) / len(pairs))
+            query = self.pair(pair.source, pair.receiver)
+            past = PastBodies(family, pair.index, self.obstacles, query.rates, query.medium)
+            if family.is_specular:
+                every = np.arange(len(pair.index))
+                spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
+                path, begin, end = certified(past.evaluate, past.status, spans, query.resolution, part)
+            else:
+                path, begin, end = sampled(past.free, pair.index, query.times, query.resolution, past.nearby)
+                part(1.0)
+            begin, end = query.bounded(begin, end)
+            path = pair.index[path]
+            begin, end = np.maximum(begin, family.start[path]), np.minimum(end, family.end[path])
+            rows.append(path[begin < end])
+            begins.append(begin[begin < end])
+            ends.append(end[begin < end])
+        path, begin, end = (np.concatenate(each) for each in (rows, begins, ends))
+        order = np.lexsort((begin, path))
+        cut = family.part(path[order])
+        return replace(cut, start=read_only(begin[order]), end=read_only(end[order]))
 
     def paths(self, progress: Progress = lambda share: None) -> Chain:
         """Return every path by bodies."""

@@ -14,7 +14,7 @@ from clsim.paths.options import PathOptions
 from clsim.paths.search.beam_tree import TooManyBeamsError
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.visibility import rates, subdivision
-from clsim.paths.visibility.hidden import PastBodies
+from clsim.paths.visibility.mirrors import PastBodies
 from clsim.paths.visibility.obstacles import Legs, hidden_by
 
 C, RATE = 343.0, 192e3
@@ -175,7 +175,8 @@ def test_drawn_scenes_at_every_sample(seed: int) -> None:
     walls = found.families[0]
     times = np.arange(0.0, 0.15, 12.0 / RATE)
     bare = ROOM_FINDERS[type(scene.room)](scene, scene.room, search.search)
-    past = PastBodies(bare, np.arange(len(bare)), search.obstacles, search.pair(0, 0))
+    pair = search.pair(0, 0)
+    past = PastBodies(bare, np.arange(len(bare)), search.obstacles, pair.rates, pair.medium)
     for row in range(len(bare)):
         place, when = past.polylines(np.array([row]), times[None])
         free = np.ones(len(times), dtype=bool)
