@@ -44,7 +44,7 @@ def capsule_specular_point(
         hidden = near.staying(hidden)
     if hidden.any():
         place, change = np.where(hidden, between, place), np.where(hidden, 0.0, change)
-    return SpecularPoint(place, place, hidden, float(change.max(initial=0.0)))
+    return SpecularPoint(place, place, hidden, float(change.max(initial=0.0)), weight=weight)
 
 
 def capsule_aspects(
@@ -60,20 +60,20 @@ def capsule_aspects(
     ``sqrt(R1 R2) / 2``, and on the round ends those of a sphere, without a jump between them. Either leg counts alike.
     Towards grazing incidence all goes to 0 as for ellipsoids or, outlined, the field about the outline takes over.
     """
-    half, ends = 0.5 * length, (source, receiver)
+    half, ends, weight = 0.5 * length, (source, receiver), specular.weight
     oblique = _positive if outlined else _obliquity
     at, normal = _split(half, specular.place)
     aside = _unit(np.stack([normal[0], normal[1], np.where(np.hypot(*normal[:2]) > 0.0, 0.0, 1.0)]))
     around = np.stack([-aside[1], aside[0], 0.0 * at])
     along = np.cross(normal, around, axis=0)
-    detour, _, steep, bend, inward = _lengths_by(radius, ends, specular.place, (normal, around, along))
+    detour, _, steep, bend, inward = _lengths_by(radius, ends, specular.place, (normal, around, along), weight)
     side, cosine = bend, 0.5 * np.maximum(inward, 0.0)
     aspects = np.empty((len(at), ASPECTS))
     on_end = np.zeros(len(at), dtype=bool)
     for i, sign in enumerate((-1.0, 1.0)):
         place = radius * aside + np.stack([0.0 * at, 0.0 * at, np.full(len(at), sign * half)])
         axis = np.broadcast_to(np.array([[0.0], [0.0], [sign]]), place.shape)
-        there, slope, _, flat, pressed = _lengths_by(radius, ends, place, (aside, around, axis))
+        there, slope, _, flat, pressed = _lengths_by(radius, ends, place, (aside, around, axis), weight)
         late, sharp = np.maximum(there - detour, 0.0), np.maximum(flat + pressed / radius, FLATTEST)
         on_end |= slope < 0.0
         # Where the specular point is on this round end, the parabola that is as late at the junction.
@@ -223,7 +223,8 @@ def _length_by(place: Floats, ends: tuple[Floats, Floats], weight: Floats | floa
 
 
 def _lengths_by(
-    radius: float, ends: tuple[Floats, Floats], place: Floats, frame: tuple[Floats, Floats, Floats]
+    radius: float, ends: tuple[Floats, Floats], place: Floats, frame: tuple[Floats, Floats, Floats],
+    weight: Floats | float,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return the way's length, slope along, bend around, bend along and pressure by places (3, n), each (n,).
 
@@ -234,13 +235,13 @@ def _lengths_by(
     detour, inward = np.zeros(place.shape[1]), np.zeros(place.shape[1])
     g = [np.zeros(place.shape[1]) for _ in range(2)]
     h = [np.zeros(place.shape[1]) for _ in range(3)]
-    for end in ends:
+    for end, w in zip(ends, (1.0, weight), strict=True):
         away = place - end
         distance = np.sqrt(_dot(away, away))
-        a, b = _dot(around, away) / distance, _dot(along, away) / distance
-        detour, inward = detour + distance, inward - _dot(normal, away) / distance
-        g = [g[0] + a, g[1] + b]
-        h = [h[0] + (1.0 - a * a) / distance, h[1] - a * b / distance, h[2] + (1.0 - b * b) / distance]
+        a, b, size = _dot(around, away) / distance, _dot(along, away) / distance, w / distance
+        detour, inward = detour + w * distance, inward - size * _dot(normal, away)
+        g = [g[0] + w * a, g[1] + w * b]
+        h = [h[0] + (1.0 - a * a) * size, h[1] - a * b * size, h[2] + (1.0 - b * b) * size]
     steep = np.maximum(h[0] + np.maximum(inward, 0.0) / radius, FLATTEST)
     off = g[0] / steep
     return detour - 0.5 * g[0] * off, g[1] - h[1] * off, steep, np.maximum(h[2] - h[1] ** 2 / steep, 0.0), inward
