@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics import silhouette
-from clsim.acoustics.outline import Outline
+from clsim.acoustics.outline import Outline, faded
 from clsim.acoustics.scattering import SpecularPoint, lit_share
 from clsim.arrays import Complexes, Floats
 
@@ -101,7 +101,7 @@ def _incidence_curvature(radius: float, half: float, source: Floats, at: tuple[F
     away = place - source
     tangent = away - _dot(normal, away) * normal
     share = _dot(around, tangent) ** 2 / np.maximum(_dot(tangent, tangent), _SMALL)
-    share = 1.0 - (1.0 - share) * silhouette.faded((np.abs(place[2]) - half) / radius, (0.0, CAP_FADE))
+    share = 1.0 - (1.0 - share) * faded((np.abs(place[2]) - half) / radius, (0.0, CAP_FADE))
     return np.asarray(np.maximum(share / radius, radius / (radius + half) ** 2))
 
 
