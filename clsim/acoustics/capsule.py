@@ -11,6 +11,7 @@ from clsim.acoustics import silhouette
 from clsim.acoustics.outline import Outline, faded
 from clsim.acoustics.scattering import SpecularPoint, lit_share
 from clsim.arrays import Complexes, Floats
+from clsim.numerics.band_filters import chebyshev_points, interpolation
 
 _STEPS = 40  # of Newton's, at most, where ends are far from where they were
 _LONGEST_STEP = 0.5  # rad
@@ -20,11 +21,20 @@ _PARALLEL = 1e-20  # squared sine of the angle to the axis below which the middl
 FLATTEST = 1e-9  # 1/m
 CAP_FADE = 0.3  # radii beyond the side, along the axis, from which on the curvature is a sphere's; our own choice
 NEAR_JUNCTION = 3e-3  # slope of the way where the side ends below which the bend there is that of the place itself
+_TURN, _CARRIED = (
+    np.exp(0.75j * math.pi),
+    20.0,
+)  # of E, see `_lobes`; nepers of the error of what few frequencies say of it
 ASPECTS = 11  # numbers that a field takes, and as many more as `silhouette_field` with the field about the outline
 
 
 def capsule_specular_point(
-    radius: float, length: float, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    radius: Floats | float,
+    length: Floats | float,
+    source: Floats,
+    receiver: Floats,
+    near: SpecularPoint | None,
+    weight: Floats | float,
 ) -> SpecularPoint:
     """Return the specular point of a rigid capsule, by geometrical optics; source, receiver (3, n) m; weight (n,).
 
@@ -48,7 +58,12 @@ def capsule_specular_point(
 
 
 def capsule_aspects(
-    radius: float, length: float, source: Floats, receiver: Floats, specular: SpecularPoint, outlined: bool = False
+    radius: Floats | float,
+    length: Floats | float,
+    source: Floats,
+    receiver: Floats,
+    specular: SpecularPoint,
+    outlined: bool = False,
 ) -> tuple[Floats, Floats]:
     """Return the strength (n,) that `capsule_field` is relative to, m, and what that takes (n, 11), outlined (n, 22).
 
@@ -71,7 +86,7 @@ def capsule_aspects(
     aspects = np.empty((len(at), ASPECTS))
     on_end = np.zeros(len(at), dtype=bool)
     for i, sign in enumerate((-1.0, 1.0)):
-        place = radius * aside + np.stack([0.0 * at, 0.0 * at, np.full(len(at), sign * half)])
+        place = radius * aside + np.stack([0.0 * at, 0.0 * at, sign * half + 0.0 * at])
         axis = np.broadcast_to(np.array([[0.0], [0.0], [sign]]), place.shape)
         there, slope, _, flat, pressed = _lengths_by(radius, ends, place, (aside, around, axis), weight)
         late, sharp = np.maximum(there - detour, 0.0), np.maximum(flat + pressed / radius, FLATTEST)
@@ -95,7 +110,9 @@ def capsule_aspects(
     return strength, np.concatenate([aspects, outline], axis=1)
 
 
-def _incidence_curvature(radius: float, half: float, source: Floats, at: tuple[Floats, Floats, Floats]) -> Floats:
+def _incidence_curvature(
+    radius: Floats | float, half: Floats | float, source: Floats, at: tuple[Floats, Floats, Floats]
+) -> Floats:
     """Curvature (n,) in the plane of incidence at places (3, n) with normals and directions around (3, n), 1/m."""
     place, normal, around = at
     away = place - source
@@ -127,16 +144,39 @@ def _lobes(wave: Floats, aspects: Floats) -> Complexes:
     = exp(j x^2) erfc(exp(j pi / 4) x)`` (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 1964, eq.
     7.1.3).
     """
-    from scipy.special import wofz
-
-    turn, root = np.exp(0.75j * math.pi), np.sqrt(wave)
+    roots = np.sqrt(wave)
+    at, weights = _fewer(roots)
     total: Complexes = np.zeros((*aspects.shape[:-1], len(wave)), dtype=np.complex128)
     for first in (1, 6):
         late, *rest = (aspects[..., first + i, None] for i in range(5))
-        part = rest[0] * wofz(turn * (rest[1] * root)) - rest[2] * wofz(turn * (rest[3] * root))
-        total += part * np.exp(-1j * late * wave)
+        part = rest[0] * _fresnel(rest[1] * at) - rest[2] * _fresnel(rest[3] * at)
+        phase, turned = late * wave, np.empty(total.shape, dtype=np.complex128)
+        turned.real, turned.imag = np.cos(phase), -np.sin(phase)
+        total += (part if weights is None else part @ weights) * turned
     total += aspects[..., :1]
     return total
+
+
+def _fresnel(x: Floats) -> Complexes:
+    """Return E(x), see `_lobes`."""
+    from scipy.special import wofz
+
+    return np.asarray(wofz(_TURN * x))
+
+
+def _fewer(roots: Floats) -> tuple[Floats, Complexes | None]:
+    """Return roots of wave numbers at which E is known, and weights (n, F) that carry it to roots (F,); None for all.
+
+    E is entire and falls off as 1 / x. A polynomial through n Chebyshev points of an interval from a to b is right to
+    about r^-n, with r = z + sqrt(z^2 - 1) and z = (b + a) / (b - a), as of ``1 / x`` (L. N. Trefethen, Approximation
+    Theory and Approximation Practice, 2013, theorem 8.2).
+    """
+    low, high = float(roots.min()), float(roots.max())
+    z = (high + low) / max(high - low, 1e-9 * high)
+    count = math.ceil(_CARRIED / math.log(z + math.sqrt(z * z - 1.0))) if z > 1.0 else len(roots)
+    if 2 * count > len(roots):
+        return roots, None
+    return chebyshev_points(low, high, count), interpolation(low, high, count, roots).astype(np.complex128)
 
 
 def _obliquity(cosine: Floats) -> Floats:
@@ -157,13 +197,15 @@ def _unit(v: Floats) -> Floats:
     return np.asarray(v / np.sqrt(np.maximum(_dot(v, v), _SMALL)))
 
 
-def _split(half: float, place: Floats) -> tuple[Floats, Floats]:
+def _split(half: Floats | float, place: Floats) -> tuple[Floats, Floats]:
     """Return the axial coordinate (n,), m, of the sphere of a place (3, n), and the direction (3, n) from there."""
     at = np.clip(place[2], -half, half)
     return at, _unit(np.stack([place[0], place[1], place[2] - at]))
 
 
-def _between(radius: float, half: float, source: Floats, receiver: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _between(
+    radius: Floats | float, half: Floats | float, source: Floats, receiver: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return points (3, n) between two that are nearest to the axis, where on it (n,), and whether they are inside."""
     away = receiver - source
     size = np.maximum(_dot(away, away), _SMALL)
@@ -180,8 +222,8 @@ def _between(radius: float, half: float, source: Floats, receiver: Floats) -> tu
 
 
 def _search(
-    radius: float, half: float, ends: tuple[Floats, Floats], near: SpecularPoint | None, between: tuple[Floats, Floats],
-    weight: Floats | float,
+    radius: Floats | float, half: Floats | float, ends: tuple[Floats, Floats], near: SpecularPoint | None,
+    between: tuple[Floats, Floats], weight: Floats | float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return specular points (3, n) by steps that shorten the path, and their change (n,) by the last step, rad."""
     source, receiver = ends
@@ -210,7 +252,7 @@ def _search(
     return place, change
 
 
-def _joined(radius: float, of: tuple[Floats, Floats]) -> Floats:
+def _joined(radius: Floats | float, of: tuple[Floats, Floats]) -> Floats:
     """Return the place (3, n) of a point of the axis and a direction."""
     at, normal = of
     return np.asarray(radius * normal + np.stack([0.0 * at, 0.0 * at, at]))
@@ -223,7 +265,10 @@ def _length_by(place: Floats, ends: tuple[Floats, Floats], weight: Floats | floa
 
 
 def _lengths_by(
-    radius: float, ends: tuple[Floats, Floats], place: Floats, frame: tuple[Floats, Floats, Floats],
+    radius: Floats | float,
+    ends: tuple[Floats, Floats],
+    place: Floats,
+    frame: tuple[Floats, Floats, Floats],
     weight: Floats | float,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return the way's length, slope along, bend around, bend along and pressure by places (3, n), each (n,).
@@ -248,8 +293,8 @@ def _lengths_by(
 
 
 def _newton(
-    radius: float, half: float, ends: tuple[Floats, Floats], of: tuple[Floats, Floats], weight: Floats | float,
-    longest: Floats | float,
+    radius: Floats | float, half: Floats | float, ends: tuple[Floats, Floats], of: tuple[Floats, Floats],
+    weight: Floats | float, longest: Floats | float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return places (3, n) one step nearer to the shortest way, and by how much they have changed (n,), rad."""
     at, u = of

@@ -202,7 +202,10 @@ class CapsuleOutline:
         along = u * other[:, None] - v * one[:, None]
         place = self.radius * normal
         place[..., 2] += sign * at * half
-        curved, straight = np.full(normal.shape[:2], 1.0 / self.radius**2), np.maximum(sine**2, (self.radius / self.largest) ** 2)
+        curved, straight = (
+            np.full(normal.shape[:2], 1.0 / self.radius**2),
+            np.maximum(sine**2, (self.radius / self.largest) ** 2),
+        )
         return _placed(
             (normal, along, place), (sight, source, receiver), np.full(curved.shape, self.radius),
             (curved, np.zeros_like(curved), np.where(on_side > 0.0, straight[:, None] * curved, curved)),
@@ -277,6 +280,7 @@ def counts_of_points(outline: Outline, wave: float, source: Floats, receiver: Fl
     limits, counts = (np.array(column) for column in zip(*steps_of_points(outline, wave), strict=True))
     step = np.searchsorted(limits, np.minimum(requested, most_points(outline, wave)))
     return np.asarray(counts[np.minimum(step, len(limits) - 1)])
+
 
 def faded(x: Floats, ends: tuple[float, float]) -> Floats:
     """Go from 1 at the first of two numbers to 0 at the second, smoothly."""

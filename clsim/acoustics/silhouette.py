@@ -250,4 +250,3 @@ def silhouette_bound(largest: float, wave: Floats, nearest: Floats) -> Floats:
     derivation.
     """
     return np.asarray(np.minimum(wave * largest**2 / nearest[:, None], _LARGEST))
-

@@ -196,8 +196,13 @@ class NarrowOffer:
     cost: float  # processor time of the envelopes and of the rest of a path in a sample of the sound, ns
 
 
-def cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, str]:
-    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used."""
+def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = None) -> tuple[Split | None, str]:
+    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used.
+
+    A split that is `known` is that of other paths of the source, which has been paid for.
+    """
+    if known is not None and can(emission, pairs, known) is None:
+        return known, ""
     best = min(offers(emission, pairs), key=lambda offer: offer.cost, default=None)
     if best is None or (best.cost > emission.cost_of_whole() and not emission.options.narrowband):
         return None, ""

@@ -36,7 +36,7 @@ _TAPERS = {"none": 0.0, "tukey": 0.1, "hann": 0.5}  # share of a chirp's duratio
 _REFERENCE, _LOUD = 20e-6, 160.0  # Pa and dB SPL, above which samples are hardly in Pa
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Signal:
     """Sound pressure at 1 m on a source's axis in free field, Pa, by sample.
 
