@@ -270,7 +270,10 @@ class _Request:
                 mine = {k for k, pair in enumerate(tracks.pairs) if pair.source == i}
                 pairs = sorted(mine - claimed.claimed)
                 at_rest, until = bool(mine) and not pairs, self.samples / rate
-                emission = Emission.of(i, emitted, tracks, options, until, drawn_from, static=at_rest, costly=costly)
+                emission = Emission.of(
+                    i, emitted, tracks, options, until, drawn_from, static=at_rest, costly=costly,
+                    filters_more=costly and splits is not None,
+                )  # fmt: skip
                 split, why = narrow_part.cheapest_split(emission, pairs, (splits or {}).get(i))
                 notes += [why] if why else []
                 if split is None:

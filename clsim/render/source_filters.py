@@ -58,17 +58,18 @@ class Emission:
     # Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first asked.
     spectrum: Callable[[], tuple[Floats, Floats]]
     drawn: Callable[[], Draw]  # returns paths at which responses are looked at; likewise
+    filters_more: bool = False  # whether its few paths take many functions, so that these cost more than the paths
 
     @classmethod
     def of(
         cls, source: int, emitted: tuple[Signal, float], tracks: Tracks, options: RenderOptions, until: float,
-        drawn_from: Tracks, *, static: bool, costly: bool = False,
+        drawn_from: Tracks, *, static: bool, costly: bool = False, filters_more: bool = False,
     ) -> Emission:  # fmt: skip
         """Return that of a signal and its start, s; responses are drawn from some tracks, few if they are costly."""
         signal = emitted[0].at_rate(options.sampling_rate)
         sound, spectrum = spectra(signal)
         drawn = cache(partial(Draw.of, drawn_from, source, until, costly))
-        return cls(source, signal, emitted[1], sound, tracks, options, until, static, spectrum, drawn)
+        return cls(source, signal, emitted[1], sound, tracks, options, until, static, spectrum, drawn, filters_more)
 
     @property
     def field(self) -> str:

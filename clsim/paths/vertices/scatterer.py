@@ -128,9 +128,9 @@ class ScattererVertex:
 
     def on_static_legs(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
         """Solve paths between static legs."""
-        return in_chunks(links, times, self.nodes_at_a_time, partial(self._columns, kinematics), self._alike())
+        return in_chunks(links, times, self.nodes_at_a_time, partial(self._columns, kinematics), self.alike())
 
-    def _alike(self) -> list[NDArray[np.int64]]:
+    def alike(self) -> list[NDArray[np.int64]]:
         """Vertices whose paths are solved together: those of one scatterer, and of capsules of one kind."""
         shapes = [scatterer.shape for scatterer in self.scatterers]
         kinds = np.array([

@@ -103,7 +103,7 @@ class Capsules:
         self.has_orientation = any(scatterers[i].trajectory.has_orientation for i in np.unique(which))
 
     def __getattr__(self, name: str) -> Any:
-        """Return what gives position, velocity, orientation or angular velocity (P, T, n) at times."""
+        """Return the function of times for positions, velocities, orientations or angular velocities (P, T, n)."""
         if name not in ("position", "velocity", "orientation", "angular_velocity"):
             raise AttributeError(name)
         return partial(self._moved, name)

@@ -30,6 +30,8 @@ from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import flat_basis
 from clsim.tracks.tracks import SceneTracks, Tracks
 
+# Processor time of filtering by the functions of a few paths by scatterers, ns in a sample of the sound (12 capsules).
+_STREAMS = 150.0
 _AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
 
 
@@ -230,7 +232,8 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         _active_paths(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0
     )
     of_band = samples * known.upsampled * len(pairs) / path_samples
-    of_all = (known.planned + samples * known.split) / path_samples
+    per_sample = known.split - (_STREAMS if emission.filters_more else 0.0)
+    of_all = (known.planned + samples * per_sample) / path_samples
     if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
         return []
     some, inner = _some(signal)
