@@ -153,7 +153,7 @@ class Plan:
         return build(self) if any(part is not None for part in getattr(self.allocation, claim)) else None
 
     def where_scattered(self, name: str, build: Callable[[Plan, str], Contribution]) -> Contribution | None:
-        """Build a contribution by `build` of the plan of scatterers' pairs of a name if there are any, else None."""
+        """Build a contribution by `build` of the plan of scatterers' pairs of `name` if there are any, else None."""
         return next((build(part.plan, name) for part in self.allocation.scattered if part.name == name), None)
 
     def where_left(self, build: Callable[[Plan], Contribution]) -> Contribution | None:
