@@ -35,8 +35,7 @@ from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.placement import together
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
-from clsim.scene.scene import Scene
-from clsim.scene.shaded import hidden_by_several
+from clsim.scene.scene import Scene, hidden_by_several
 
 
 @keywords_of(PathOptions, Scene)

@@ -18,7 +18,7 @@ from clsim.acoustics.outline import CapsuleOutline, EllipsoidOutline, counts_of_
 from clsim.acoustics.silhouette import ASPECTS, forward_share, outline_field
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
-from clsim.scene.shaded import hidden_by_several
+from clsim.scene.scene import hidden_by_several
 
 C = 343.0
 SILENT = clsim.Material.from_reflection(0.0)
