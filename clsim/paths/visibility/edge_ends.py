@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge, wedge_terms
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
 from clsim.arrays import Floats
-from clsim.paths.vertices.edge_end import OF_LAST
+from clsim.paths.vertices.gap_events import MEETING, OF_LAST
 from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
 from clsim.paths.visibility.edges import (
     FAR,
-    MEETING,
     Course,
     EdgeCandidates,
     EdgeStance,
@@ -156,45 +155,58 @@ class EndVisibility(GapVisibility):
 
 
 def end_levels(seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float) -> Floats:
-    """Estimate the pressure (n,) of paths over ends at times (n,) over that in free air, at a wave number, 1/m.
-
-    Magnitudes of all terms add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
-    """
+    """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m."""
     still = np.zeros(len(which))
-    stance, (one, other) = seen.stance(query, which, time, still), seen.candidates.edge[which].T
+    stance, edges = seen.stance(query, which, time, still), seen.candidates.edge[which].T
     (ahead, back), _ = seen.between(stance, which, (still, still))
     crossing, last = stance.course.crossing, seen.candidates.end[which] >= OF_LAST
-    off = [place - height for place, height in zip(stance.places, stance.heights, strict=True)]
-    legs = [np.hypot(r, z) for r, z in zip(stance.distances, off, strict=True)]
-    if crossing is None:
-        between, shortest, tie = still, stance.course.edge_paths[0].length, np.ones(len(which))
-    else:
-        between = crossing.legs[1]
-        beyond = between + np.where(last, *legs)
-        far = [np.where(last, x[1], x[0]) for x in (stance.distances, off)]
-        gap = cast("GapVisibility", seen).gap(which)
+    heights = tuple(height - place for place, height in zip(stance.places, stance.heights, strict=True))
+    between, slope = still, None
+    if crossing is not None:
+        between, gap = crossing.legs[1], cast("GapVisibility", seen).gap(which)
         frames = np.where(last[:, None], gap.last[:, 3], gap.first[:, 3])
         slope = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / between
-        shortest = np.hypot(far[0] + np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * beyond, far[1] + slope * beyond)
+    angles = (stance.angles[0], ahead), (back, stance.angles[1])
+    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1)
+    ends = stance.distances, (heights[0], heights[1])
+    shortest = stance.course.edge_paths[0].length
+    n = seen.edges.n[edges[0]], seen.edges.n[edges[1]]
+    return np.asarray(levels_over_ends(n, angles, ends, (between, slope), shortest, last, wave) * apart)
+
+
+def levels_over_ends(
+    n: End, angles: tuple[End, End], ends: tuple[End, End], middle: tuple[Floats, Floats | None], shortest: Floats,
+    last: Bools, wave: float,
+) -> Floats:  # fmt: skip
+    """Estimate the pressure (n,) of paths over ends at a wave number, 1/m, of a source of 1 at 1 m.
+
+    Magnitudes of all terms add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
+
+    ends: r and z of both endpoints from the places on the edges, m.
+
+    middle: length of the way between both edges, m, and the cosine between the edge that ends and that way; None of
+    corners at which both edges end, over which the shortest paths are as long as they say.
+    """
+    legs, (between, slope) = [np.hypot(r, z) for r, z in zip(*ends, strict=True)], middle
+    tie = np.ones(len(last))
+    if slope is not None:
+        beyond, far = between + np.where(last, *legs), [np.where(last, x[1], x[0]) for x in ends]
+        shortest = np.hypot(far[0] + np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * beyond, slope * beyond - far[1])
         tie = np.sqrt(legs[0] * legs[1] / ((legs[0] + between) * (between + legs[1])))
-    whole = legs[0] + between + legs[1]
-    angles = lit_angles(seen.edges.n[one], stance.angles[0], ahead), lit_angles(seen.edges.n[other], back,
-                                                                               stance.angles[1])  # fmt: skip
-    roots, weights = [], []
-    for n, angle, r, leg in zip((seen.edges.n[one], seen.edges.n[other]), angles, stance.distances, legs, strict=True):
-        weight, root = wedge_terms(n, angle)
+    whole, roots, weights = legs[0] + between + legs[1], [], []
+    for wedge, (came, went), r, leg in zip(n, angles, ends[0], legs, strict=True):
+        weight, root = wedge_terms(wedge, lit_angles(wedge, came, went))
         roots.append(root * np.sqrt(2.0 * wave * leg * (whole - leg) / whole)[:, None] * (r / leg)[:, None])
         weights.append(np.abs(weight))
-    end, total = np.sqrt(wave * np.maximum(whole - shortest, 0.0)), np.zeros(len(which))
+    end, total = np.sqrt(wave * np.maximum(whole - shortest, 0.0)), np.zeros(len(last))
     for i, j in np.ndindex(TERMS, TERMS):
         a, b = roots[0][:, i], roots[1][:, j]
-        of_end = a + b if crossing is None else np.where(last, b, a)
+        of_end = a + b if slope is None else np.where(last, b, a)
         near = of_end * (of_end + 0.6)
         share = 0.5 * _fall(end) * near / (near + end**2 + 1e-9)
         both = _fall(np.maximum(a, b)) * _fall(np.minimum(a, b) * np.sqrt(np.maximum(1.0 - tie**2, 0.0)))
         total += 0.25 * weights[0][:, i] * weights[1][:, j] * share * both
-    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1)
-    return np.asarray(total * apart / shortest)
+    return np.asarray(total / shortest)
 
 
 def _fall(root: Floats) -> Floats:

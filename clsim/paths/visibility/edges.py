@@ -31,6 +31,7 @@ from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_e
 from clsim.acoustics.edge_gap import Crossing
 from clsim.arrays import Floats
 from clsim.paths.trajectory_tables import PERTURBATIONS
+from clsim.paths.vertices.gap_events import MEETING
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.scene.room.edges import Edges
@@ -44,7 +45,6 @@ End = tuple[Floats, Floats]
 FAR = 1e3  # sizes of the room
 SIDES = 2 * TERMS + 3  # of a path, see `EdgeVisibility.sides`
 ENDS_BESIDE = (SIDES - 2, SIDES - 1)  # those of its ends
-MEETING = 4  # number of the first end, and twice that of the second one, of edges that end at one corner
 NEAR_WRAP = 0.2 * np.pi  # from the middle of a wedge, where angles wrap: nearer to it they go on beyond it
 CONTRACTIONS = 100
 CONTRACTED = 1e-13  # s
