@@ -27,6 +27,7 @@ from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import Basis
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
+_ROUNDED = 0.505  # samples, of a delay about the whole ones in the middle of a vector
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
 _LEAST_TRANSFORM = 1024  # samples of envelopes in a transform at least
 _SOUND_TRANSFORM = 2**16  # samples of the sound in one, where that is more
@@ -213,7 +214,7 @@ def envelope_filters(
     rate, held = baseband.sampling_rate or 0.0, (baseband.carrier - half, baseband.carrier + half)
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
-    mu_max = math.ceil((0.52 + 0.5 * WIDEST_SUBBLOCK * max_rate) * 32) / 32
+    mu_max = math.ceil((_ROUNDED + 0.5 * (WIDEST_SUBBLOCK - 1) * max_rate) * 32) / 32
 
     def designed(stretches: Stretches) -> tuple[Basis, tuple[Bank, ...], Stretches]:
         """Return functions of frequency beside a tilt, their banks, and its stretches."""
@@ -278,12 +279,18 @@ class NarrowBand:
         return len(self.low_pass) // 2
 
     def left(self, frequencies: Floats) -> Floats:
-        """Return the gain of the band-stop at evenly spaced frequencies (F,) up to half the sampling rate."""
+        """Return the gain of the band-stop at evenly spaced frequencies (F,) from 0 to half the sampling rate."""
         away = np.abs(frequencies - self.baseband.carrier)
-        left, bins = np.where(away <= self.flat, 0.0, 1.0), np.flatnonzero((away > self.flat) & (away < self.half))
-        rate = 2.0 * float(frequencies[-1])
-        turns = np.outer(away[bins] * (2.0 * math.pi / rate), np.arange(-self.reach, self.reach + 1))
-        left[bins] = 1.0 - np.cos(turns) @ self.low_pass
+        left, between = np.where(away <= self.flat, 0.0, 1.0), (away > self.flat) & (away < self.half)
+        # The transform has as many points as the frequencies ask for, or a multiple of that, which holds all taps.
+        rate, size = 2.0 * float(frequencies[-1]), 2 * (len(frequencies) - 1)
+        times = -(-len(self.low_pass) // size)
+        places = np.arange(-self.reach, self.reach + 1)
+        about = self.low_pass * np.exp(2j * math.pi * self.baseband.carrier / rate * places)
+        placed = np.zeros(times * size, dtype=np.complex128)
+        placed[places % len(placed)] = about
+        passed = np.fft.fft(placed).real[: times * len(frequencies) : times]
+        left[between] = 1.0 - passed[between]
         return left
 
     def band_pass(self, rate: float) -> Floats:
@@ -342,7 +349,7 @@ class Split:
         return left[first - begin : last - begin]
 
     def _leaves_nothing(self, band: tuple[float, float] | None) -> bool:
-        """Test whether a steady tone or noise is removed, by the frequencies between which it lies, Hz.
+        """Test whether a steady tone, noise or sweep is removed, by the frequencies between which it lies, Hz.
 
         The level of a tone is 3 dB below its amplitude; what the band-pass leaves of it and of its image is 6 dB below
         silence.

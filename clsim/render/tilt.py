@@ -23,8 +23,8 @@ _FITTED = 33  # frequencies, through whose absorption the tilt goes
 _FLAT = (
     1e-3  # change of a wall's factor over the band, beyond which paths of equal length differ: no tilt is looked for
 )
-_LEAST_WORK = 1e8  # paths times samples of the envelope, below which designing costs more than is gained
-_FEW = 2  # functions, up to which no others are looked at
+_LEAST_WORK = 5e7  # paths times samples of the envelope, below which designing costs more than is gained
+_FEW = 3  # functions, up to which no others are looked at
 _LEAST_PATHS = 100  # for each stretch beyond the first one, from which on their branch signals pay
 _COMPLEX = 1.15  # cost of a branch where delays are complex, relative to that of real ones
 _FILTERED = 66.0  # cost of making a branch signal, relative to that of a path

@@ -230,6 +230,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         return []
     some, inner = _some(signal)
     some = some if len(some.energy) else sound  # a train's pauses
+    steady = inner if signal.is_steady else None
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
     motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
     sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
@@ -238,7 +239,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     for bands in sorted(sets, key=costs.__getitem__):
         if costs[bands] >= min((offer.cost for offer in found), default=math.inf):
             break
-        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, inner)
+        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, steady)
         loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found
