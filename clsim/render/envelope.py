@@ -21,12 +21,13 @@ from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, filtered
-from clsim.render.tilt import MOST_TILT, WHOLE, Stretches, cheapest, stretches_of
+from clsim.render.tilt import WHOLE, Stretches, cheapest, stretches_of
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import Basis
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
+_ROUNDING_DB = 2.0, -1.0  # steps of what functions bring, and the largest error of a weak one
 _ROUNDED = 0.505  # samples, of a delay about the whole ones in the middle of a vector
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
 _LEAST_TRANSFORM = 1024  # samples of envelopes in a transform at least
@@ -220,10 +221,10 @@ def envelope_filters(
         """Return functions of frequency beside a tilt, their banks, and its stretches."""
         basis, banks = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt), []
         for size in basis.sizes[:: 1 + int(basis.paired)].tolist():
-            importance = interpolator.rounded((min(size, 1.0),))
+            importance = interpolator.rounded((min(size, 1.0),), *_ROUNDING_DB)
             if stretches.per_sample:
                 with with_blas_threads(1):  # of small matrices
-                    design = design_tilted(interpolator.error_db, edge, mu_max, MOST_TILT / edge, importance[0])
+                    design = design_tilted(interpolator.error_db, edge, mu_max, stretches.most, importance[0])
             else:
                 design = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
             banks.append(Bank(design[0], design[0].shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, design[1]))

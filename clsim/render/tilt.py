@@ -16,7 +16,8 @@ from clsim.tracks.basis import NO_TILT, Basis, Tilt
 
 Design = tuple[Basis, tuple[Bank, ...], "Stretches"]
 
-MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
+_MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
+_STEPS = 16  # of that exponent, to which it is rounded up, so that designs are found again
 _LEAST_TILT = 1.0  # the same over all delays, below which functions of frequency cost as little
 _NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
 _FITTED = 33  # frequencies, through whose absorption the tilt goes
@@ -44,6 +45,7 @@ class Stretches:
     still: float = 0.0  # delay over which the tilt is 1, samples
     length: float = 1.0  # samples
     count: int = 1
+    most: float = 0.0  # imaginary delay between a delay and the middle of its stretch, samples
 
     @property
     def origin(self) -> int:
@@ -103,10 +105,11 @@ def stretches_of(
     per_sample = tilt.slope * c / (2.0 * math.pi)
     longest = emission.tracks.longest_delay(0.0, emission.until, emission.source) * rate
     exponent = abs(per_sample) * edge * longest
-    count = math.ceil(0.5 * exponent / MOST_TILT)
+    count = math.ceil(0.5 * exponent / _MOST_TILT)
     if exponent < _LEAST_TILT or paths < _LEAST_PATHS * (count - 1):
         return None
-    return Stretches(tilt, per_sample, (emission.start + 1.0 / c) * rate, longest / count, count)
+    most = math.ceil(0.5 * exponent / count * _STEPS) / _STEPS / edge
+    return Stretches(tilt, per_sample, (emission.start + 1.0 / c) * rate, longest / count, count, most)
 
 
 def _paths(emission: Emission) -> int:
