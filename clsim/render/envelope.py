@@ -415,6 +415,7 @@ class NarrowFilters(EnvelopeFilters):
 
 def design_split(emission: Emission, split: Split) -> tuple[RestFilters, tuple[NarrowFilters, ...]]:
     """Return the filters for what narrow parts leave of a source's signal, and for each of these."""
+    emission = replace(emission, drawn=emission.drawn_for_bands)
     rest = replace(emission, sound=split.rest_of(emission.sound)).source_filters()
     parts = []
     for band in split.bands:

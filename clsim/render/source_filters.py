@@ -39,6 +39,7 @@ _LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
 _LIMIT_WIDTH, _LEAST_LIMIT_WIDTH = 0.08, 0.02  # of half the sampling rate, over which it falls to that
 _LEAST_BIN = 1e-3  # of the spacing of a spectrum's frequencies: where bands begin that go down to 0 Hz
 _OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
+_TIMES_OF_BANDS = 8  # instants of a pair at which paths are drawn for narrow bands, of ends that are alike everywhere
 _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may weaken
 
 
@@ -58,6 +59,7 @@ class Emission:
     # Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first asked.
     spectrum: Callable[[], tuple[Floats, Floats]]
     drawn: Callable[[], Draw]  # returns paths at which responses are looked at; likewise
+    drawn_for_bands: Callable[[], Draw]  # the same at fewer instants, for narrow bands and what they leave
 
     @classmethod
     def of(
@@ -67,8 +69,9 @@ class Emission:
         """Return that of a signal and its start, s; responses are drawn from some tracks, few if they are costly."""
         signal = emitted[0].at_rate(options.sampling_rate)
         sound, spectrum = spectra(signal)
-        drawn = cache(partial(Draw.of, drawn_from, source, until, costly))
-        return cls(source, signal, emitted[1], sound, tracks, options, until, static, spectrum, drawn)
+        draw = partial(Draw.of, drawn_from, source, until, costly)
+        drawn, for_bands = cache(draw), cache(partial(draw, times=_TIMES_OF_BANDS))
+        return cls(source, signal, emitted[1], sound, tracks, options, until, static, spectrum, drawn, for_bands)
 
     @property
     def field(self) -> str:
