@@ -221,7 +221,7 @@ def envelope_filters(
         """Return functions of frequency beside a tilt, their banks, and its stretches."""
         basis, banks = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt), []
         for size in basis.sizes[:: 1 + int(basis.paired)].tolist():
-            importance = interpolator.rounded((min(size, 1.0),), *_ROUNDING_DB)
+            importance = (_in_steps(size, interpolator.error_db),)
             if stretches.per_sample:
                 with with_blas_threads(1):  # of small matrices
                     design = design_tilted(interpolator.error_db, edge, mu_max, stretches.most, importance[0])
@@ -242,6 +242,13 @@ def envelope_filters(
         emission.signal, emission.start, banks * stretches.count, basis, basis.filters, np.ones(1), highest, highest,
         1, removed_db, baseband.carrier, half, mixer, plain_mixer, stretches,
     )  # fmt: skip
+
+
+def _in_steps(size: float, error_db: float) -> float:
+    """Return what a function adds, at most 1, rounded up, so that designs are found again, and errors are bounded."""
+    step_db, most_db = _ROUNDING_DB
+    least = 10.0 ** ((error_db - most_db) / 20.0)
+    return float(10.0 ** (step_db / 20.0 * math.ceil(20.0 * math.log10(min(max(size, least), 1.0)) / step_db)))
 
 
 def _mixed(rate: float, carrier: float, low_pass: Floats, filters: Floats) -> Complexes:

@@ -169,13 +169,11 @@ class Bandlimited(Interpolator):
         taps, reached = design_bandlimited(self.error_db, edge, mu_max, self.rounded(importance))
         return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, subblock, reached)
 
-    def rounded(
-        self, importance: tuple[float, ...], step_db: float = 6.0, most_error_db: float = -12.0
-    ) -> tuple[float, ...]:
-        """Return each `importance`, a factor, rounded up, so that designs are found again, and errors are bounded."""
-        least = 10.0 ** ((self.error_db - most_error_db) / 20.0)
-        steps = np.ceil(20.0 * np.log10(np.maximum(importance, least)) / step_db)
-        return tuple((10.0 ** (step_db / 20.0 * steps)).tolist())
+    def rounded(self, importance: tuple[float, ...]) -> tuple[float, ...]:
+        """Return each `importance`, a factor, rounded up, so that designs are found again; no error is above -12 dB."""
+        least = 10.0 ** ((self.error_db + 12.0) / 20.0)
+        steps = np.ceil(20.0 * np.log10(np.maximum(importance, least)) / 6.0)
+        return tuple((10.0 ** (0.3 * steps)).tolist())
 
     def _taps(self, bank: Bank, mu: Floats) -> Floats:
         """Return the bank evaluated in float64."""

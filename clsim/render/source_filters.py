@@ -25,7 +25,7 @@ from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import NO_TILT, Basis, Tilt, band_of, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
-from clsim.tracks.sampled import Draw
+from clsim.tracks.sampled import TIMES, TIMES_OF_BANDS, Draw
 from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
@@ -39,7 +39,6 @@ _LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
 _LIMIT_WIDTH, _LEAST_LIMIT_WIDTH = 0.08, 0.02  # of half the sampling rate, over which it falls to that
 _LEAST_BIN = 1e-3  # of the spacing of a spectrum's frequencies: where bands begin that go down to 0 Hz
 _OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
-_TIMES_OF_BANDS = 8  # instants of a pair at which paths are drawn for narrow bands, of ends that are alike everywhere
 _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may weaken
 
 
@@ -69,9 +68,8 @@ class Emission:
         """Return that of a signal and its start, s; responses are drawn from some tracks, few if they are costly."""
         signal = emitted[0].at_rate(options.sampling_rate)
         sound, spectrum = spectra(signal)
-        draw = partial(Draw.of, drawn_from, source, until, costly)
-        drawn, for_bands = cache(draw), cache(partial(draw, times=_TIMES_OF_BANDS))
-        return cls(source, signal, emitted[1], sound, tracks, options, until, static, spectrum, drawn, for_bands)
+        draws = (cache(partial(Draw.of, drawn_from, source, until, costly, times=n)) for n in (TIMES, TIMES_OF_BANDS))
+        return cls(source, signal, emitted[1], sound, tracks, options, until, static, spectrum, *draws)
 
     @property
     def field(self) -> str:

@@ -34,7 +34,8 @@ _HELD_OUT = 4096  # responses at which they are checked
 _COSTLY, _FEWER = (192, 256), 33  # the same, and frequencies, of costly responses
 _CHEAPER = 2  # times as many of those without outlines
 _LEAST_WHOLE = 5  # instants at which at least all paths are taken, where responses are costly
-_TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
+TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
+TIMES_OF_BANDS = 8  # the same for narrow bands, of ends that receive alike in all directions
 _FRAMES = 48  # of all pairs, about
 _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at least
 _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
@@ -92,7 +93,7 @@ class Draw:
     outlined: bool = False  # whether all paths are by scatterers with the shadows of their outlines
 
     @classmethod
-    def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False, *, times: int = _TIMES) -> Draw:
+    def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False, *, times: int = TIMES) -> Draw:
         """Draw paths of a source of a scene for a run that ends at `until`, s: fewer, if responses are costly.
 
         times: instants of a pair at most whose ends receive alike in all directions, and have the same paths always.
@@ -178,14 +179,14 @@ class Draw:
 
 def picked_paths(
     tracks: SceneTracks, source: int, until: float, count: int, rng: np.random.Generator, whole: bool = False,
-    times: int = _TIMES,
+    times: int = TIMES,
 ) -> Iterator[Picked]:  # fmt: skip
     """Yield about `count` of a source's paths altogether, at instants of the run; `whole`: all at each."""
     pairs = [i for i, g in enumerate(tracks.pairs) if g.source == source]
     if len(pairs) > _MOST_PAIRS:
         pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
     total = sum(len(tracks.pairs[i].start) for i in pairs)
-    few = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
+    few = max(3, min(TIMES, _FRAMES // max(len(pairs), 1)))
     centre = np.array([tracks.paths.scene.sources[source].emitted.centre_frequency])
     at_centre = SceneResponse(tracks.paths.scene, source, centre)
     for i in pairs:

@@ -119,11 +119,6 @@ class Signal:
         inside = fade <= first and last <= self.count - 1 - fade
         return wave.steady_band(self.sampling_rate, first, last) if inside else None
 
-    @property
-    def is_steady(self) -> bool:
-        """Whether it is a tone or noise, the same at all times but for its ends."""
-        return isinstance(self.waveform, Tone | Noise)
-
     def read(self, start: int, stop: int) -> Floats:
         """Return samples (n,) from `start` to `stop`, Pa or V; zero outside the signal, the same however cut."""
         out = np.zeros(max(stop - start, 0))
