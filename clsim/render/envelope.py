@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from typing import Any
 
@@ -13,26 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.numerics.blas import with_blas_threads
-from clsim.numerics.fractional_delay import design_bandlimited, design_tilted
 from clsim.numerics.resampling import low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
-from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
+from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, filtered
-from clsim.render.tilt import WHOLE, Stretches, cheapest, stretches_of
+from clsim.render.tilt import WHOLE, Stretches, bank_of, cheapest, stretches_of
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import Basis
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
-_ROUNDING_DB = 2.0, -1.0  # steps of what functions bring, and the largest error of a weak one
 _ROUNDED = 0.505  # samples, of a delay about the whole ones in the middle of a vector
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
 _LEAST_TRANSFORM = 1024  # samples of envelopes in a transform at least
 _SOUND_TRANSFORM = 2**16  # samples of the sound in one, where that is more
 _STOPPED = 3e-6  # of the largest gain of filters, -110 dB, below which they are not applied
+_KEPT = 2  # transforms, which reach over the longest delays
 _SPANS = 8  # half lengths of the filters in one at least
 
 
@@ -47,6 +45,8 @@ class Mixer:
     count: int  # samples of the envelope in a transform
     lowest: int  # frequency of a transform of the sound from which on the band is taken
     gains: Complexes  # (K, n count) of the filters at the frequencies from there on, over `every`
+    # The last transforms of the signal by float32, by number: the next call begins with these.
+    kept: dict[int, NDArray[Any]] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(cls, taps: Complexes, every: int, carrier: Fraction) -> Mixer:
@@ -74,13 +74,18 @@ class Mixer:
     ) -> NDArray[Any]:
         """Return samples `first` to `last` of the envelope through each filter, (K, n), `single` by float32 transforms.
 
-        `read` returns the samples of the sound from one to another. Transforms begin at multiples of their length, so
-        that a sample is the same to the bit in whichever call.
+        `read` returns the samples of the sound from one to another, if single those of the signal and no others.
+        Transforms begin at multiples of their length, so that a sample is the same to the bit in whichever call.
         """
         size = self.count - 2 * self.half_length
         blocks = range(first // size, -(-last // size))
         gains = self.gains.astype(np.complex64) if single else self.gains
-        made = np.concatenate([self._made(read, block * size, size, gains) for block in blocks], axis=1)
+        kept = dict(self.kept) if single else {}
+        of_blocks = [kept[k] if k in kept else self._made(read, k * size, size, gains) for k in blocks]
+        if single:
+            self.kept.clear()
+            self.kept.update(zip(blocks[-_KEPT:], of_blocks[-_KEPT:], strict=True))
+        made = np.concatenate(of_blocks, axis=1)
         out = made[:, first - blocks[0] * size : last - blocks[0] * size]
         whole = first * self.turn % 1  # exact, however late
         cycles = float(whole) + float(self.turn) * np.arange(last - first)
@@ -219,15 +224,9 @@ def envelope_filters(
 
     def designed(stretches: Stretches) -> tuple[Basis, tuple[Bank, ...], Stretches]:
         """Return functions of frequency beside a tilt, their banks, and its stretches."""
-        basis, banks = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt), []
-        for size in basis.sizes[:: 1 + int(basis.paired)].tolist():
-            importance = (_in_steps(size, interpolator.error_db),)
-            if stretches.per_sample:
-                with with_blas_threads(1):  # of small matrices
-                    design = design_tilted(interpolator.error_db, edge, mu_max, stretches.most, importance[0])
-            else:
-                design = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
-            banks.append(Bank(design[0], design[0].shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, design[1]))
+        basis = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt)
+        own = basis.sizes[:: 1 + int(basis.paired)].tolist()
+        banks = (bank_of(size, interpolator.error_db, edge, mu_max, stretches) for size in own)
         return basis, tuple(banks), stretches
 
     basis, banks, stretches = cheapest(emission, stretches_of(emission, held, rate, edge, tilted), designed)
@@ -242,13 +241,6 @@ def envelope_filters(
         emission.signal, emission.start, banks * stretches.count, basis, basis.filters, np.ones(1), highest, highest,
         1, removed_db, baseband.carrier, half, mixer, plain_mixer, stretches,
     )  # fmt: skip
-
-
-def _in_steps(size: float, error_db: float) -> float:
-    """Return what a function adds, at most 1, rounded up, so that designs are found again, and errors are bounded."""
-    step_db, most_db = _ROUNDING_DB
-    least = 10.0 ** ((error_db - most_db) / 20.0)
-    return float(10.0 ** (step_db / 20.0 * math.ceil(20.0 * math.log10(min(max(size, least), 1.0)) / step_db)))
 
 
 def _mixed(rate: float, carrier: float, low_pass: Floats, filters: Floats) -> Complexes:
