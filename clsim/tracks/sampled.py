@@ -234,7 +234,7 @@ def _drawn(
         yield rows, at, times[at[0] if together else at], scale[:, None], tuple(np.cumsum([0, *counts]).tolist())
 
 
-def _instants(tracks: SceneTracks, pair: int, until: float, most: int, alike_most: int) -> int:
+def _instants(tracks: SceneTracks, pair: int, until: float, most: int, alike_most: int = TIMES) -> int:
     """Return the number of instants that tell of a pair, at least 3: fewer the less its ends approach each other.
 
     Ends that hear alike in all directions, go a quarter of their distance and have the same paths all the time are
