@@ -27,6 +27,7 @@ from clsim.render.plan import NarrowPart, Plan
 from clsim.render.source_filters import Emission
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.scene.signal.signal import Signal
+from clsim.scene.signal.waveforms import Chirp
 from clsim.tracks.basis import flat_basis
 from clsim.tracks.tracks import SceneTracks, Tracks
 
@@ -238,6 +239,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         return []
     some, inner = _some(signal)
     some = some if len(some.energy) else sound  # a train's pauses
+    steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
     motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
     sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
@@ -246,7 +248,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     for bands in sorted(sets, key=costs.__getitem__):
         if costs[bands] >= min((offer.cost for offer in found), default=math.inf):
             break
-        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, inner)
+        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, steady)
         loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found
