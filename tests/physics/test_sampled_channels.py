@@ -115,13 +115,15 @@ MUTANTS = {
     "gains of the block's beginning": ("LOAD(g + 3 * power), t);", "LOAD(g + 3 * power), -1.0f);"),
     "a quarter of a point too late": ("* 0.25f + (rest", "* 0.26f + (rest"),
     "one sample for a point": ("(rest + shift) * 1.25f", "(rest + shift)"),
-    "nothing between phases": ("* OF_FLOATS(between, i)", "* 0.0f"),
+    "nothing between phases": ("* between[i]", "* 0.0f"),
     "the next phase": ("nearest(left) + 1;", "nearest(left) + 2;"),
     "the next point": ("- (TAPS / 2 - 1)", "- (TAPS / 2)"),
-    "the first path's gain for eight": ("OF_FLOATS(gain[k], i)", "OF_FLOATS(gain[k], 0)"),
+    "the first path's gain for all": ("spread * gain[k][i]", "spread * gain[k][0]"),
     "one function for all": ("(DELAY_TERMS + k) * BESIDE;", "DELAY_TERMS * BESIDE;"),
-    "the last eight paths left out": ("slot < first_slot[receiver + 1];", "slot < first_slot[receiver + 1] - BESIDE;"),
-    "the wrong block": ("row = node_block[node],", "row = node_block[0],"),
+    "the last eight paths left out": ("i < count; i++", "i < count - BESIDE; i++"),
+    "the wrong block": ("row = node_block[node];", "row = node_block[0];"),
+    "the first node for all": ("made + node * of_node + at[i]", "made + first_node * of_node + at[i]"),
+    "what was there before": ("i < reached; i++", "i < reached / 2; i++"),
 }
 
 
