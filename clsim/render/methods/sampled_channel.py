@@ -252,7 +252,7 @@ class _Adding(Stateless):
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
 _TOGETHER = 4  # nodes to a thread at a time. SciPy transforms four side by side; others take three times as long each
-_IN_CACHE = 4 * 2**20  # bytes of grids to a thread at a time: what is transformed should stay in cache
+_AT_ONCE = 32 * 2**20  # bytes of grids that are made at a time: a launch takes as long as some hundred thousand places
 _MARGIN = 64  # samples beside the bounds of delays
 _NEVER = -(2**62)
 
@@ -315,9 +315,9 @@ class _ChannelRun(Run):
         begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
-        step = _TOGETHER * thread_count()
-        size = 4 * _TOGETHER * self._functions * frames.grid.points
-        beside = max(1, _IN_CACHE // size)
+        unit = _TOGETHER * thread_count()
+        beside = min(max(1, _AT_ONCE // (4 * unit * self._functions * frames.grid.points)), len(rows))
+        step = unit * max(1, _AT_ONCE // (4 * unit * beside * self._functions * frames.grid.points))
         for some in (wanted[i : i + step] for i in range(0, len(wanted), step)):
             at = np.array(some) * spacing - first
             place = (2.0 * (at % block) / block - 1.0).astype(np.float32)
