@@ -194,7 +194,7 @@ def picked_paths(
                 instants = max(_LEAST_WHOLE, count // max(total, 1))
         weight = np.ones((len(start), 1))
         if len(start) > _MOST_PATHS:
-            some, weight = _thinned(paths, tracks, rng.uniform(0.0, last, 1), at_centre, rng)
+            some, weight = _candidates(paths, tracks, last, at_centre, rng)
             paths, start, end = paths.part(some), start[some], end[some]
         times = np.sort(rng.uniform(0.0, last, instants))
         times[[0, -1]] = 0.0, last
@@ -214,18 +214,18 @@ def picked_paths(
                 yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale * weight[rows], first, whole)
 
 
-def _thinned(
-    paths: PairPaths, tracks: SceneTracks, instant: Floats, at_centre: SceneResponse, rng: np.random.Generator
+def _candidates(
+    paths: PairPaths, tracks: SceneTracks, last: float, at_centre: SceneResponse, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return loudest paths of a pair at an instant and some others, and roots (n, 1) of how many each stands for."""
+    """Return loudest paths at an instant until `last`, as many others, and roots (n, 1) of how many each stands for."""
+    instant, half = rng.uniform(0.0, last, 1), _MOST_PATHS // 2
     found = paths.arrivals(instant, tracks.kinematics)
-    level = np.abs(paths.family.response(paths.rows, found, instant, at_centre)[:, 0, 0])
-    order, half = np.argsort(-level, kind="stable"), _MOST_PATHS // 2
-    weight = np.zeros(len(order))
+    order = np.argsort(-np.abs(paths.family.response(paths.rows, found, instant, at_centre)[:, 0, 0]), kind="stable")
+    weight = np.zeros((len(order), 1))
     weight[rng.choice(order[half:], half, replace=False)] = math.sqrt((len(order) - half) / half)
     weight[order[:half]] = 1.0
     some = np.flatnonzero(weight)
-    return some, weight[some, None]
+    return some, weight[some]
 
 
 def _drawn(

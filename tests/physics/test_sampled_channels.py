@@ -237,7 +237,7 @@ def test_thousands_of_paths_are_sampled_by_themselves() -> None:
 
 
 def test_functions_of_frequency_are_drawn_from_the_loudest_of_many_paths() -> None:
-    """Of 11 521 paths some are looked at: those of any 4096 left a residual of -80 dB where -90 dB is asked for."""
+    """Any 4096 of the 11 521 paths leave a residual of -80 dB, where -90 dB is requested."""
     noise = clsim.Signal.noise(0.5, 192e3, 1, (1e3, 82e3))
     source = clsim.Source("s", noise, clsim.Trajectory.line((1.0, 2.0, 1.4), (1.45, 2.2175, 1.4), 0.5))
     room = clsim.Shoebox((6.0, 5.0, 3.0), clsim.Material.from_reflection(0.9))
