@@ -247,7 +247,7 @@ PROGRAMS = {
     "scatter": Program(
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "channels/scatter.cl"),
         SCATTER,
-        frozenset({"LANES", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "PHASES", "TAPS"}),
+        frozenset({"LANES", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "PHASES", "TAPS", "TOGETHER"}),
     ),
     "plane_waves": Program(
         (*_ROUNDING, "common/vector.h", "render/plane_waves.cl"),

@@ -42,7 +42,7 @@ _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last b
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
 _TOGETHER = 512  # responses that are worked on together
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
-_MOST_PATHS = 4096  # of each
+_MOST_PATHS = 1024  # of each: of more, the loudest half of so many, and as many of the others
 _LATEST = 0.012  # s between the earliest and the latest of responses that can be told
 _MOST_DELAYS = 512  # samples of them
 _LATE_ROWS = 64  # responses that tell it
@@ -197,8 +197,9 @@ def picked_paths(
             instants = max(few, min(_MOST_TIMES, count // (len(pairs) * max(len(start), 1))))
             if whole:
                 instants = max(_LEAST_WHOLE, count // max(total, 1))
+        weight = np.ones((len(start), 1))
         if len(start) > _MOST_PATHS:
-            some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
+            some, weight = _candidates(paths, tracks, last, at_centre, rng)
             paths, start, end = paths.part(some), start[some], end[some]
         at = np.sort(rng.uniform(0.0, last, instants))
         at[[0, -1]] = 0.0, last
@@ -208,14 +209,28 @@ def picked_paths(
             found = paths.arrivals(part, tracks.kinematics)
             received = (part >= start[:, None]) & (part < end[:, None])
             level = 1.0 if whole else np.abs(paths.family.response(paths.rows, found, part, at_centre)[..., 0])
-            level = np.where(received, level, 0.0)
+            level = np.where(received, level, 0.0) * weight
             level[level < _SILENT] = 0.0
             if paths.family.varies and not paths.family.one_by_one and len(start) <= share and level.all():
-                each = np.repeat(1.0 / np.linalg.norm(level, axis=0), len(start))[:, None]
+                each = (weight / np.linalg.norm(level, axis=0)).T.reshape(-1, 1)
                 yield Picked(paths, found, part, each, tuple(range(0, level.size + 1, len(start))), whole)
                 continue
             for rows, own, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
-                yield Picked(paths.part(rows), found.part(rows[:, None], own), when, scale, first, whole)
+                yield Picked(paths.part(rows), found.part(rows[:, None], own), when, scale * weight[rows], first, whole)
+
+
+def _candidates(
+    paths: PairPaths, tracks: SceneTracks, last: float, at_centre: SceneResponse, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], Floats]:
+    """Return loudest paths at an instant until `last`, as many others, and roots (n, 1) of how many each stands for."""
+    instant, half = rng.uniform(0.0, last, 1), _MOST_PATHS // 2
+    found = paths.arrivals(instant, tracks.kinematics)
+    order = np.argsort(-np.abs(paths.family.response(paths.rows, found, instant, at_centre)[:, 0, 0]), kind="stable")
+    weight = np.zeros((len(order), 1))
+    weight[rng.choice(order[half:], half, replace=False)] = math.sqrt((len(order) - half) / half)
+    weight[order[:half]] = 1.0
+    some = np.flatnonzero(weight)
+    return some, weight[some]
 
 
 def _drawn(
