@@ -171,7 +171,7 @@ def test_a_box_at_rest_is_that_of_the_room_on_every_side_of_its_boundaries(measu
     body = clsim.Body.box("box", (0.5, 0.4, 0.6), HARD, FIXED(MIDDLE, turn / np.linalg.norm(turn)))
     ends, times = (
         (FIXED(at(-1.25, -0.9, 0.6)), LINE(at(0.9, -0.9, -0.7), at(0.8, 1.0, 0.9), 1.0)),
-        np.arange(0.02, 1.0, 0.008),
+        np.arange(0.02, 1.0, 0.016),
     )
     paths = [
         clsim.find_paths(in_a_room(each, body, built), 0, diffraction=2)
