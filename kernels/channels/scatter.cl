@@ -11,7 +11,10 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                       int slots, int functions,
                       __global const int* node_block,    // [nodes], of `delay` and `polynomials`
                       __global const float* node_place,  // [nodes], in the block, -1 to 1
+                      __global const float* node_sample,  // [nodes], of the run, as `rise` and `fall`
                       int nodes,
+                      __global const float* rise, __global const float* fall,  // [slots], where paths are TAPERED
+                      __global const float* terms, float per_half,             // as in taper.h
                       __global const int* first_slot,    // [receivers + 1], multiples of BESIDE
                       int receivers,
                       __global const float* window,      // [PHASES + 3][2][TAPS]: values from one phase before the first
@@ -33,12 +36,21 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
         const vec place = FLOATS_OF(quarters & 3) * 0.25f + (rest + shift) * 1.25f, down = rounded(place - 0.5f);
         const vec phase = (place - down) * (float)PHASES, left = rounded(phase - 0.5f), between = phase - left;
         const ivec at = (quarters >> 2) + nearest(down) - (TAPS / 2 - 1), whole = nearest(left) + 1;
+#if TAPERED
+        const vec weight = taken(node_sample[node] - LOAD(rise + slot), node_sample[node] - LOAD(fall + slot), per_half, terms);
+#endif
         vec gain[FUNCTIONS];
         for (int k = 0; k < functions; k++) {
             __global const float* g = c + (DELAY_TERMS + k) * BESIDE;
             gain[k] = CUBIC(LOAD(g), LOAD(g + power), LOAD(g + 2 * power), LOAD(g + 3 * power), t);
+#if TAPERED
+            gain[k] *= weight;
+#endif
         }
         for (int i = 0; i < BESIDE; i++) {
+#if TAPERED
+            if (OF_FLOATS(weight, i) == 0.0f) continue;
+#endif
             __global const float* w = window + OF(whole, i) * (2 * TAPS);
             const vec spread = LOAD(w) + LOAD(w + TAPS) * OF_FLOATS(between, i);
             __global float* out = grid + OF(at, i);
