@@ -214,6 +214,17 @@ class ChannelFrames:
             self._pressure[row, begin:end] += samples[begin - first : end - first]
 
 
+def work_at_nodes(
+    filters: SourceFilters, counts: tuple[float, float, int], spacing: int, longest: float, until: float
+) -> tuple[float, ...]:
+    """Return counts of paths at nodes, these by functions, points of transforms, and paths in samples."""
+    (paths, gains, rows), functions = counts, len(filters.basis)
+    rate = filters.signal.sampling_rate
+    nodes = until * rate / spacing + 2 * NODES
+    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * ((1.25 * functions + 1.0) * rows + 1.0)
+    return nodes * paths, nodes * gains * functions, nodes * points, paths * (until * rate + 2 * NODES * spacing)
+
+
 def reference_channels(part: ChannelPart, start: int, stop: int) -> Floats:
     """Return the pressure (rows, stop - start) of the pairs of a part, Pa, with delays and gains at every node."""
     plan, rate = part.plan, part.plan.sampling_rate

@@ -288,7 +288,7 @@ class _Request:
                     narrow += [(i, filters) for filters in bands]
         carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
         parts = tuple(self._narrow_part(carrier, narrow, claimed) for carrier in carriers)
-        sampled = sampled_channel.parts_of(channels, tracks, tuple(made), options, self.samples)
+        sampled = sampled_channel.parts_of(channels, tracks, tuple(made), options, self.samples) if channels else {}
         return tuple(made), replace(claimed, narrow=parts, notes=tuple(notes), **sampled)
 
     def _narrow_part(

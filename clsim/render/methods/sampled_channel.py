@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats
 from clsim.opencl.launch import work
 from clsim.render.channel_grid import (
-    NODES,
     OVERSAMPLING,
     PHASES,
     SPREAD_ERROR_DB,
@@ -24,6 +23,7 @@ from clsim.render.channel_grid import (
     ChannelGrid,
     nodes_of,
     window_table,
+    work_at_nodes,
 )
 from clsim.render.contributions import Stateless
 from clsim.render.interpolator import Bandlimited
@@ -62,14 +62,15 @@ def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple
     """Return the sampled channels of pairs of a source, None where the sum over paths is cheaper, and why not."""
     options = emission.options
     mine = [pair for pair in pairs if can(emission.tracks, options, pair) is None]
-    if not mine or options.channels is False or filters.oversampling > 1 or not len(emission.sound.energy):
-        return None, ""
-    rate = emission.signal.sampling_rate
-    if filters.band > 0.5 * WIDEST * rate:
+    rate, silent = emission.signal.sampling_rate, not len(emission.sound.energy)
+    too_wide = filters.oversampling > 1 or filters.band > 0.5 * WIDEST * rate
+    if not mine or options.channels is False or silent or too_wide:
         return None, ""
     of_scene = emission.tracks.of_scene
     assert of_scene is not None, "channels are those of scenes"
     longest = of_scene.longest_delay(0.0, emission.until, emission.source)
+    if not options.channels and not _may_be_cheaper(emission, filters, mine, longest):
+        return None, ""
     splitter, error_db = Splitter.of(emission, of_scene, mine), -math.inf
     shift, level = emission.max_rate * filters.band, 10 ** (_allowed_db(options) / 20)
     for margin, spacing in _cheaper(splitter, filters, longest):
@@ -109,20 +110,33 @@ def _allowed_db(options: RenderOptions) -> float:
     return options.interpolator.error_db
 
 
+def _may_be_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int], longest: float) -> bool:
+    """Compare the sum over all paths with transforms alone, for the fewest nodes: most scenes need no closer look."""
+    rate, members = emission.signal.sampling_rate, [emission.tracks.pairs[i] for i in pairs]
+    spacing = max(_spacing(emission, filters, _MARGINS[0]), 1)
+    counts = 0.0, 0.0, sum(len(member.channels) for member in members)
+    least = measured_costs().channel_point * work_at_nodes(filters, counts, spacing, longest, emission.until)[2]
+    return least < filters.cost() * rate * emission.until * sum(len(m) * len(m.channels) for m in members)
+
+
+def _spacing(emission: Emission, filters: SourceFilters, margin: float) -> int:
+    """Return the samples from node to node for a margin beyond the Doppler shift, Hz."""
+    shift = emission.max_rate * filters.band
+    return math.floor(emission.signal.sampling_rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
+
+
 def _cheaper(splitter: Splitter, filters: SourceFilters, longest: float) -> list[tuple[float, int]]:
     """Return margins, Hz, and spacings of nodes cheaper than the sum over paths, cheapest first; all if requested."""
     emission, known, found = splitter.emission, measured_costs(), []
-    rate, costs = emission.signal.sampling_rate, (
-        known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
-    )  # fmt: skip
+    costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
+    rate = emission.signal.sampling_rate
     share = min(emission.signal.duration + longest, emission.until) / emission.until  # in which something is emitted
     for margin in _MARGINS:
-        shift = emission.max_rate * filters.band
-        spacing = math.floor(rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
+        spacing = _spacing(emission, filters, margin)
         if spacing < _LEAST_SPACING:
             break
         split = splitter.at(margin, {})
-        work = _work(filters, split.at_nodes(splitter.tracks, emission.until), spacing, longest, emission.until)
+        work = work_at_nodes(filters, split.at_nodes(splitter.tracks, emission.until), spacing, longest, emission.until)
         seconds, stretches = split.summed(emission.until)
         cost = sum(a * b for a, b in zip(work, costs, strict=True))
         cost += filters.cost() * seconds * rate + known.stretch * stretches
@@ -133,22 +147,11 @@ def _cheaper(splitter: Splitter, filters: SourceFilters, longest: float) -> list
 
 
 def work_of(part: ChannelPart, filters: SourceFilters, until: float) -> tuple[float, ...]:
-    """Return the counts of `_work` of a part, until the end of a run, s."""
+    """Return the counts of `work_at_nodes` of a part, until the end of a run, s."""
     tracks = part.plan.tracks
     pairs = [tracks.pairs[pair] for pair in part.pairs]
     counts = sum(map(len, pairs)), sum(len(p) * len(p.channels) for p in pairs), sum(len(p.channels) for p in pairs)
-    return _work(filters, counts, part.spacing, tracks.longest_delay(0.0, until, part.source), until)
-
-
-def _work(
-    filters: SourceFilters, counts: tuple[float, float, int], spacing: int, longest: float, until: float
-) -> tuple[float, ...]:
-    """Return counts of paths at nodes, these by functions, points of transforms, and paths in samples."""
-    (paths, gains, rows), functions = counts, len(filters.basis)
-    rate = filters.signal.sampling_rate
-    nodes = until * rate / spacing + 2 * NODES
-    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * ((1.25 * functions + 1.0) * rows + 1.0)
-    return nodes * paths, nodes * gains * functions, nodes * points, paths * (until * rate + 2 * NODES * spacing)
+    return work_at_nodes(filters, counts, part.spacing, tracks.longest_delay(0.0, until, part.source), until)
 
 
 def parts_of(
