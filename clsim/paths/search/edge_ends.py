@@ -30,7 +30,16 @@ from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import end_levels, off_edges
 from clsim.paths.visibility.edge_gaps import seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch
-from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, MEETING, EdgeCandidates, imaged
+from clsim.paths.visibility.edges import (
+    CONTRACTED,
+    CONTRACTIONS,
+    MEETING,
+    TWO_ENDS,
+    EdgeCandidates,
+    at_meeting,
+    end_numbers,
+    imaged,
+)
 from clsim.scene.scene import Scene
 
 Rows = NDArray[np.int64]
@@ -75,7 +84,7 @@ def end_candidates(
     source = _Sight(finder, 0, sides[0], routes, left, longest)
     after = left - source.fewest
     sights = [_Sight(finder, row, mover, routes, after, longest) for row, mover in enumerate(sides[1], 1)]
-    kinds = np.column_stack([routes.end >= MEETING, routes.face[:, 0] == ACROSS_AIR, met])
+    kinds = np.column_stack([at_meeting(routes.end), routes.face[:, 0] == ACROSS_AIR, met])
     every, kind = np.unique(kinds, axis=0, return_inverse=True)
     for number in range(len(every)):
         rows, count = np.flatnonzero(kind.ravel() == number), int(every[number, 2])
@@ -116,7 +125,8 @@ def _routes(finder: EdgeSearch, reached: Reached, order: int) -> EdgeCandidates:
     ahead = np.einsum("ni,ni->n", place - edges.start[theirs], edges.inward(theirs, their_face)) > near
     ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
     ahead &= np.einsum("nei,ni->ne", ends, edges.inward(mine, mine_face)).min(axis=1) > -near
-    found, pairs = [_part(over_faces, np.flatnonzero(ahead)), _meeting(finder, pair, face, order)], apart(finder)
+    over_faces = _part(over_faces, np.flatnonzero(ahead))
+    found, pairs = [over_faces, _of_both(finder, over_faces), _meeting(finder, pair, face, order)], apart(finder)
     balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
     from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)] if len(pairs) else []
     for count in range(order + 1) if len(pairs) else ():
@@ -167,6 +177,17 @@ def _meeting(finder: EdgeSearch, pair: Rows, face: Rows, order: int) -> EdgeCand
     return EdgeCandidates(none, none, pair[rows], face[rows], MEETING + 2 * other + one, rows, no_walls)
 
 
+def _of_both(finder: EdgeSearch, routes: EdgeCandidates) -> EdgeCandidates:
+    """Make routes over ends of both edges from those over one, where neither end is on the other edge's line."""
+    edges, near = finder.edges, _NEAR * finder.query.walls.size
+    (mine, my_face), (theirs, _) = _ended(routes)
+    ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
+    ahead = np.einsum("nei,ni->ne", ends, edges.inward(mine, my_face)) > near
+    rows, other = np.nonzero(edges.free[theirs] & ahead)
+    found = _part(routes, rows)
+    return replace(found, end=found.end + TWO_ENDS + 4 * other)
+
+
 def _with_ends(finder: EdgeSearch, pair: Rows, face: Rows, between: NDArray[np.int32]) -> EdgeCandidates:
     """Make routes over each free end of either edge of pairs (n, 2) that is not on the other edge's line."""
     edges, count = finder.edges, len(pair)
@@ -215,10 +236,8 @@ class _Sight:
         seen = seen_frames(walls, edges, routes.edge[:, 1], routes.between)
         _, _, (x, y, z) = off_edges(edges, routes, seen, every)
         edge = routes.edge[:, int(row > 0)]
-        ended = (routes.end >= OF_LAST) == (row > 0)
-        ended |= routes.end >= MEETING
-        number = np.where((routes.end >= MEETING) & (row > 0), routes.end // 2, routes.end) % 2
-        self._end = np.where(ended, number, -1)
+        self._end = end_numbers(routes.end)[int(row > 0)]
+        ended = self._end >= 0
         r = np.where(ended, _BESIDE * walls.size, np.hypot(x, y))
         z = np.where(ended, self._end * edges.length[edge], z)
         keys = np.round(np.column_stack([edge, self._end, r, z]), _SAME)
@@ -315,16 +334,20 @@ def _received(finder: EdgeSearch, found: EdgeCandidates, times: Floats) -> Float
     """Compute when (n,) what is at the ends of candidates at times (n,), or at the last edges, is received, s."""
     edges, query, rows = finder.edges, finder.query, np.arange(len(times))
     seen = seen_frames(query.walls, edges, found.edge[:, 1], found.between)
-    along, _, (x, y, z_c) = off_edges(edges, found, seen, rows)
-    last, row, edge = found.end >= OF_LAST, found.receiver + 1, found.edge[:, 1]
-    r_c, z_c = np.where(last, 0.0, np.hypot(x, y)), np.where(last, along, z_c)
+    _, _, (x, y, z_c) = off_edges(edges, found, seen, rows)
+    (first, number), row, edge = end_numbers(found.end), found.receiver + 1, found.edge[:, 1]
+    last = number >= 0
+    r_c, z_c = np.where(last, 0.0, np.hypot(x, y)), np.where(last, number * edges.length[edge], z_c)
+    ends = [np.where((n == 1)[:, None], edges.stop[e], edges.start[e])
+            for n, e in ((first, found.edge[:, 0]), (number, edge))]  # fmt: skip
+    between = np.where(found.end >= TWO_ENDS, np.linalg.norm(ends[0] - ends[1], axis=1), 0.0)
     from_end = edges.start[edge] + z_c[:, None] * edges.along[edge]
     late = np.zeros(len(times))
     for _ in range(CONTRACTIONS):
         at = query.trajectory_tables.position(row, times + late) + PERTURBATIONS[1]
         at = query.trajectory_tables.lifted(row, at)
         r, _, z = edges.cylindrical(edge, imaged(query.walls, found.after, at))
-        later = query.medium.passage(np.hypot(r + r_c, z - z_c), at - from_end).time - late
+        later = query.medium.passage(between + np.hypot(r + r_c, z - z_c), at - from_end).time - late
         late = late + later
         if not np.any(np.abs(later) > CONTRACTED):
             break

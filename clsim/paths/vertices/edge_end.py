@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import (
     ON_LINE,
+    EdgePath,
     end_detour,
     end_transition,
     path_over_edge,
@@ -20,16 +21,14 @@ from clsim.paths.links import Pair
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import Triple
 from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, LEAVING, GapPairVertex, product_of_terms, terms_of
-from clsim.paths.visibility.edges import MEETING
+from clsim.paths.visibility.edges import MEETING, TWO_ENDS, at_meeting, end_numbers
 
 OF_LAST = 2  # added to the numbers of the ends of last edges
 
 
 def ends_of(number: int) -> list[tuple[int, int]]:
     """List edges, 0 for the first and 1 for the last, that end, and at which end, of a number of `over_end`."""
-    if number >= MEETING:
-        return [(0, number % 2), (1, number // 2 % 2)]
-    return [(number // OF_LAST, number % OF_LAST)]
+    return [(place, int(end)) for place, end in enumerate(end_numbers(number)) if end >= 0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +37,8 @@ class EdgeEndVertex(GapPairVertex):
 
     Where the shortest path over both edges runs off the end, the path over both goes over into this one. `over_end` is
     0 for the start of the first edge, 1 for its end, and 2 and 3 for those of the last edge; from 4 on both edges of a
-    face end at one corner. `shared` is 2 across air. The signs of `lit` count at edges that do not end, and where both
+    face end at one corner. From 8 on the path over one end runs off the other edge: this is a path over ends of both
+    edges of a face. `shared` is 2 across air. The signs of `lit` count at edges that do not end, and where both
     do; at the other ones their own angles do.
     """
 
@@ -53,24 +53,26 @@ class EdgeEndVertex(GapPairVertex):
     @property
     def of_last(self) -> NDArray[np.bool_]:
         """Mask (P,) of paths over an end of the last edge."""
-        return (self.over_end >= OF_LAST) & (self.over_end < MEETING)
+        return (self.over_end % MEETING >= OF_LAST) & ~self.meeting
 
     @property
     def meeting(self) -> NDArray[np.bool_]:
         """Mask (P,) of paths over a corner at which both edges end."""
-        return self.over_end >= MEETING
+        return np.asarray(at_meeting(self.over_end))
+
+    @property
+    def held(self) -> Floats:
+        """Where the other edges end (P, 1), of paths over ends of both, m; else NaN."""
+        length = self.lines.length[np.where(self.of_last, self.edge, self.last.edge)]
+        end = np.where(self.over_end >= TWO_ENDS + MEETING, length, 0.0)
+        return np.where(self.over_end >= TWO_ENDS, end, np.nan)[:, None]
 
     @property
     def objects(self) -> NDArray[np.int64]:
         """Numbers of the edge and the end among the names, (P, 2)."""
         first, last = self.edge, self.last.edge
-        ends = [len(self.lines) + 2 * edge + end for edge, end in zip((first, last), self._numbers(), strict=True)]
-        of_last = self.of_last | self.meeting
-        return np.stack([np.where(self.of_last, first, ends[0]), np.where(of_last, ends[1], last)], axis=1)
-
-    def _numbers(self) -> tuple[Any, Any]:
-        """Numbers (P,) of the ends, 0 or 1, of the first edges and of the last ones."""
-        return self.over_end % 2, np.where(self.meeting, self.over_end // 2, self.over_end) % 2
+        ends = zip((first, last), end_numbers(self.over_end), strict=True)
+        return np.stack([np.where(end < 0, edge, len(self.lines) + 2 * edge + end) for edge, end in ends], axis=1)
 
     def ended_at(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Where the ends are along their edges (P, 1), m, and (P, 3), and r and z (P, 1) about the other edges, m."""
@@ -91,10 +93,12 @@ class EdgeEndVertex(GapPairVertex):
         (along, _, r, z), of_last = self.ended_at(), self.of_last[:, None]
         (r_f, z_f), (r_n, z_n) = _swapped(of_last, source, receiver)
         route = path_over_edge(r, z, r_n, z_n)
-        end = np.broadcast_to(along, route.apex.shape)
-        places = np.where(of_last, route.apex, end), np.where(of_last, end, route.apex)
-        length, rows = np.hypot(r_f, along - z_f) + route.length, np.flatnonzero(self.meeting)
-        ends = zip(places, (self.edge, self.last.edge), self._numbers(), strict=True)
+        end, held = np.broadcast_to(along, route.apex.shape), self.held
+        over = np.where(np.isnan(held), route.apex, held)
+        places = np.where(of_last, over, end), np.where(of_last, end, over)
+        behind = np.where(np.isnan(held), route.length, np.hypot(r, over - z) + np.hypot(r_n, over - z_n))
+        length, rows = np.hypot(r_f, along - z_f) + behind, np.flatnonzero(self.meeting)
+        ends = zip(places, (self.edge, self.last.edge), end_numbers(self.over_end), strict=True)
         for place, edge, number in ends if len(rows) else ():
             place[rows] = np.where(number == 1, self.lines.length[edge], 0.0)[rows, None]
         legs = (np.hypot(r, place - z) for (r, z), place in zip((source, receiver), places, strict=True))
@@ -159,7 +163,10 @@ def _end_field(
     whole = leg + route.length
     inside = np.where(pair.over_end[:, None] % OF_LAST == 1, along - rolled.apex, rolled.apex)
     detour = end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
-    root: Any = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
+    held, own = pair.held, np.where(inside < 0.0, -1.0, 1.0)
+    both = ~np.isnan(held)
+    side: Any = np.where(both, own, pair.end_side[:, None])
+    root: Any = own * side * np.sqrt(detour)
     scale = np.sqrt(wave)
 
     def share(term: Floats) -> Any:
@@ -172,7 +179,7 @@ def _end_field(
     legs = leg * behind / ((leg + between) * (between + behind))
     if ended:
         slopes, breadths = slopes[::-1], breadths[::-1]
-    sides = -1.0 * pair.end_side[:, None, None]
+    sides = -side[..., None] * _off_end(pair, route, (r_c, z_c), (r_n, z_n), root, wave)
     if across_air:
         ahead, back, turn = pair.gap.angles((1.0 - 2.0 * ended) * -onto)
         angles = (t_s, ahead), (back, t_r)
@@ -188,6 +195,23 @@ def _end_field(
     for i in range(2):
         weights[i] = weights[i] * share(roots[..., i])
     return pair.over_face(made, np.sqrt(legs), wave, rolled.length) * sides
+
+
+def _off_end(pair: EdgeEndVertex, route: EdgePath, corner: Pair, near: Pair, root: Floats, wave: Floats) -> Any:
+    """Share (P, T, F) of the field of paths over one end that paths over ends of both edges have; 1 of other paths.
+
+    Our own derivation: the double integral along both edges is one over ``exp(-j (x² + y²))``. Beyond both ends it is
+    half the sum of the integrals ``C`` along both borders, `root` from the shortest path, of `end_transition`.
+    """
+    some, share = np.flatnonzero(pair.over_end >= TWO_ENDS), np.ones(wave.shape, dtype=np.complex128)
+    held = np.broadcast_to(pair.held, route.apex.shape)
+    inside = np.where(held == 0.0, route.apex, held - route.apex)
+    detour = end_detour(route, corner, near, np.where(np.isnan(held), 0.0, held))
+    side = pair.end_side[some, None]
+    end: Any = np.where(inside[some] < 0.0, -1.0, 1.0) * side * np.sqrt(detour[some])
+    scale, both = np.sqrt(wave[some]), root[some, :, None]
+    share[some] = -side[..., None] * end_transition(end[..., None] * scale, both * scale) / transition(both * scale)
+    return share
 
 
 def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats, at: SceneResponse) -> Any:

@@ -19,6 +19,7 @@ from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
 from clsim.paths.visibility.edges import (
     FAR,
     MEETING,
+    TWO_ENDS,
     Course,
     EdgeCandidates,
     EdgeStance,
@@ -42,6 +43,7 @@ def off_edges(edges: Edges, candidates: EdgeCandidates, seen: Floats, which: Row
     seen: frames (n, 4, 3) of last edges as the first ones see them.
     """
     end, (one, other) = candidates.end[which], candidates.edge[which].T
+    end = np.where(end >= TWO_ENDS, end % MEETING, end)
     last, frames = (end >= OF_LAST)[:, None, None], (edges.frames[one], seen)
     mine, theirs = np.where(last, frames[1], frames[0]), np.where(last, frames[0], frames[1])
     number = np.where(end >= MEETING, end // 2, end) % 2
@@ -58,6 +60,7 @@ class EndVisibility(GapVisibility):
     along: Floats  # (n,) where it is along its edge, m
     beside: Floats  # (n,) and from the line of the other edge, m
     height: Floats  # (n,) and along that, m
+    held: Floats  # (n,) where the other edge ends, of paths over ends of both, m; else NaN
 
     @staticmethod
     def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> EndVisibility:
@@ -66,7 +69,10 @@ class EndVisibility(GapVisibility):
         seen = seen_frames(walls, edges, other, candidates.between)
         along, _, (x, y, z) = off_edges(edges, candidates, seen, np.arange(len(one)))
         gap = EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other]))
-        return EndVisibility(edges, candidates, gap, candidates.end >= OF_LAST, along, np.hypot(x, y), z)
+        last, length = candidates.end % MEETING >= OF_LAST, edges.length[candidates.edge]
+        held = np.where(candidates.end // 4 == 3, np.where(last, *length.T), 0.0)
+        held = np.where(candidates.end >= TWO_ENDS, held, np.nan)
+        return EndVisibility(edges, candidates, gap, last, along, np.hypot(x, y), z, held)
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
         """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
@@ -74,16 +80,15 @@ class EndVisibility(GapVisibility):
         far, near = ([np.where(last, a, b) for a, b in zip(*ends, strict=True)]
                      for ends in ((receiver, source), (source, receiver)))  # fmt: skip
         route, leg = path_over_edge(r_c, z_c, *near), np.hypot(far[0], along - far[1])
-        parts = np.hypot(r_c, route.apex - z_c), np.hypot(near[0], route.apex - near[1])
-        length, places = (
-            leg + parts[0] + parts[1],
-            (np.where(last, route.apex, along), np.where(last, along, route.apex)),
-        )
+        held = self.held[which]
+        over, loose = np.where(np.isnan(held), route.apex, held), np.where(np.isnan(held), r_c, np.nan)
+        parts = np.hypot(r_c, over - z_c), np.hypot(near[0], over - near[1])
+        length, places = leg + parts[0] + parts[1], (np.where(last, over, along), np.where(last, along, over))
         gap = self.gap(which)
         away = gap.first[:, 0] + places[0][:, None] * gap.first[:, 3]
         away = away - gap.last[:, 0] - places[1][:, None] * gap.last[:, 3]
         legs = np.where(last, parts[1], leg), np.maximum(parts[0], _LEAST), np.where(last, leg, parts[1])
-        crossing = Crossing(places, legs, away, (np.where(last, r_c, np.nan), np.where(last, np.nan, r_c)))
+        crossing = Crossing(places, legs, away, (np.where(last, loose, np.nan), np.where(last, np.nan, loose)))
         edge_paths = EdgePath(length, places[0], length), EdgePath(length, places[1], length)
         return Course(edge_paths, (r_c, r_c), crossing)
 
@@ -114,7 +119,8 @@ class EndVisibility(GapVisibility):
     ) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
         """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`.
 
-        Of the edge that ends the terms are 1; the side of the end is that of the path over both edges.
+        Of the edge that ends the terms are 1; the side of the end is that of the path over both edges, and where both
+        end that of the path over one end.
         """
         stance, (one, other) = self.stance(query, which, time, half), self.candidates.edge[which].T
         crossing, last, reach = stance.course.crossing, self.last[which], stance.reach
@@ -130,6 +136,9 @@ class EndVisibility(GapVisibility):
         beside, passed = beside_faces(self.edges.n[self.candidates.edge[which].T], np.stack(stance.angles))
         sure &= np.all(passed > np.stack(turns), axis=0)
         inside, turning = self._inside(stance, which, query.walls.size)
+        inner, sliding = self._over_both(stance, which)
+        both = ~np.isnan(self.held[which])
+        inside, turning = np.where(both, inner, inside), np.where(both, sliding, turning)
         sure &= np.abs(inside) > turning
         distances = np.minimum(*stance.distances)
         off = np.minimum(np.minimum(np.abs(angles).min(axis=1), passed.min(axis=0)), np.abs(inside)) * distances
@@ -139,6 +148,15 @@ class EndVisibility(GapVisibility):
             np.column_stack([first, np.where(inside >= 0.0, 1, -1), second, *beside]).astype(np.int8),
             sure, off, reach,
         )  # fmt: skip
+
+    def _over_both(self, stance: EdgeStance, which: Rows) -> tuple[Floats, Floats]:
+        """How far (n,) paths over one end are inside the other edge's end, m, and by how much this slides at most."""
+        last, r_c = self.last[which], self.beside[which]
+        near = [np.where(last, *x) for x in (stance.distances, stance.heights)]
+        route, reach = path_over_edge(r_c, self.height[which], near[0], near[1]), np.where(last, *stance.reaches)
+        across = r_c + near[0] - reach
+        sliding = np.where(across > 0.0, reach * r_c * (route.length + reach) / across**2, np.inf)
+        return np.where(self.held[which] == 0.0, route.apex, self.held[which] - route.apex), sliding
 
     def _inside(self, stance: EdgeStance, which: Rows, size: float) -> tuple[Floats, Floats]:
         """How far (n,) paths over both edges are inside the end, as a difference of cosines, and its change at most."""

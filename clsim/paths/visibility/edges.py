@@ -45,6 +45,7 @@ FAR = 1e3  # sizes of the room
 SIDES = 2 * TERMS + 3  # of a path, see `EdgeVisibility.sides`
 ENDS_BESIDE = (SIDES - 2, SIDES - 1)  # those of its ends
 MEETING = 4  # number of the first end, and twice that of the second one, of edges that end at one corner
+TWO_ENDS = 8  # as of an end of one edge, and four times the end of the other, of two edges that both end
 NEAR_WRAP = 0.2 * np.pi  # from the middle of a wedge, where angles wrap: nearer to it they go on beyond it
 CONTRACTIONS = 100
 CONTRACTED = 1e-13  # s
@@ -61,6 +62,7 @@ class EdgeCandidates:
     edge: Rows  # (n, 2) of the room, from the source's side; the same twice for paths over one edge
     face: Rows  # (n, 2) of each both share, 0 or 1, its n-face; -1 for paths over one edge, `ACROSS_AIR` where none
     # (n,) 0 for its start, 1 for its stop, -1 for the edge itself; of the second of two 2 and 3, of both `MEETING` on
+    # and `TWO_ENDS` on
     end: Rows
     receiver: Rows  # (n,) to which
     between: NDArray[np.int32]  # (n, B) walls between two edges with air between, from the first one's side
@@ -71,7 +73,7 @@ class EdgeCandidates:
     @property
     def over_meeting_edges(self) -> bool:
         """Whether these are paths over corners at which two edges of a face end."""
-        return bool(np.any(self.end >= MEETING))
+        return bool(np.any(at_meeting(self.end)))
 
     @property
     def over_ends_of_pairs(self) -> bool:
@@ -131,8 +133,8 @@ class EdgeVisibility:
         requested, tables, edges = self.candidates, query.trajectory_tables, self.edges
         row, source = requested.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
         (one, other), end = requested.edge[which].T, requested.end[which]
-        over_end = (end >= 0) & (one == other) | (end >= MEETING)
-        ends = end % 2 * edges.length[one], np.where(end >= MEETING, end // 2, end) % 2 * edges.length[other]
+        over_end = (end >= 0) & (one == other) | at_meeting(end)
+        ends = end % 2 * edges.length[one], np.where(at_meeting(end), end // 2, end) % 2 * edges.length[other]
         at = tables.lifted(row, tables.position(row, time) + PERTURBATIONS[1])
         r_r, t_r, z_r = edges.cylindrical(other, imaged(query.walls, requested.after[which], at))
         delay = np.zeros(len(which))
@@ -276,6 +278,18 @@ class EdgeVisibility:
             off.append(np.where((angle >= 0.0) & (angle <= whole), away, -away))
             on.append(np.where(end < 0, np.minimum(place, self.edges.length[edge] - place), EVER))
         return np.stack([np.min(off, axis=0), np.min(on, axis=0)])
+
+
+def at_meeting(end: Any) -> Any:
+    """Mask (n,) of numbers of corners at which both edges end."""
+    return (end >= MEETING) & (end < TWO_ENDS)
+
+
+def end_numbers(end: Any) -> tuple[Any, Any]:
+    """Ends (n,) of the first and of the last edges, 0 or 1, and -1 of those that do not end, by numbers (n,)."""
+    other, meeting, of_last = np.where(end >= TWO_ENDS, end // 4 - 2, -1), at_meeting(end), end % 4 >= 2
+    last = np.where(meeting, end // 2 % 2, end % 2)
+    return np.where(of_last & ~meeting, other, end % 2), np.where(of_last | meeting, last, other)
 
 
 def beside_faces(n: Floats, angle: Floats) -> tuple[NDArray[np.int64], Floats]:
