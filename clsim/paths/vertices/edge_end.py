@@ -13,16 +13,21 @@ from clsim.acoustics.diffraction import (
     EdgePath,
     end_detour,
     end_transition,
+    lit_angles,
     path_over_edge,
     transition,
+    wedge_terms,
 )
+from clsim.acoustics.corner import CornerLeg, meeting_field
 from clsim.arrays import Floats
 from clsim.paths.links import Pair
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import Triple
+from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, LEAVING, GapPairVertex, product_of_terms, terms_of
 from clsim.paths.visibility.edges import MEETING, TWO_ENDS, at_meeting, end_numbers
 
+_GRAZING, _INSIDE = (1.2, 2.2), (-1.5, -0.5)  # roots of phases, between which one theory goes over into another
 OF_LAST = 2  # added to the numbers of the ends of last edges
 
 
@@ -219,6 +224,8 @@ def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats
 
     Our own derivation: where both edges meet, the double integral of `double_transition` with a tie of 1 is a
     convolution of two poles, ``E(a, b) = E(a + b)``. The corner takes away as much as an end of one edge of that root.
+    So it is where sound grazes the face. Elsewhere, up to where the shortest path over both edges is far from the
+    corner, the field is that of `meeting_field`, which has the path over both edges.
     """
     (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
     edge_paths, beyond = pair.rolled_out((r_s, z_s), (r_r, z_r))
@@ -231,5 +238,48 @@ def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats
         return end_transition(root[..., None] * np.sqrt(wave), (first + last)[..., None] * np.sqrt(wave))
 
     made = pair.face_terms((t_s, t_r), (edge_paths[0].breadth, edge_paths[1].breadth), at)
-    field = pair.over_face(made, root, wave, edge_paths[0].length, share)
-    return -1.0 * pair.end_side[:, None, None] * field
+    field = -1.0 * pair.end_side[:, None, None] * pair.over_face(made, root, wave, edge_paths[0].length, share)
+    grazing = np.minimum(*(np.abs(roots).min(axis=-1) for roots, _, _ in made))[..., None] * np.sqrt(wave)
+    inside = -root[..., None] * np.sqrt(wave) * pair.end_side[:, None, None]
+    outer = (pair.n >= 1.0) & (pair.last.n >= 1.0)
+    mixed = _risen(grazing, *_GRAZING) * _risen(inside, *_INSIDE) * outer[:, None, None]
+    rows = np.flatnonzero(np.any(mixed > 0.0, axis=(1, 2)))
+    if len(rows):
+        some, those = pair.part(rows), tuple(tuple(x[rows] for x in end) for end in ends)
+        exact = _between_edges(some, those, along[rows], wave[rows], at)
+        beside = np.flatnonzero(some.end_side == 1)
+        if len(beside):  # the path over both edges has its part
+            one, other = (tuple(x[beside] for x in end) for end in those)
+            turned = np.exp(1j * wave[rows[beside]] * detour[rows[beside], :, None])
+            exact[beside] -= turned * EdgePairVertex._field(some.part(beside), one, other, along, wave[rows[beside]], at)
+        field[rows] += mixed[rows] * (exact - field[rows])
+    return field
+
+
+def _risen(x: Floats, first: float, last: float) -> Floats:
+    """How far x has come from a first to a last value, smoothly from 0 to 1."""
+    share = np.clip((x - first) / (last - first), 0.0, 1.0)
+    return np.asarray(share**2 * (3.0 - 2.0 * share))
+
+
+def _between_edges(
+    pair: EdgeEndVertex, ends: tuple[Triple, Triple], along: Floats, wave: Floats, at: SceneResponse
+) -> Any:
+    """Compute the field (P, T, F) over both edges by the corner at which they meet, see `meeting_field`."""
+    (_, t_s, _), (_, t_r, _) = ends
+    ones = (np.ones(t_s.shape), np.ones(t_r.shape))
+    made, numbers = pair.face_terms((t_s, t_r), ones, at), end_numbers(pair.over_end)
+    face = pair.shared[:, :, None] * np.pi * np.stack([pair.n, pair.last.n], axis=1)[:, :, None]
+    legs, inwards = [], []
+    for i, (edge, (r, _, z)) in enumerate(zip((pair, pair.last), ends, strict=True)):
+        came, went = (t_s, face[:, 0]) if i == 0 else (face[:, 1], t_r)
+        kappa, _ = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], came, went), edge.lit[:, None])
+        kept = np.where(edge.lit[:, None, :2] != 0, kappa[..., :2], kappa[..., 2:][..., :: 1 - 2 * i])
+        kept = np.where(kept == 0.0, 1.0, kept)  # where a term vanishes
+        shares = [weight / kept[..., k, None] for k, weight in enumerate(made[i][1])]
+        inward = np.where(numbers[i] == 1, -1.0, 1.0)
+        place = np.where(numbers[i] == 1, pair.lines.length[edge.edge], 0.0)
+        legs.append(CornerLeg(edge.n[:, None], r, inward[:, None] * (z - place[:, None]), went - came, shares))
+        inwards.append(inward[:, None] * edge.frame[:, 3])
+    field = meeting_field((legs[0], legs[1]), np.sum(inwards[0] * inwards[1], axis=1)[:, None], wave)
+    return field / pair.doubled(made[1][2])
