@@ -48,7 +48,8 @@ _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
 _BATCH = 20_000  # candidates searched at a time
 _LISTENED = 2_000  # candidates whose levels are estimated together
-_QUIET = 1e-3  # pressure over that in free air: paths that stay below it are left out
+_QUIET = 1e-3  # pressure over the direct sound: paths that stay below it are left out
+_QUIET_ECHO = 2e-4  # without direct sound: over that in free air as far away
 _SAMPLED = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
@@ -62,16 +63,20 @@ def end_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, 
     lowest = min((source.emitted.centre_frequency for source in scene.sources), default=0.0)
     wave = 2.0 * np.pi * lowest / scene.air.speed_of_sound
     fewest = 2 if scene.room.edges().free.any() else sys.maxsize
-    rows, order, within = rows_of(scene, search, others, partial(end_candidates, wave=wave), fewest)
+    find = partial(end_candidates, wave=wave, direct=search.direct is not False)
+    rows, order, within = rows_of(scene, search, others, find, fewest)
     return with_swaps(end_chain(scene, order, rows), within)
 
 
 def end_candidates(
-    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float, wave: float
-) -> Iterator[tuple[float, EdgeCandidates]]:
+    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float, wave: float,
+    direct: bool,
+) -> Iterator[tuple[float, EdgeCandidates]]:  # fmt: skip
     """Yield candidates over an edge and an end of another one, with the times of both sides, and the share of the work.
 
-    wave: wave number at which those that stay below `_QUIET` are left out, 1/m.
+    wave: wave number at which those that are quiet are left out, 1/m.
+
+    direct: whether there is direct sound, by which it is told.
 
     sides, reached, longest: see `gap_candidates`. Candidates may have different numbers of walls on their sides.
     """
@@ -94,7 +99,7 @@ def end_candidates(
             for sight in sights
             for x in _joined(finder, some, left[rows], (source.request[rows], sight.request[rows]), (source, sight))
         )
-        audible = (_audible_ones(finder, x, wave) for x in _together(found, _LISTENED))
+        audible = (_audible_ones(finder, x, wave, direct) for x in _together(found, _LISTENED))
         yield from ((number / len(every), x) for x in _together(audible, _BATCH))
 
 
@@ -320,13 +325,14 @@ def _joined(
             yield replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 
-def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float) -> EdgeCandidates:
+def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct: bool) -> EdgeCandidates:
     """Return candidates without those that are quiet at some times of theirs."""
     assert found.spans is not None
     every, begin, end = found.spans
     times, which = begin + _SAMPLED[:, None] * (end - begin), np.tile(every, len(_SAMPLED))
-    levels = end_levels(finder.visibility(found), finder.query, which, times.ravel(), wave)
-    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > _QUIET)
+    levels = end_levels(finder.visibility(found), finder.query, which, times.ravel(), wave, direct)
+    least = _QUIET if direct else _QUIET_ECHO
+    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > least)
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.acoustics.corner import CornerLeg, meeting_field
 from clsim.acoustics.diffraction import (
     ON_LINE,
     EdgePath,
@@ -18,7 +19,6 @@ from clsim.acoustics.diffraction import (
     transition,
     wedge_terms,
 )
-from clsim.acoustics.corner import CornerLeg, meeting_field
 from clsim.arrays import Floats
 from clsim.paths.links import Pair
 from clsim.paths.response import SceneResponse
@@ -233,53 +233,62 @@ def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats
     inside = np.where(pair.over_end[:, None] % 2 == 1, along - edge_paths[0].apex, edge_paths[0].apex)
     detour = end_detour(edge_paths[0], (r_s, z_s), beyond, np.broadcast_to(along, inside.shape))
     root: Any = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
+    scale = np.sqrt(wave)
 
     def share(first: Floats, last: Floats, tie: Floats, wave: Floats) -> Any:
-        return end_transition(root[..., None] * np.sqrt(wave), (first + last)[..., None] * np.sqrt(wave))
+        return end_transition(root[..., None] * scale, (first + last)[..., None] * scale)
 
     made = pair.face_terms((t_s, t_r), (edge_paths[0].breadth, edge_paths[1].breadth), at)
     field = -1.0 * pair.end_side[:, None, None] * pair.over_face(made, root, wave, edge_paths[0].length, share)
-    grazing = np.minimum(*(np.abs(roots).min(axis=-1) for roots, _, _ in made))[..., None] * np.sqrt(wave)
-    inside = -root[..., None] * np.sqrt(wave) * pair.end_side[:, None, None]
+    far = (np.sqrt(r / path.breadth) for r, path in zip((r_s, r_r), edge_paths, strict=True))
+    off = [np.abs(roots).min(axis=-1) * r for (roots, _, _), r in zip(made, far, strict=True)]
     outer = (pair.n >= 1.0) & (pair.last.n >= 1.0)
-    mixed = _risen(grazing, *_GRAZING) * _risen(inside, *_INSIDE) * outer[:, None, None]
+    mixed = _risen(np.minimum(*off)[..., None] * scale, *_GRAZING) * outer[:, None, None]
+    mixed = mixed * _risen((-root * pair.end_side[:, None])[..., None] * scale, *_INSIDE)
     rows = np.flatnonzero(np.any(mixed > 0.0, axis=(1, 2)))
     if len(rows):
-        some, those = pair.part(rows), tuple(tuple(x[rows] for x in end) for end in ends)
-        exact = _between_edges(some, those, along[rows], wave[rows], at)
-        beside = np.flatnonzero(some.end_side == 1)
-        if len(beside):  # the path over both edges has its part
-            one, other = (tuple(x[beside] for x in end) for end in those)
-            turned = np.exp(1j * wave[rows[beside]] * detour[rows[beside], :, None])
-            exact[beside] -= turned * EdgePairVertex._field(some.part(beside), one, other, along, wave[rows[beside]], at)
-        field[rows] += mixed[rows] * (exact - field[rows])
+        part: Any = pair.part(rows)
+        some: Any = tuple(tuple(x[rows] for x in end) for end in ends)
+        field[rows] += mixed[rows] * (_by_corner(part, some, detour[rows], wave[rows], at) - field[rows])
     return field
 
 
 def _risen(x: Floats, first: float, last: float) -> Floats:
-    """How far x has come from a first to a last value, smoothly from 0 to 1."""
+    """Share by which x has come from a first to a last value, smoothly."""
     share = np.clip((x - first) / (last - first), 0.0, 1.0)
     return np.asarray(share**2 * (3.0 - 2.0 * share))
 
 
-def _between_edges(
-    pair: EdgeEndVertex, ends: tuple[Triple, Triple], along: Floats, wave: Floats, at: SceneResponse
+def _by_corner(
+    pair: EdgeEndVertex, ends: tuple[Triple, Triple], detour: Floats, wave: Floats, at: SceneResponse
 ) -> Any:
-    """Compute the field (P, T, F) over both edges by the corner at which they meet, see `meeting_field`."""
-    (_, t_s, _), (_, t_r, _) = ends
-    ones = (np.ones(t_s.shape), np.ones(t_r.shape))
-    made, numbers = pair.face_terms((t_s, t_r), ones, at), end_numbers(pair.over_end)
-    face = pair.shared[:, :, None] * np.pi * np.stack([pair.n, pair.last.n], axis=1)[:, :, None]
+    """Compute `meeting_field` (P, T, F) without the paths over both edges where these are, shorter by a detour (P, T)."""
+    legs, cosine, factors = _corner_legs(pair, ends, at)
+    field = meeting_field(legs, cosine, wave) / pair.doubled(factors)
+    beside = np.flatnonzero(pair.end_side == 1)
+    if len(beside):
+        source, receiver = ((r[beside], t[beside], z[beside]) for r, t, z in ends)
+        turned = np.exp(1j * wave[beside] * detour[beside, :, None])
+        field[beside] -= turned * EdgePairVertex._field(pair.part(beside), source, receiver, detour, wave[beside], at)
+    return field
+
+
+def _corner_legs(
+    pair: EdgeEndVertex, ends: tuple[Triple, Triple], at: SceneResponse
+) -> tuple[tuple[CornerLeg, CornerLeg], Floats, list[Any]]:
+    """Legs of paths over corners, cosines (P, 1) between their edges, and factors of the last edges' faces."""
+    angles = ends[0][1], ends[1][1]
+    made, numbers = pair.face_terms(angles, (np.ones(angles[0].shape),) * 2, at), end_numbers(pair.over_end)
+    face = pair.shared * np.pi * np.stack([pair.n, pair.last.n], axis=1)
     legs, inwards = [], []
     for i, (edge, (r, _, z)) in enumerate(zip((pair, pair.last), ends, strict=True)):
-        came, went = (t_s, face[:, 0]) if i == 0 else (face[:, 1], t_r)
-        kappa, _ = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], came, went), edge.lit[:, None])
-        kept = np.where(edge.lit[:, None, :2] != 0, kappa[..., :2], kappa[..., 2:][..., :: 1 - 2 * i])
+        came, went = (angles[0], face[:, :1]) if i == 0 else (face[:, 1:], angles[1])
+        weight, _ = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], came, went), edge.lit[:, None])
+        by_face = weight[..., 2:] if i == 0 else weight[..., :1:-1]
+        kept = np.where(edge.lit[:, None, :2] != 0, weight[..., :2], by_face)
         kept = np.where(kept == 0.0, 1.0, kept)  # where a term vanishes
-        shares = [weight / kept[..., k, None] for k, weight in enumerate(made[i][1])]
-        inward = np.where(numbers[i] == 1, -1.0, 1.0)
-        place = np.where(numbers[i] == 1, pair.lines.length[edge.edge], 0.0)
-        legs.append(CornerLeg(edge.n[:, None], r, inward[:, None] * (z - place[:, None]), went - came, shares))
+        shares = [term / kept[..., k, None] for k, term in enumerate(made[i][1])]
+        inward, end = np.where(numbers[i] == 1, -1.0, 1.0), numbers[i] * pair.lines.length[edge.edge]
+        legs.append(CornerLeg(edge.n[:, None], r, inward[:, None] * (z - end[:, None]), went - came, shares))
         inwards.append(inward[:, None] * edge.frame[:, 3])
-    field = meeting_field((legs[0], legs[1]), np.sum(inwards[0] * inwards[1], axis=1)[:, None], wave)
-    return field / pair.doubled(made[1][2])
+    return (legs[0], legs[1]), np.sum(inwards[0] * inwards[1], axis=1)[:, None], made[1][2]

@@ -168,7 +168,7 @@ class EdgePairVertex(EdgeVertex):
         return field / self.doubled(last_factors)
 
     def doubled(self, factors: list[Any]) -> Any:
-        """Times (P, T, F) that sound along the face is louder than from either side, by its factors at the last edge."""
+        """Ratio (P, T, F) of sound along the face to that from either side, by the factors of the last edges' faces."""
         factor: Any = np.where(self.shared[:, 1, None, None] == 1, factors[1], factors[0])
         both: Any = 1.0 + factor
         twice = np.where((self.n < 1.0)[:, None], self.lit[:, :2], self.lit[:, 2:])

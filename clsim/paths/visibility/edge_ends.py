@@ -5,7 +5,7 @@ The end rests, so that only the place on the other edge slides, as if the path b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -173,15 +173,22 @@ class EndVisibility(GapVisibility):
         return np.where(self.candidates.end[which] % OF_LAST == 1, slope, -slope), change[0] + change[1]
 
 
-def end_levels(seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float) -> Floats:
-    """Estimate the pressure (n,) of paths over ends at times (n,) over that in free air, at a wave number, 1/m.
+def end_levels(
+    seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float, direct: bool
+) -> Floats:
+    """Estimate the pressure (n,) of paths over ends at times (n,), at a wave number, 1/m.
 
-    Magnitudes of all terms add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
+    It is over that in free air: of the `direct` sound, or else as far away as the path is long. Magnitudes of all terms
+    add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
     """
-    still = np.zeros(len(which))
+    still, longer = np.zeros(len(which)), np.zeros(len(which))
+    if isinstance(seen, EndVisibility):  # over ends of both edges a share of what is over one
+        longer = seen.stance(query, which, time, still).course.edge_paths[0].length
+        seen = replace(seen, held=np.full_like(seen.held, np.nan))
     stance, (one, other) = seen.stance(query, which, time, still), seen.candidates.edge[which].T
+    beyond_both = np.sqrt(wave * np.maximum(longer - stance.course.edge_paths[0].length, 0.0))
     (ahead, back), _ = seen.between(stance, which, (still, still))
-    crossing, last = stance.course.crossing, seen.candidates.end[which] >= OF_LAST
+    crossing, last = stance.course.crossing, seen.candidates.end[which] % MEETING >= OF_LAST
     off = [place - height for place, height in zip(stance.places, stance.heights, strict=True)]
     legs = [np.hypot(r, z) for r, z in zip(stance.distances, off, strict=True)]
     if crossing is None:
@@ -206,13 +213,17 @@ def end_levels(seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: 
     end, total = np.sqrt(wave * np.maximum(whole - shortest, 0.0)), np.zeros(len(which))
     for i, j in np.ndindex(TERMS, TERMS):
         a, b = roots[0][:, i], roots[1][:, j]
-        of_end = a + b if crossing is None else np.where(last, b, a)
-        near = of_end * (of_end + 0.6)
-        share = 0.5 * _fall(end) * near / (near + end**2 + 1e-9)
+        share = _end_share(end, a + b if crossing is None else np.where(last, b, a))
         both = _fall(np.maximum(a, b)) * _fall(np.minimum(a, b) * np.sqrt(np.maximum(1.0 - tie**2, 0.0)))
         total += 0.25 * weights[0][:, i] * weights[1][:, j] * share * both
-    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1)
-    return np.asarray(total * apart / shortest)
+    off_both = seen.candidates.end[which] >= TWO_ENDS
+    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1) if direct else whole
+    return np.asarray(total * np.where(off_both, _end_share(beyond_both, end), 1.0) * apart / shortest)
+
+
+def _end_share(end: Floats, root: Floats) -> Floats:
+    near = root * (root + 0.6)
+    return np.asarray(0.5 * _fall(end) * near / (near + end**2 + 1e-9))
 
 
 def _fall(root: Floats) -> Floats:

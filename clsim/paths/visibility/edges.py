@@ -286,7 +286,7 @@ def at_meeting(end: Any) -> Any:
 
 
 def end_numbers(end: Any) -> tuple[Any, Any]:
-    """Ends (n,) of the first and of the last edges, 0 or 1, and -1 of those that do not end, by numbers (n,)."""
+    """Numbers (n,) of the ends of the first and of the last edges, 0 or 1, and -1 of those that do not end."""
     other, meeting, of_last = np.where(end >= TWO_ENDS, end // 4 - 2, -1), at_meeting(end), end % 4 >= 2
     last = np.where(meeting, end // 2 % 2, end % 2)
     return np.where(of_last & ~meeting, other, end % 2), np.where(of_last | meeting, last, other)
