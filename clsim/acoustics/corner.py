@@ -47,7 +47,7 @@ class CornerLeg:
         cosh = (1.0 + cosine * self.z / self.length) / np.maximum(sine * across, 1e-12)
         cosh = np.cosh(np.arccosh(np.maximum(cosh, 1.0)) / self.n)
         angles = (np.pi + self.turn) / self.n, (np.pi - self.turn) / self.n
-        terms = (np.sin(angle) / (cosh - np.cos(angle)) for angle in angles)
+        terms = (np.sin(angle) / np.maximum(cosh - np.cos(angle), 1e-12) for angle in angles)
         return sum(term[..., None] * share for term, share in zip(terms, self.shares, strict=True))
 
 
@@ -56,9 +56,9 @@ def meeting_field(legs: tuple[CornerLeg, CornerLeg], cosine: Floats, wave: Float
 
     Shapes: cosine (P, 1) between the edges, both from the corner on; wave (P, T, F) 1/m.
 
-    Our own derivation: the double line integral of U. P. Svensson, R. I. Fred and J. Vanderkooy, J. Acoust. Soc. Am.
-    106(5), 1999, section II, over the places ``ρ cos ψ`` and ``ρ sin ψ`` on both edges. The directions of sound depend
-    on ψ alone, and the phase is a parabola of ρ, so that the integral over ρ is a `transition`. It is exact far from
+    Our own derivation: the line integral of U. P. Svensson, R. I. Fred and J. Vanderkooy, J. Acoust. Soc. Am. 106(5),
+    1999, eq. 27, along both edges, over the places ``ρ cos ψ`` and ``ρ sin ψ`` on them. The directions of sound depend on
+    ψ alone, and the phase is a parabola of ρ, so that the integral over ρ is a `transition`. It is exact far from
     the edges; it has both the path over the corner and the path over both edges, if there is one near the corner.
     """
     (one, other), total = legs, np.zeros(wave.shape, dtype=np.complex128)

@@ -163,16 +163,13 @@ def _end_field(
     onto = theirs[:, None, 0] + route.apex[..., None] * theirs[:, None, 3] - corner[:, None]
     slope = np.einsum("pti,pi->pt", onto, mine[:, 3]) / between
     beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * route.length, ON_LINE), along + slope * route.length
-    rolled = path_over_edge(r_f, z_f, *beyond)
-    leg = np.hypot(r_f, along - z_f)
+    rolled, leg = path_over_edge(r_f, z_f, *beyond), np.hypot(r_f, along - z_f)
     whole = leg + route.length
     inside = np.where(pair.over_end[:, None] % OF_LAST == 1, along - rolled.apex, rolled.apex)
     detour = end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
-    held, own = pair.held, np.where(inside < 0.0, -1.0, 1.0)
-    both = ~np.isnan(held)
-    side: Any = np.where(both, own, pair.end_side[:, None])
+    own, scale = np.where(inside < 0.0, -1.0, 1.0), np.sqrt(wave)
+    side: Any = np.where(np.isnan(pair.held), pair.end_side[:, None], own)
     root: Any = own * side * np.sqrt(detour)
-    scale = np.sqrt(wave)
 
     def share(term: Floats) -> Any:
         """Share (P, T, F) of a term that ends, by its root (P, T)."""
@@ -262,7 +259,7 @@ def _risen(x: Floats, first: float, last: float) -> Floats:
 def _by_corner(
     pair: EdgeEndVertex, ends: tuple[Triple, Triple], detour: Floats, wave: Floats, at: SceneResponse
 ) -> Any:
-    """Compute `meeting_field` (P, T, F) without the paths over both edges where these are, shorter by a detour (P, T)."""
+    """Compute `meeting_field` (P, T, F) less the paths over both edges where these are, shorter by a detour (P, T)."""
     legs, cosine, factors = _corner_legs(pair, ends, at)
     field = meeting_field(legs, cosine, wave) / pair.doubled(factors)
     beside = np.flatnonzero(pair.end_side == 1)
