@@ -57,7 +57,7 @@ def meeting_field(legs: tuple[CornerLeg, CornerLeg], cosine: Floats, wave: Float
     Shapes: cosine (P, 1) between the edges, both from the corner on; wave (P, T, F) 1/m.
 
     Our own derivation: the line integral of U. P. Svensson, R. I. Fred and J. Vanderkooy, J. Acoust. Soc. Am. 106(5),
-    1999, eq. 27, along both edges, over the places ``ρ cos ψ`` and ``ρ sin ψ`` on them. The directions of sound depend on
+    1999, eq. 27, along both edges, over the places ``ρ cos ψ`` and ``ρ sin ψ`` on them. Directions of sound depend on
     ψ alone, and the phase is a parabola of ρ, so that the integral over ρ is a `transition`. It is exact far from
     the edges; it has both the path over the corner and the path over both edges, if there is one near the corner.
     """
