@@ -67,11 +67,11 @@ def measured(duration: float, scatterers: list[clsim.Scatterer]) -> tuple[int, f
 
 
 def crossing(duration: float, shadow: bool) -> list[clsim.Scatterer]:
-    """Return twelve capsules that walk across the middle of the room at 1.2 m/s."""
+    """Return twelve capsules that walk to and fro across the middle of the room at up to 1.2 m/s."""
 
     def way(height: float, swing: float, phase: float) -> clsim.Trajectory:
         def place(t: np.ndarray) -> np.ndarray:
-            across = 2.5 + 1.2 * (t - 0.5 * duration) + swing * np.sin(2.0 * np.pi * 0.9 * t + phase)
+            across = 2.5 + 1.2 * np.sin(t - 0.5 * duration) + swing * np.sin(2.0 * np.pi * 0.9 * t + phase)
             return np.stack(
                 [4.0 + 0.1 * np.cos(phase) + 0.0 * t, across, height + 0.02 * np.cos(3.6 * np.pi * t)], axis=1
             )

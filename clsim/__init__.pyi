@@ -1,6 +1,5 @@
 from clsim import score as score
 from clsim import torch as torch
-from clsim.decoding import decode_binaural
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, InputError
 from clsim.exchange import array_signals, write_acoular, write_flac, write_mat, write_mcap
 from clsim.impulse_responses import ImpulseResponses, impulse_responses
@@ -9,7 +8,7 @@ from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import BodyTruth, EchoTruth, ScattererTruth, body_truth, direct_path, scatterer_truth
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import PathTable
-from clsim.recording import Recording
+from clsim.recording import Recording, decode_binaural
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.options import RenderOptions

@@ -195,11 +195,10 @@ def impulse_responses(
     audible = _active_pairs(paths, time)
     if not audible:
         raise InputError("paths", f"must hold paths that are active at {time:g} s, but hold none")
-    channels = [receiver.directivity.channels for receiver in scene.receivers]
-    first_row = np.cumsum([0, *map(len, channels)])
+    first_row = np.cumsum([0, *(len(receiver.directivity.channels) for receiver in scene.receivers)])
     found, shape = {}, (len(scene.sources), int(first_row[-1]))
     first_arrivals, cut_db = np.full(shape, math.nan), np.full(shape, -math.inf)
-    for i, ((source, receiver), kinds) in enumerate(audible.items()):
+    for done, ((source, receiver), kinds) in enumerate(audible.items(), start=1):
         arrived = [(kind, kind.arrivals(np.array([time]), QUASI_STATIC)) for kind in kinds]
         earliest = min(float((one.delay + kind.group_delay_offset(one)).min()) for kind, one in arrived)
         by_kind = [frozen_responses(kind, time, rate, kept) for kind in kinds]
@@ -210,7 +209,7 @@ def impulse_responses(
             if lead == "cut":
                 found[pair], cut_db[pair] = found[pair].causal()
         if progress is not None:
-            progress((i + 1) / len(audible))
+            progress(done / len(audible))
     notes = _add_tails(paths, time, rate, kept, options, found) if with_tail else _left(paths, kept)
     samples, before = _on_one_axis(shape, found)
     made = ImpulseResponses(

@@ -21,7 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import clsim
-from clsim.score.matched_filter import MatchedFilter
+from clsim.score.ranging import MatchedFilter
 
 RATE, PERIOD, ORDER = 16e3, 1.0, 20  # Hz, s between pulses, reflections
 PULSE = {"start": 800.0, "stop": 6000.0, "duration": 0.05}  # Hz, Hz, s

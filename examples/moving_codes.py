@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import max_len_seq
 
 import clsim
-from clsim.score.matched_filter import MatchedFilter
+from clsim.score.ranging import MatchedFilter
 
 RATE = 500e3
 CARRIER = RATE / 12  # 41.67 kHz

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics import silhouette
-from clsim.acoustics.outline import Outline
+from clsim.acoustics.outline import Outline, faded
 from clsim.acoustics.scattering import SpecularPoint, lit_share
 from clsim.arrays import Complexes, Floats
+from clsim.numerics.band_filters import chebyshev_points, interpolation
 
 _STEPS = 40  # of Newton's, at most, where ends are far from where they were
 _LONGEST_STEP = 0.5  # rad
@@ -20,11 +21,20 @@ _PARALLEL = 1e-20  # squared sine of the angle to the axis below which the middl
 FLATTEST = 1e-9  # 1/m
 CAP_FADE = 0.3  # radii beyond the side, along the axis, from which on the curvature is a sphere's; our own choice
 NEAR_JUNCTION = 3e-3  # slope of the way where the side ends below which the bend there is that of the place itself
+_TURN, _CARRIED = (
+    np.exp(0.75j * math.pi),
+    20.0,
+)  # of E, see `_lobes`; nepers of the error of what few frequencies say of it
 ASPECTS = 11  # numbers that a field takes, and as many more as `silhouette_field` with the field about the outline
 
 
 def capsule_specular_point(
-    radius: float, length: float, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    radius: Floats | float,
+    length: Floats | float,
+    source: Floats,
+    receiver: Floats,
+    near: SpecularPoint | None,
+    weight: Floats | float,
 ) -> SpecularPoint:
     """Return the specular point of a rigid capsule, by geometrical optics; source, receiver (3, n) m; weight (n,).
 
@@ -44,11 +54,16 @@ def capsule_specular_point(
         hidden = near.staying(hidden)
     if hidden.any():
         place, change = np.where(hidden, between, place), np.where(hidden, 0.0, change)
-    return SpecularPoint(place, place, hidden, float(change.max(initial=0.0)))
+    return SpecularPoint(place, place, hidden, float(change.max(initial=0.0)), weight=weight)
 
 
 def capsule_aspects(
-    radius: float, length: float, source: Floats, receiver: Floats, specular: SpecularPoint, outlined: bool = False
+    radius: Floats | float,
+    length: Floats | float,
+    source: Floats,
+    receiver: Floats,
+    specular: SpecularPoint,
+    outlined: bool = False,
 ) -> tuple[Floats, Floats]:
     """Return the strength (n,) that `capsule_field` is relative to, m, and what that takes (n, 11), outlined (n, 22).
 
@@ -60,20 +75,20 @@ def capsule_aspects(
     ``sqrt(R1 R2) / 2``, and on the round ends those of a sphere, without a jump between them. Either leg counts alike.
     Towards grazing incidence all goes to 0 as for ellipsoids or, outlined, the field about the outline takes over.
     """
-    half, ends = 0.5 * length, (source, receiver)
+    half, ends, weight = 0.5 * length, (source, receiver), specular.weight
     oblique = _positive if outlined else _obliquity
     at, normal = _split(half, specular.place)
     aside = _unit(np.stack([normal[0], normal[1], np.where(np.hypot(*normal[:2]) > 0.0, 0.0, 1.0)]))
     around = np.stack([-aside[1], aside[0], 0.0 * at])
     along = np.cross(normal, around, axis=0)
-    detour, _, steep, bend, inward = _lengths_by(radius, ends, specular.place, (normal, around, along))
+    detour, _, steep, bend, inward = _lengths_by(radius, ends, specular.place, (normal, around, along), weight)
     side, cosine = bend, 0.5 * np.maximum(inward, 0.0)
     aspects = np.empty((len(at), ASPECTS))
     on_end = np.zeros(len(at), dtype=bool)
     for i, sign in enumerate((-1.0, 1.0)):
-        place = radius * aside + np.stack([0.0 * at, 0.0 * at, np.full(len(at), sign * half)])
+        place = radius * aside + np.stack([0.0 * at, 0.0 * at, sign * half + 0.0 * at])
         axis = np.broadcast_to(np.array([[0.0], [0.0], [sign]]), place.shape)
-        there, slope, _, flat, pressed = _lengths_by(radius, ends, place, (aside, around, axis))
+        there, slope, _, flat, pressed = _lengths_by(radius, ends, place, (aside, around, axis), weight)
         late, sharp = np.maximum(there - detour, 0.0), np.maximum(flat + pressed / radius, FLATTEST)
         on_end |= slope < 0.0
         # Where the specular point is on this round end, the parabola that is as late at the junction.
@@ -95,13 +110,15 @@ def capsule_aspects(
     return strength, np.concatenate([aspects, outline], axis=1)
 
 
-def _incidence_curvature(radius: float, half: float, source: Floats, at: tuple[Floats, Floats, Floats]) -> Floats:
+def _incidence_curvature(
+    radius: Floats | float, half: Floats | float, source: Floats, at: tuple[Floats, Floats, Floats]
+) -> Floats:
     """Curvature (n,) in the plane of incidence at places (3, n) with normals and directions around (3, n), 1/m."""
     place, normal, around = at
     away = place - source
     tangent = away - _dot(normal, away) * normal
     share = _dot(around, tangent) ** 2 / np.maximum(_dot(tangent, tangent), _SMALL)
-    share = 1.0 - (1.0 - share) * silhouette.faded((np.abs(place[2]) - half) / radius, (0.0, CAP_FADE))
+    share = 1.0 - (1.0 - share) * faded((np.abs(place[2]) - half) / radius, (0.0, CAP_FADE))
     return np.asarray(np.maximum(share / radius, radius / (radius + half) ** 2))
 
 
@@ -127,16 +144,39 @@ def _lobes(wave: Floats, aspects: Floats) -> Complexes:
     = exp(j x^2) erfc(exp(j pi / 4) x)`` (M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 1964, eq.
     7.1.3).
     """
-    from scipy.special import wofz
-
-    turn, root = np.exp(0.75j * math.pi), np.sqrt(wave)
+    roots = np.sqrt(wave)
+    at, weights = _fewer(roots)
     total: Complexes = np.zeros((*aspects.shape[:-1], len(wave)), dtype=np.complex128)
     for first in (1, 6):
         late, *rest = (aspects[..., first + i, None] for i in range(5))
-        part = rest[0] * wofz(turn * (rest[1] * root)) - rest[2] * wofz(turn * (rest[3] * root))
-        total += part * np.exp(-1j * late * wave)
+        part = rest[0] * _fresnel(rest[1] * at) - rest[2] * _fresnel(rest[3] * at)
+        phase, turned = late * wave, np.empty(total.shape, dtype=np.complex128)
+        turned.real, turned.imag = np.cos(phase), -np.sin(phase)
+        total += (part if weights is None else part @ weights) * turned
     total += aspects[..., :1]
     return total
+
+
+def _fresnel(x: Floats) -> Complexes:
+    """Return E(x), see `_lobes`."""
+    from scipy.special import wofz
+
+    return np.asarray(wofz(_TURN * x))
+
+
+def _fewer(roots: Floats) -> tuple[Floats, Complexes | None]:
+    """Return roots of wave numbers at which E is known, and weights (n, F) that carry it to roots (F,); None for all.
+
+    E is entire and falls off as 1 / x. A polynomial through n Chebyshev points of an interval from a to b is right to
+    about r^-n, with r = z + sqrt(z^2 - 1) and z = (b + a) / (b - a), as of ``1 / x`` (L. N. Trefethen, Approximation
+    Theory and Approximation Practice, 2013, theorem 8.2).
+    """
+    low, high = float(roots.min()), float(roots.max())
+    z = (high + low) / max(high - low, 1e-9 * high)
+    count = math.ceil(_CARRIED / math.log(z + math.sqrt(z * z - 1.0))) if z > 1.0 else len(roots)
+    if 2 * count > len(roots):
+        return roots, None
+    return chebyshev_points(low, high, count), interpolation(low, high, count, roots).astype(np.complex128)
 
 
 def _obliquity(cosine: Floats) -> Floats:
@@ -157,13 +197,15 @@ def _unit(v: Floats) -> Floats:
     return np.asarray(v / np.sqrt(np.maximum(_dot(v, v), _SMALL)))
 
 
-def _split(half: float, place: Floats) -> tuple[Floats, Floats]:
+def _split(half: Floats | float, place: Floats) -> tuple[Floats, Floats]:
     """Return the axial coordinate (n,), m, of the sphere of a place (3, n), and the direction (3, n) from there."""
     at = np.clip(place[2], -half, half)
     return at, _unit(np.stack([place[0], place[1], place[2] - at]))
 
 
-def _between(radius: float, half: float, source: Floats, receiver: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _between(
+    radius: Floats | float, half: Floats | float, source: Floats, receiver: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return points (3, n) between two that are nearest to the axis, where on it (n,), and whether they are inside."""
     away = receiver - source
     size = np.maximum(_dot(away, away), _SMALL)
@@ -180,8 +222,8 @@ def _between(radius: float, half: float, source: Floats, receiver: Floats) -> tu
 
 
 def _search(
-    radius: float, half: float, ends: tuple[Floats, Floats], near: SpecularPoint | None, between: tuple[Floats, Floats],
-    weight: Floats | float,
+    radius: Floats | float, half: Floats | float, ends: tuple[Floats, Floats], near: SpecularPoint | None,
+    between: tuple[Floats, Floats], weight: Floats | float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return specular points (3, n) by steps that shorten the path, and their change (n,) by the last step, rad."""
     source, receiver = ends
@@ -210,7 +252,7 @@ def _search(
     return place, change
 
 
-def _joined(radius: float, of: tuple[Floats, Floats]) -> Floats:
+def _joined(radius: Floats | float, of: tuple[Floats, Floats]) -> Floats:
     """Return the place (3, n) of a point of the axis and a direction."""
     at, normal = of
     return np.asarray(radius * normal + np.stack([0.0 * at, 0.0 * at, at]))
@@ -223,7 +265,11 @@ def _length_by(place: Floats, ends: tuple[Floats, Floats], weight: Floats | floa
 
 
 def _lengths_by(
-    radius: float, ends: tuple[Floats, Floats], place: Floats, frame: tuple[Floats, Floats, Floats]
+    radius: Floats | float,
+    ends: tuple[Floats, Floats],
+    place: Floats,
+    frame: tuple[Floats, Floats, Floats],
+    weight: Floats | float,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return the way's length, slope along, bend around, bend along and pressure by places (3, n), each (n,).
 
@@ -234,21 +280,21 @@ def _lengths_by(
     detour, inward = np.zeros(place.shape[1]), np.zeros(place.shape[1])
     g = [np.zeros(place.shape[1]) for _ in range(2)]
     h = [np.zeros(place.shape[1]) for _ in range(3)]
-    for end in ends:
+    for end, w in zip(ends, (1.0, weight), strict=True):
         away = place - end
         distance = np.sqrt(_dot(away, away))
-        a, b = _dot(around, away) / distance, _dot(along, away) / distance
-        detour, inward = detour + distance, inward - _dot(normal, away) / distance
-        g = [g[0] + a, g[1] + b]
-        h = [h[0] + (1.0 - a * a) / distance, h[1] - a * b / distance, h[2] + (1.0 - b * b) / distance]
+        a, b, size = _dot(around, away) / distance, _dot(along, away) / distance, w / distance
+        detour, inward = detour + w * distance, inward - size * _dot(normal, away)
+        g = [g[0] + w * a, g[1] + w * b]
+        h = [h[0] + (1.0 - a * a) * size, h[1] - a * b * size, h[2] + (1.0 - b * b) * size]
     steep = np.maximum(h[0] + np.maximum(inward, 0.0) / radius, FLATTEST)
     off = g[0] / steep
     return detour - 0.5 * g[0] * off, g[1] - h[1] * off, steep, np.maximum(h[2] - h[1] ** 2 / steep, 0.0), inward
 
 
 def _newton(
-    radius: float, half: float, ends: tuple[Floats, Floats], of: tuple[Floats, Floats], weight: Floats | float,
-    longest: Floats | float,
+    radius: Floats | float, half: Floats | float, ends: tuple[Floats, Floats], of: tuple[Floats, Floats],
+    weight: Floats | float, longest: Floats | float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return places (3, n) one step nearer to the shortest way, and by how much they have changed (n,), rad."""
     at, u = of

@@ -20,7 +20,7 @@ FEWEST_OF_ELLIPSOID, FEWEST_OF_CAPSULE, MOST_POINTS = 24.0, 40.0, (24.0, 15.0)
 FLATTEST, OF_FLATNESS = 512.0, 4.0  # most points of flat ellipsoids, and those for a ratio of semi-axes of 1
 NEAREST_END = 0.2  # of the largest radius: endpoints count as at least so far from an outline
 LEAST = 1e-30
-STRAIGHTEST = 1e-16  # bend of a capsule's side along the line of sight over that across, of lines along the axis too
+NEAR_AXIS = 0.1  # sine of the angle between line of sight and axis of a capsule below which its ends come together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,12 +168,14 @@ class CapsuleOutline:
     def turning(self, source: Floats, receiver: Floats) -> Floats:
         """Rates (n,), m, of the sides or of the half circles, whichever are larger; a quarter of the table on each."""
         sight, one, other = self._frame(source, receiver)
-        side = 2.0 * self.half * np.hypot(sight[:, 0], sight[:, 1])
+        sine = np.hypot(sight[:, 0], sight[:, 1])
+        half = self._apart(sine)
+        side = 2.0 * half * sine
         along, aside = (np.abs(np.sum(source * axis, axis=1)) for axis in (one, other))
         most = np.maximum(
             side * (0.4625 * side + 2.0 * along), 2.0 * math.pi * self.radius * np.hypot(aside, along + 0.5 * side)
         )
-        reach = self.half * np.abs(sight[:, 2])
+        reach = half * np.abs(sight[:, 2])
         return np.asarray(most * (2.0 / math.pi) * _nearness(self.largest, reach, sight, (source, receiver)))
 
     def table(self, count: int) -> Floats:
@@ -206,21 +208,33 @@ class CapsuleOutline:
         """Points on both half circles and both sides.
 
         With ``x = u - sin(2 pi u) / (2 pi)`` on each, sums converge as those over a smooth closed curve nearly do.
+        Along the line of sight sides are no longer than the body: beyond its ends endpoints may lie in the cylinder.
         """
         sight, one, other = self._frame(source, receiver)
         sine = np.hypot(sight[:, 0], sight[:, 1])
+        half = self._apart(sine)[:, None]
         cosine, rise, sign, on_side, at, share = self.table(count)
         u, v = (sign * cosine)[:, None], (sign * rise)[:, None]
         normal = u * one[:, None] + v * other[:, None]
         along = u * other[:, None] - v * one[:, None]
         place = self.radius * normal
-        place[..., 2] += sign * at * self.half
-        curved, straight = np.full(normal.shape[:2], 1.0 / self.radius**2), np.maximum(sine**2, STRAIGHTEST)
+        place[..., 2] += sign * at * half
+        curved, straight = (
+            np.full(normal.shape[:2], 1.0 / self.radius**2),
+            np.maximum(sine**2, (self.radius / self.largest) ** 2),
+        )
         return _placed(
             (normal, along, place), (sight, source, receiver), np.full(curved.shape, self.radius),
             (curved, np.zeros_like(curved), np.where(on_side > 0.0, straight[:, None] * curved, curved)),
-            share * np.where(on_side > 0.0, 2.0 * self.half * sine[:, None], math.pi * self.radius),
+            share * np.where(on_side > 0.0, 2.0 * half * sine[:, None], math.pi * self.radius),
         )  # fmt: skip
+
+    def _apart(self, sine: Floats) -> Floats:
+        """Half of the distance (n,) of both half circles along the axis, m, by its angle to the line of sight.
+
+        Along the axis they are one circle, whose halves belong to neither end: at its middle, our own choice.
+        """
+        return self.half * faded(sine, (NEAR_AXIS, 0.0))
 
     @staticmethod
     def _frame(source: Floats, receiver: Floats) -> tuple[Floats, Floats, Floats]:
@@ -283,3 +297,9 @@ def counts_of_points(outline: Outline, wave: float, source: Floats, receiver: Fl
     limits, counts = (np.array(column) for column in zip(*steps_of_points(outline, wave), strict=True))
     step = np.searchsorted(limits, np.minimum(requested, most_points(outline, wave)))
     return np.asarray(counts[np.minimum(step, len(limits) - 1)])
+
+
+def faded(x: Floats, ends: tuple[float, float]) -> Floats:
+    """Go from 1 at the first of two numbers to 0 at the second, smoothly."""
+    part = np.clip((x - ends[1]) / (ends[0] - ends[1]), 0.0, 1.0)
+    return np.asarray(part * part * (3.0 - 2.0 * part))

@@ -35,6 +35,7 @@ class SpecularPoint:
     hidden: NDArray[np.bool_]  # (n,) whether the body is between the ends
     change: float  # largest change of u by the last step, rad; infinity for what is guessed
     stays: bool = False  # whether from here on what is hidden stays so
+    weight: Floats | float = 1.0  # (n,) of the way to the receiver, by which it was found
 
     def staying(self, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the ends that stay hidden from each other at the next step, of those (n,) found hidden now."""

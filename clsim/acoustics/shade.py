@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from clsim.acoustics.outline import Outline, counts_of_points
-from clsim.acoustics.silhouette import faded, outline_field
+from clsim.acoustics.outline import Outline, counts_of_points, faded
+from clsim.acoustics.silhouette import outline_field
 from clsim.arrays import Complexes, Floats
 
 # Radii of the first Fresnel zone by which a line of sight passes a body: up to here its shade counts, beyond twice not.

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from clsim.acoustics.fock import fock_hard, lit_reflection
-from clsim.acoustics.outline import LEAST, Outline, OutlinePoints, counts_of_points
+from clsim.acoustics.outline import LEAST, Outline, OutlinePoints, counts_of_points, faded
 from clsim.acoustics.scattering import SpecularPoint
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
@@ -250,9 +250,3 @@ def silhouette_bound(largest: float, wave: Floats, nearest: Floats) -> Floats:
     derivation.
     """
     return np.asarray(np.minimum(wave * largest**2 / nearest[:, None], _LARGEST))
-
-
-def faded(x: Floats, ends: tuple[float, float]) -> Floats:
-    """Go from 1 at the first of two numbers to 0 at the second, smoothly."""
-    part = np.clip((x - ends[1]) / (ends[0] - ends[1]), 0.0, 1.0)
-    return np.asarray(part * part * (3.0 - 2.0 * part))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
-from clsim.cluster.dispatch import Call, Dispatch, Row, Tasks, WorkersLostError
+from clsim.cluster.processes import Call, Dispatch, Row, Tasks, WorkersLostError
 from clsim.errors import ClsimError, DeviceError, InputError, check_packages, in_one_line, warn
 
 _STORES = ("xarray", "zarr")  # packages by which workers write together

@@ -14,8 +14,7 @@ from clsim.paths.without_edges import largest_jump_db
 from clsim.render.diffuse_tail import left_by_images
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.trajectory import Trajectory
-from clsim.scene.scene import Scene
-from clsim.scene.shaded import shaded_pairs
+from clsim.scene.scene import Scene, shaded_pairs
 from clsim.scene_file import load_scene
 from clsim.scene_file.scene import SceneFile
 from clsim.workflow.console import progress

@@ -182,8 +182,8 @@ SCATTER = {
     "first_slot": taken("int", "receivers + 1"),
     "receivers": INT,
     "window": taken("float", "PHASES + 3, 2, TAPS"),
-    "first": INT, "shift": FLOAT, "points": INT,
-    "grids": made("float", "nodes, receivers, functions, points"),
+    "first": INT, "shift": FLOAT, "points": INT, "reached": INT,
+    "grids": changed("float", "nodes, receivers, functions, points"),
 }  # fmt: skip
 RAY_NUMBERS = structure(
     "ray_numbers", **dict.fromkeys(("radius", "off", "scale", "escape_scale", "rain", "floor_share"), FLOAT),

@@ -99,7 +99,7 @@ _OF_GAINS = {
     "SMOOTH_ERROR", "HALF_TURN", "ON_BOUNDARY", "PENUMBRA", "NEAR_JUNCTION", "LEFT_OUT", "END_CELLS", "END_TERMS",
     "BOTH", "AT_CORNER", "FOCK_FIRST", "FOCK_LAST", "FOCK_COUNT", "FOCK_WHOLE", "FOCK_NONE", "COSINE_WHOLE", "WITHIN",
     "COSINE_NONE", "NEAR_WHOLE", "NEAR_NONE", "GRAZING", "GRAZED", "SHORTEST", "ELLIPSOID", "SPHERE", "KNOWN_AT",
-    "NEAREST_END", "STRAIGHTEST", "CAP_FADE", "SHARP",
+    "NEAREST_END", "NEAR_AXIS", "CAP_FADE", "SHARP",
 }  # fmt: skip
 
 DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
@@ -247,7 +247,7 @@ PROGRAMS = {
     "scatter": Program(
         (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "channels/scatter.cl"),
         SCATTER,
-        frozenset({"LANES", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "PHASES", "TAPS"}),
+        frozenset({"LANES", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "PHASES", "TAPS", "TOGETHER"}),
     ),
     "plane_waves": Program(
         (*_ROUNDING, "common/vector.h", "render/plane_waves.cl"),

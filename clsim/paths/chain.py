@@ -36,6 +36,7 @@ _IDENTITIES = {
     "moving exact edge": "moving.edge_family.MovingEdgePaths",
     "moving edge pair": "moving.edge_family.MovingEdgePairPaths",
     "moving edge gap": "vertices.gap_pair.MovingGapPaths",
+    "moving edge and end": "vertices.edge_end.MovingEdgeEndPaths",
     "moving scatterer": "moving.scattered.BodyScatteredPaths",
 }
 

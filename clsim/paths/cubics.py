@@ -161,6 +161,10 @@ def _pieces(motion: Motion, times: Floats) -> Floats:
     step, place = length[:, None], motion.position(times)
     columns = [times[:-1, None], 1.0 / step]
     columns += _from_slopes(place, motion.velocity(after) * step, motion.velocity(before) * step)
+    if not motion.turns:
+        held = np.zeros((2, 4, 3))
+        held[:, 0] = rotate(motion.orientation(times[0]), np.eye(3)[:2])
+        return np.concatenate([*columns, np.broadcast_to(held.ravel(), (len(length), held.size))], axis=1)
     turned = motion.orientation(times)
     turn = [motion.angular_velocity(t) * step for t in (after, before)]
     for axis in np.eye(3)[:2]:
@@ -182,7 +186,7 @@ def _is_right(motion: Motion, radius: float, end: float, rate: float, tolerance:
             at = np.einsum("p,napx->nax", share ** np.arange(4), pieces)
             now = times[:-1] + share * np.diff(times)
             wrong = np.linalg.norm(at[:, 0] - motion.position(now), axis=1)
-            for i, axis in enumerate(np.eye(3)[:2]):
+            for i, axis in enumerate(np.eye(3)[: 2 if motion.turns else 0]):
                 wrong += radius * np.linalg.norm(at[:, 1 + i] - rotate(motion.orientation(now), axis), axis=1)
             if wrong.max() > tolerance:
                 return False

@@ -20,6 +20,7 @@ from clsim.paths.legs.static import image_columns
 from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
+from clsim.paths.search.body_edge_ends import moving_end_paths
 from clsim.paths.search.body_edge_gaps import moving_gap_paths
 from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths
 from clsim.paths.search.body_edges import moving_edge_paths
@@ -35,8 +36,7 @@ from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.placement import together
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.shoebox import Shoebox
-from clsim.scene.scene import Scene
-from clsim.scene.shaded import hidden_by_several
+from clsim.scene.scene import Scene, hidden_by_several
 
 
 @keywords_of(PathOptions, Scene)
@@ -233,7 +233,7 @@ def _walls(grid: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
 
 _KINDS = 0, 1, 4  # of paths over edges, by `diffraction`
 OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths, end_edge_paths
-OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths
+OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths, moving_end_paths
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet
 

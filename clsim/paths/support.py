@@ -72,6 +72,7 @@ SUPPORT = {  # by `Chain.kind`
     "moving exact edge": Support('bodies and an edge, `diffraction_model="btm"`', _BEHIND_BODIES, refusal=_BODIES),
     "moving edge pair": Support("bodies and two edges of one face", _BEHIND_BODIES, refusal=_BODIES),
     "moving edge gap": Support("bodies and two edges with air between", _BEHIND_BODIES, refusal=_BODIES),
+    "moving edge and end": Support("bodies, an edge and an end of another", _BEHIND_BODIES, refusal=_BODIES),
     "moving scatterer": Support("bodies and a scatterer", _BEHIND_BODIES, refusal=_BODIES),
 }
 

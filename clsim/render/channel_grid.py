@@ -86,6 +86,7 @@ class ChannelGrid:
     span: int  # samples from there to the end of the longest response
     spacing: int  # samples from node to node
     size: int  # samples of a transform; of the grid there are 5 / 4 as many points
+    reached: int  # points over which paths are spread; those beyond stay 0
 
     @classmethod
     def between(cls, shortest: float, longest: float, ringing: int, spacing: int) -> ChannelGrid:
@@ -95,7 +96,8 @@ class ChannelGrid:
         first = math.floor(shortest) - ringing - TAPS
         span = math.ceil(longest) + ringing + TAPS - first
         least = span + 2 * NODES * spacing
-        return cls(first, span, spacing, COARSER * next_fast_len(-(-least // COARSER), real=True))
+        reached = (span - ringing) * FINER // COARSER
+        return cls(first, span, spacing, COARSER * next_fast_len(-(-least // COARSER), real=True), reached)
 
     @property
     def points(self) -> int:
@@ -186,8 +188,14 @@ class ChannelFrames:
         begin = self.grid.needed(node) - self._first
         return np.asarray(self._emitted[begin : begin + self.grid.size])
 
-    def received(self, nodes: Sequence[int], grids: NDArray[Any]) -> NDArray[Any]:
-        """Return weighted samples (nodes, receivers, n) that responses (nodes, receivers, K, points) make."""
+    def spectra(self, nodes: Sequence[int]) -> NDArray[Any]:
+        """Return the spectra (nodes, size / 2 + 1) of what is emitted and received at some nodes."""
+        from scipy.fft import rfft
+
+        return np.asarray(rfft(np.stack([self._frame(node) for node in nodes])))
+
+    def received(self, emitted: NDArray[Any], grids: NDArray[Any]) -> NDArray[Any]:
+        """Return weighted samples (nodes, receivers, n) of spectra and responses (nodes, receivers, K, points)."""
         from scipy.fft import irfft, rfft
 
         size, bins = self.grid.size, self.grid.size // 2 + 1
@@ -195,7 +203,7 @@ class ChannelFrames:
         response = spectra[:, :, 0] * self._shaping[0]
         for k in range(1, len(self._shaping)):
             response += spectra[:, :, k] * self._shaping[k]
-        response *= rfft(np.stack([self._frame(node) for node in nodes]))[:, None]
+        response *= emitted[:, None]
         return np.asarray(irfft(response, size)[..., self.grid.span :][..., : len(self._window)] * self._window)
 
     def add(self, node: int, receivers: NDArray[np.integer[Any]], received: NDArray[Any]) -> None:
@@ -220,5 +228,7 @@ def reference_channels(part: ChannelPart, start: int, stop: int) -> Floats:
         places = frames.grid.places((delay + filters.start) * rate)
         for i, node in enumerate(nodes):
             grid = spread(places[:, i], gain[0, :, :, i], frames.grid.points)[None, None]
-            frames.add(node, np.array([plan.rows_of_pair(pair).start]), frames.received([node], grid)[0])
+            frames.add(
+                node, np.array([plan.rows_of_pair(pair).start]), frames.received(frames.spectra([node]), grid)[0]
+            )
     return pressure

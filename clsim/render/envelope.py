@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from typing import Any
 
@@ -13,24 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.numerics.blas import with_blas_threads
-from clsim.numerics.fractional_delay import design_bandlimited, design_tilted
 from clsim.numerics.resampling import low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
-from clsim.render.baseband import SUBBLOCK, WIDEST_SUBBLOCK, Baseband, half_band
+from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, filtered
-from clsim.render.tilt import MOST_TILT, WHOLE, Stretches, cheapest, stretches_of
+from clsim.render.tilt import WHOLE, Stretches, bank_of, cheapest, stretches_of
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import Basis
 
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
+_ROUNDED = 0.505  # samples, of a delay about the whole ones in the middle of a vector
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
 _LEAST_TRANSFORM = 1024  # samples of envelopes in a transform at least
 _SOUND_TRANSFORM = 2**16  # samples of the sound in one, where that is more
 _STOPPED = 3e-6  # of the largest gain of filters, -110 dB, below which they are not applied
+_KEPT = 2  # transforms, which reach over the longest delays
 _SPANS = 8  # half lengths of the filters in one at least
 
 
@@ -45,6 +45,8 @@ class Mixer:
     count: int  # samples of the envelope in a transform
     lowest: int  # frequency of a transform of the sound from which on the band is taken
     gains: Complexes  # (K, n count) of the filters at the frequencies from there on, over `every`
+    # The last transforms of the signal by float32, by number: the next call begins with these.
+    kept: dict[int, NDArray[Any]] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(cls, taps: Complexes, every: int, carrier: Fraction) -> Mixer:
@@ -72,13 +74,18 @@ class Mixer:
     ) -> NDArray[Any]:
         """Return samples `first` to `last` of the envelope through each filter, (K, n), `single` by float32 transforms.
 
-        `read` returns the samples of the sound from one to another. Transforms begin at multiples of their length, so
-        that a sample is the same to the bit in whichever call.
+        `read` returns the samples of the sound from one to another, if single those of the signal and no others.
+        Transforms begin at multiples of their length, so that a sample is the same to the bit in whichever call.
         """
         size = self.count - 2 * self.half_length
         blocks = range(first // size, -(-last // size))
         gains = self.gains.astype(np.complex64) if single else self.gains
-        made = np.concatenate([self._made(read, block * size, size, gains) for block in blocks], axis=1)
+        kept = dict(self.kept) if single else {}
+        of_blocks = [kept[k] if k in kept else self._made(read, k * size, size, gains) for k in blocks]
+        if single:
+            self.kept.clear()
+            self.kept.update(zip(blocks[-_KEPT:], of_blocks[-_KEPT:], strict=True))
+        made = np.concatenate(of_blocks, axis=1)
         out = made[:, first - blocks[0] * size : last - blocks[0] * size]
         whole = first * self.turn % 1  # exact, however late
         cycles = float(whole) + float(self.turn) * np.arange(last - first)
@@ -213,19 +220,13 @@ def envelope_filters(
     rate, held = baseband.sampling_rate or 0.0, (baseband.carrier - half, baseband.carrier + half)
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
-    mu_max = math.ceil((0.52 + 0.5 * WIDEST_SUBBLOCK * max_rate) * 32) / 32
+    mu_max = math.ceil((_ROUNDED + 0.5 * (WIDEST_SUBBLOCK - 1) * max_rate) * 32) / 32
 
     def designed(stretches: Stretches) -> tuple[Basis, tuple[Bank, ...], Stretches]:
         """Return functions of frequency beside a tilt, their banks, and its stretches."""
-        basis, banks = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt), []
-        for size in basis.sizes[:: 1 + int(basis.paired)].tolist():
-            importance = interpolator.rounded((min(size, 1.0),))
-            if stretches.per_sample:
-                with with_blas_threads(1):  # of small matrices
-                    design = design_tilted(interpolator.error_db, edge, mu_max, MOST_TILT / edge, importance[0])
-            else:
-                design = design_bandlimited(interpolator.error_db, edge, mu_max, importance)
-            banks.append(Bank(design[0], design[0].shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, design[1]))
+        basis = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt)
+        own = basis.sizes[:: 1 + int(basis.paired)].tolist()
+        banks = (bank_of(size, interpolator.error_db, edge, mu_max, stretches) for size in own)
         return basis, tuple(banks), stretches
 
     basis, banks, stretches = cheapest(emission, stretches_of(emission, held, rate, edge, tilted), designed)
@@ -278,12 +279,18 @@ class NarrowBand:
         return len(self.low_pass) // 2
 
     def left(self, frequencies: Floats) -> Floats:
-        """Return the gain of the band-stop at evenly spaced frequencies (F,) up to half the sampling rate."""
+        """Return the gain of the band-stop at evenly spaced frequencies (F,) from 0 to half the sampling rate."""
         away = np.abs(frequencies - self.baseband.carrier)
-        left, bins = np.where(away <= self.flat, 0.0, 1.0), np.flatnonzero((away > self.flat) & (away < self.half))
-        rate = 2.0 * float(frequencies[-1])
-        turns = np.outer(away[bins] * (2.0 * math.pi / rate), np.arange(-self.reach, self.reach + 1))
-        left[bins] = 1.0 - np.cos(turns) @ self.low_pass
+        left, between = np.where(away <= self.flat, 0.0, 1.0), (away > self.flat) & (away < self.half)
+        # The transform has as many points as the frequencies ask for, or a multiple of that, which holds all taps.
+        rate, size = 2.0 * float(frequencies[-1]), 2 * (len(frequencies) - 1)
+        times = -(-len(self.low_pass) // size)
+        places = np.arange(-self.reach, self.reach + 1)
+        about = self.low_pass * np.exp(2j * math.pi * self.baseband.carrier / rate * places)
+        placed = np.zeros(times * size, dtype=np.complex128)
+        placed[places % len(placed)] = about
+        passed = np.fft.fft(placed).real[: times * len(frequencies) : times]
+        left[between] = 1.0 - passed[between]
         return left
 
     def band_pass(self, rate: float) -> Floats:
@@ -342,7 +349,7 @@ class Split:
         return left[first - begin : last - begin]
 
     def _leaves_nothing(self, band: tuple[float, float] | None) -> bool:
-        """Test whether a steady tone or noise is removed, by the frequencies between which it lies, Hz.
+        """Test whether a steady tone, noise or sweep is removed, by the frequencies between which it lies, Hz.
 
         The level of a tone is 3 dB below its amplitude; what the band-pass leaves of it and of its image is 6 dB below
         silence.
@@ -407,6 +414,7 @@ class NarrowFilters(EnvelopeFilters):
 
 def design_split(emission: Emission, split: Split) -> tuple[RestFilters, tuple[NarrowFilters, ...]]:
     """Return the filters for what narrow parts leave of a source's signal, and for each of these."""
+    emission = replace(emission, drawn=emission.drawn_for_bands)
     rest = replace(emission, sound=split.rest_of(emission.sound)).source_filters()
     parts = []
     for band in split.bands:

@@ -31,6 +31,7 @@ BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TRANSFORMED = 80.0  # bytes of a sample while what is emitted is filtered: transforms in float64, measured
 _PRESSURE_BUDGET = 256 * 2**20  # bytes of output held at a time
 _LONG_CHUNK = 48  # segments, beyond which a chunk gains nothing
+_ENVELOPES = 40_000  # samples, the same of envelopes, whose branch signals then stay in the third cache
 NODE_BUDGET = 48 * 2**20  # bytes of block polynomials on the device at a time
 
 
@@ -399,7 +400,7 @@ def chunk_of(
     span = longest(0.0, samples / rate) * rate
     wanted = min(math.ceil(4.0 * span / segment), _LONG_CHUNK)
     affordable = _PRESSURE_BUDGET // (4 * segment * rows)
-    least = 8 if options.baseband is None else _LONG_CHUNK
+    least = 8 if options.baseband is None else min(math.ceil(_ENVELOPES / segment), _LONG_CHUNK)
     return segment * max(1, min(whole, max(least, wanted), affordable))
 
 

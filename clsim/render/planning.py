@@ -19,7 +19,7 @@ from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented
 from clsim.render.contributions import Contribution
 from clsim.render.diffuse_tail import DiffuseTail
-from clsim.render.envelope import NarrowFilters, design_envelope, design_split
+from clsim.render.envelope import NarrowFilters, Split, design_envelope, design_split
 from clsim.render.methods import ears, narrow_part, per_sample, sampled_channel, static
 from clsim.render.options import RenderOptions
 from clsim.render.plan import (
@@ -237,9 +237,11 @@ class _Request:
         # Their responses need many more functions of frequency than others, which these would all have to take.
         everyone, alone = frozenset(range(len(tracks.pairs))), frozenset[int]().union(*(g.pairs for g in groups))
         others = replace(convolved, convolved=convolved.convolved | alone)
-        made, others = self._of(others, everyone - alone.union(*(part.pairs for part in parts)))
+        splits: dict[int, Split] = {}
+        made, others = self._of(others, everyone - alone.union(*(part.pairs for part in parts)), splits)
         for name, within, pairs, blocks in groups:
-            filters, part = replace(self, options=within)._of(Allocation(everyone - pairs), pairs, costly=True)
+            known = splits if name == per_sample.ECHOES else None
+            filters, part = replace(self, options=within)._of(Allocation(everyone - pairs), pairs, known, costly=True)
             alike = replace(part, narrow=())
             plan = plan_of_part(within, tracks, alike, filters, self.samples, blocks, [PER_SAMPLE])
             scattered, narrow = (*others.scattered, ScatteredPart(plan, pairs, name)), others.narrow + part.narrow
@@ -248,9 +250,12 @@ class _Request:
         return made, replace(others, convolved=convolved.convolved)
 
     def _of(
-        self, claimed: Allocation, drawn: frozenset[int], costly: bool = False
+        self, claimed: Allocation, drawn: frozenset[int], splits: dict[int, Split] | None, costly: bool = False
     ) -> tuple[tuple[SourceFilters, ...], Allocation]:
-        """Return filters and allocation of pairs that are not claimed, by responses of some; by few, if costly."""
+        """Return filters and allocation of pairs that are not claimed, by responses of some; by few, if costly.
+
+        splits: by source, those into narrow bands so far, which other paths take too; None takes none.
+        """
         tracks, options = self.tracks, self.options
         rate = options.sampling_rate if options.baseband is None else options.baseband[2] or options.sampling_rate
         drawn_from = tracks
@@ -265,8 +270,11 @@ class _Request:
                 mine = {k for k, pair in enumerate(tracks.pairs) if pair.source == i}
                 pairs = sorted(mine - claimed.claimed)
                 at_rest, until = bool(mine) and not pairs, self.samples / rate
-                emission = Emission.of(i, emitted, tracks, options, until, drawn_from, static=at_rest, costly=costly)
-                split, why = narrow_part.cheapest_split(emission, pairs)
+                emission = Emission.of(
+                    i, emitted, tracks, options, until, drawn_from, static=at_rest, costly=costly,
+                    filters_more=costly and splits is not None,
+                )  # fmt: skip
+                split, why = narrow_part.cheapest_split(emission, pairs, (splits or {}).get(i))
                 notes += [why] if why else []
                 if split is None:
                     made.append(emission.source_filters() if options.baseband is None else design_envelope(emission))
@@ -274,6 +282,8 @@ class _Request:
                     notes += [why] if why else []
                     channels += [(i, offer)] if offer else []
                 else:
+                    if splits is not None:
+                        splits[i] = split
                     rest, bands = design_split(emission, split)
                     made.append(rest)
                     narrow += [(i, filters) for filters in bands]

@@ -25,7 +25,7 @@ from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import NO_TILT, Basis, Tilt, band_of, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
-from clsim.tracks.sampled import Draw
+from clsim.tracks.sampled import TIMES, TIMES_OF_BANDS, Draw
 from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
@@ -58,17 +58,23 @@ class Emission:
     # Returns frequencies (n,), Hz, and all of the signal's energy at each (n,); worked out once, when first asked.
     spectrum: Callable[[], tuple[Floats, Floats]]
     drawn: Callable[[], Draw]  # returns paths at which responses are looked at; likewise
+    drawn_for_bands: Callable[[], Draw]  # the same at fewer instants, for narrow bands and what they leave
+    filters_more: bool = False  # whether its few paths take many functions, so that these cost more than the paths
 
     @classmethod
     def of(
         cls, source: int, emitted: tuple[Signal, float], tracks: Tracks, options: RenderOptions, until: float,
-        drawn_from: Tracks, *, static: bool, costly: bool = False,
+        drawn_from: Tracks, *, static: bool, costly: bool = False, filters_more: bool = False,
     ) -> Emission:  # fmt: skip
         """Return that of a signal and its start, s; responses are drawn from some tracks, few if they are costly."""
         signal = emitted[0].at_rate(options.sampling_rate)
         sound, spectrum = spectra(signal)
-        drawn = cache(partial(Draw.of, drawn_from, source, until, costly))
-        return cls(source, signal, emitted[1], sound, tracks, options, until, static, spectrum, drawn)
+        first, fewer = (
+            cache(partial(Draw.of, drawn_from, source, until, costly, times=n)) for n in (TIMES, TIMES_OF_BANDS)
+        )
+        return cls(
+            source, signal, emitted[1], sound, tracks, options, until, static, spectrum, first, fewer, filters_more
+        )
 
     @property
     def field(self) -> str:

@@ -9,22 +9,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsim.arrays import Complexes
+from clsim.numerics.blas import with_blas_threads
+from clsim.numerics.fractional_delay import design_bandlimited, design_tilted
 from clsim.paths.response import SceneResponse
+from clsim.render.baseband import SUBBLOCK
 from clsim.render.interpolator import Bank
 from clsim.render.source_filters import Emission
 from clsim.tracks.basis import NO_TILT, Basis, Tilt
 
 Design = tuple[Basis, tuple[Bank, ...], "Stretches"]
 
-MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
+_MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
+_STEPS = 16  # of that exponent, to which it is rounded up, so that designs are found again
 _LEAST_TILT = 1.0  # the same over all delays, below which functions of frequency cost as little
+_ROUNDING_DB = 2.0, -1.0  # steps of what functions add, so that designs are found again, and the error of a weak one
 _NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
 _FITTED = 33  # frequencies, through whose absorption the tilt goes
 _FLAT = (
     1e-3  # change of a wall's factor over the band, beyond which paths of equal length differ: no tilt is looked for
 )
-_LEAST_WORK = 1e8  # paths times samples of the envelope, below which designing costs more than is gained
-_FEW = 2  # functions, up to which no others are looked at
+_LEAST_WORK = 5e7  # paths times samples of the envelope, below which designing costs more than is gained
+_FEW = 3  # functions, up to which no others are looked at
 _LEAST_PATHS = 100  # for each stretch beyond the first one, from which on their branch signals pay
 _COMPLEX = 1.15  # cost of a branch where delays are complex, relative to that of real ones
 _FILTERED = 66.0  # cost of making a branch signal, relative to that of a path
@@ -44,6 +49,7 @@ class Stretches:
     still: float = 0.0  # delay over which the tilt is 1, samples
     length: float = 1.0  # samples
     count: int = 1
+    most: float = 0.0  # imaginary delay between a delay and the middle of its stretch, samples
 
     @property
     def origin(self) -> int:
@@ -103,10 +109,24 @@ def stretches_of(
     per_sample = tilt.slope * c / (2.0 * math.pi)
     longest = emission.tracks.longest_delay(0.0, emission.until, emission.source) * rate
     exponent = abs(per_sample) * edge * longest
-    count = math.ceil(0.5 * exponent / MOST_TILT)
+    count = math.ceil(0.5 * exponent / _MOST_TILT)
     if exponent < _LEAST_TILT or paths < _LEAST_PATHS * (count - 1):
         return None
-    return Stretches(tilt, per_sample, (emission.start + 1.0 / c) * rate, longest / count, count)
+    most = math.ceil(0.5 * exponent / count * _STEPS) / _STEPS / edge
+    return Stretches(tilt, per_sample, (emission.start + 1.0 / c) * rate, longest / count, count, most)
+
+
+def bank_of(size: float, error_db: float, edge: float, mu_max: float, stretches: Stretches) -> Bank:
+    """Return the delay filters of a function by the most that it adds, up to an edge, rad, for delays in samples."""
+    step_db, most_db = _ROUNDING_DB
+    least = 10.0 ** ((error_db - most_db) / 20.0)
+    importance = 10.0 ** (step_db / 20.0 * math.ceil(20.0 * math.log10(min(max(size, least), 1.0)) / step_db))
+    if stretches.per_sample:
+        with with_blas_threads(1):  # of small matrices
+            taps, reached = design_tilted(error_db, edge, mu_max, stretches.most, importance)
+    else:
+        taps, reached = design_bandlimited(error_db, edge, mu_max, (importance,))
+    return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, reached)
 
 
 def _paths(emission: Emission) -> int:

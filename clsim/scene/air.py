@@ -167,7 +167,11 @@ class Air:
         )
         humid = _checked_humidity(relative_humidity)
         pascal = as_number("pressure", pressure, at_least=_THINNEST, at_most=_DENSEST, unit="Pa")
-        requested = _checked_speed(_requested_speed if speed_of_sound is None else speed_of_sound)
+        requested = _requested_speed if speed_of_sound is None else speed_of_sound
+        if isinstance(requested, str):
+            as_choice("speed_of_sound", requested, ("iso9613",))
+        elif requested is not None:
+            requested = as_number("speed_of_sound", requested, at_least=_SLOWEST, at_most=_FASTEST, unit="m/s")
         absorbs, disperses = as_flag("absorption", absorption), as_flag("dispersion", dispersion)
         if disperses and not absorbs:
             raise InputError("dispersion", "must be False in air without absorption, but is True")
@@ -365,24 +369,14 @@ def _of_layers(layers: tuple[Air, ...]) -> Floats:
     return np.array([[1.0 / layer.speed_of_sound, *layer.absorption_at(_EVALUATED_AT)] for layer in layers])
 
 
-def _checked_speed(value: float | str | None) -> float | str | None:
-    if value is None:
-        return None
-    if isinstance(value, str):
-        return as_choice("speed_of_sound", value, ("iso9613",))
-    return as_number("speed_of_sound", value, at_least=_SLOWEST, at_most=_FASTEST, unit="m/s")
-
-
 def _checked_wind(value: ArrayLike | None, speed_of_sound: float) -> tuple[float, float, float] | None:
     if value is None:
         return None
     x, y, z = as_floats("wind", value, (3,)).tolist()
-    if math.hypot(x, y, z) >= _STRONGEST * speed_of_sound:
-        raise InputError(
-            "wind",
-            f"must be slower than half the speed of sound, {_STRONGEST * speed_of_sound:.6g} m/s, "
-            f"but is {math.hypot(x, y, z):.6g} m/s",
-        )
+    most = _STRONGEST * speed_of_sound
+    if math.hypot(x, y, z) >= most:
+        problem = f"must be slower than half the speed of sound, {most:.6g} m/s, but is {math.hypot(x, y, z):.6g} m/s"
+        raise InputError("wind", problem)
     return (x, y, z) if x or y or z else None
 
 

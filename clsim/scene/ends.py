@@ -227,23 +227,12 @@ class Receiver:
     ----------
     name : str
         Unique among the scene's receivers.
-    trajectory : Trajectory
-        Position and orientation over time.
-    directivity : Directivity
-        Gain by direction, 1 on the axis.
-    aim : array_like (3,) or "forward", optional
-        A fixed direction in which the axis points, or ``"forward"`` for that of the motion; for trajectories without
-        orientations of their own.
-    aim_at : array_like (3,), optional
-        A point at which the axis points from wherever the trajectory is, m; in place of `aim`.
+    trajectory, directivity, aim, aim_at, flush, mounted_on
+        As of a `Source`.
     transducer : Transducer, optional
         Response on the axis, V per Pa.
     electronics : Electronics, optional
         Noise, filters, amplifier, converter and clock.
-    flush : bool or array_like (3,)
-        Whether it sits in a wall; as of a `Source`.
-    mounted_on : str, optional
-        Name of the body that carries it; as of a `Source`.
     element : Element, optional
         Place in an array; `receiver_array` sets it.
     """

@@ -414,8 +414,7 @@ class Scatterer:
         trajectory : Trajectory
             Position of its middle, and its orientation.
         shadow : bool
-            Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
-            much. It takes away the direct sound behind it.
+            As of an `ellipsoid`.
 
         Examples
         --------

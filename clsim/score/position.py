@@ -122,16 +122,12 @@ def gdop_map(anchors: Floats, x: Floats, y: Floats, z: float, method: str = "toa
 
     Parameters
     ----------
-    anchors : array_like (n, 3)
-        m.
-    x : array_like (X,)
-        m.
-    y : array_like (Y,)
+    anchors, method
+        As in `gdop`.
+    x, y : array_like (X,), (Y,)
         m.
     z : float
         Height, m.
-    method : {"toa", "tdoa"}
-        As in `position`.
 
     Raises
     ------

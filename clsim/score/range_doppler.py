@@ -11,8 +11,7 @@ from clsim.arrays import Complexes, Floats, as_count, as_flag, as_index, as_numb
 from clsim.errors import InputError, check_packages, check_pictures
 from clsim.recording import Recording
 from clsim.scene.signal.signal import Signal
-from clsim.score.matched_filter import MatchedFilter
-from clsim.score.ranging import emissions_of, outputs_of, scored_paths, source_index, span_of
+from clsim.score.ranging import MatchedFilter, emissions_of, outputs_of, scored_paths, source_index, span_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -224,16 +223,8 @@ def echoes(
 
     Parameters
     ----------
-    recording : Recording
-        Recording of sound, with its paths, of which only the scene is used.
-    pulse : Signal
-        The pulse that the source repeats (see `Signal.pulses`).
-    receiver, source : int or str
-        Index or name.
-    two_way : bool
-        Whether sound travels the range forth and back, as a sonar's does, or one way.
-    max_range : float, optional
-        m; what fits between two emissions when left out.
+    recording, pulse, receiver, source, two_way, max_range
+        As of `range_doppler`.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import as_count, as_number
-from clsim.cluster.dispatch import Call, Dispatch, Row
+from clsim.cluster.processes import Call, Dispatch, Row
 from clsim.cluster.workers import Workers
 from clsim.errors import ClsimError, ClsimWarning, InputError, check_kind, in_one_line, warn
 from clsim.paths.find_paths import find_paths

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from clsim.cluster.dispatch import Call, Row
+from clsim.cluster.processes import Call, Row
 from clsim.errors import ClsimWarning, DeviceError, check_packages, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.numerics.blas import with_blas_threads

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import texts
-from clsim.cluster.dispatch import Dispatch
+from clsim.cluster.processes import Dispatch
 from clsim.cluster.workers import Workers
 from clsim.errors import InputError, in_one_line, warn
 from clsim.files.atomic import locked, remove_leftovers, safe_path, uninterrupted

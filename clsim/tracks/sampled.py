@@ -34,14 +34,15 @@ _HELD_OUT = 4096  # responses at which they are checked
 _COSTLY, _FEWER = (192, 256), 33  # the same, and frequencies, of costly responses
 _CHEAPER = 2  # times as many of those without outlines
 _LEAST_WHOLE = 5  # instants at which at least all paths are taken, where responses are costly
-_TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
+TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
+TIMES_OF_BANDS = 8  # the same for narrow bands, of ends that receive alike in all directions
 _FRAMES = 48  # of all pairs, about
 _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at least
 _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
 _TOGETHER = 512  # responses that are worked on together
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
-_MOST_PATHS = 4096  # of each
+_MOST_PATHS = 1024  # of each: of more, the loudest half of so many, and as many of the others
 _LATEST = 0.012  # s between the earliest and the latest of responses that can be told
 _MOST_DELAYS = 512  # samples of them
 _LATE_ROWS = 64  # responses that tell it
@@ -92,8 +93,11 @@ class Draw:
     outlined: bool = False  # whether all paths are by scatterers with the shadows of their outlines
 
     @classmethod
-    def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False) -> Draw:
-        """Draw paths of a source of a scene for a run that ends at `until`, s: fewer, if responses are costly."""
+    def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False, *, times: int = TIMES) -> Draw:
+        """Draw paths of a source of a scene for a run that ends at `until`, s: fewer, if responses are costly.
+
+        times: instants of a pair at most whose ends receive alike in all directions, and have the same paths always.
+        """
         counts, grids = (_COSTLY, (_FEWER, *GRIDS)) if costly else ((_ROWS, _HELD_OUT), GRIDS)
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
@@ -104,7 +108,7 @@ class Draw:
             together = sum(counts) * (1 if outlined else _CHEAPER)
             rows = tuple(picked_paths(of_scene, source, until, together, rng, whole=True))
             return cls(of_scene, source, until, rows, (), grids, True, outlined)
-        rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng)) for count in counts)
+        rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng, times=times)) for count in counts)
         return cls(of_scene, source, until, rows, held_out, grids, outlined=outlined)
 
     def probe(self) -> Draw:
@@ -174,43 +178,59 @@ class Draw:
 
 
 def picked_paths(
-    tracks: SceneTracks, source: int, until: float, count: int, rng: np.random.Generator, whole: bool = False
-) -> Iterator[Picked]:
+    tracks: SceneTracks, source: int, until: float, count: int, rng: np.random.Generator, whole: bool = False,
+    times: int = TIMES,
+) -> Iterator[Picked]:  # fmt: skip
     """Yield about `count` of a source's paths altogether, at instants of the run; `whole`: all at each."""
     pairs = [i for i, g in enumerate(tracks.pairs) if g.source == source]
     if len(pairs) > _MOST_PAIRS:
         pairs = sorted(rng.choice(pairs, _MOST_PAIRS, replace=False).tolist())
     total = sum(len(tracks.pairs[i].start) for i in pairs)
-    few = max(3, min(_TIMES, _FRAMES // max(len(pairs), 1)))
+    few = max(3, min(TIMES, _FRAMES // max(len(pairs), 1)))
     centre = np.array([tracks.paths.scene.sources[source].emitted.centre_frequency])
     at_centre = SceneResponse(tracks.paths.scene, source, centre)
     for i in pairs:
         paths, start, end = tracks.pair_paths[i], tracks.pairs[i].start, tracks.pairs[i].end
-        instants, last = _instants(tracks, i, until, few), until
+        instants, last = _instants(tracks, i, until, few, times), until
         if paths.family.varies:
             last = until + _BEYOND
             instants = max(few, min(_MOST_TIMES, count // (len(pairs) * max(len(start), 1))))
             if whole:
                 instants = max(_LEAST_WHOLE, count // max(total, 1))
+        weight = np.ones((len(start), 1))
         if len(start) > _MOST_PATHS:
-            some = np.sort(rng.choice(len(start), _MOST_PATHS, replace=False))
+            some, weight = _candidates(paths, tracks, last, at_centre, rng)
             paths, start, end = paths.part(some), start[some], end[some]
-        times = np.sort(rng.uniform(0.0, last, instants))
-        times[[0, -1]] = 0.0, last
+        at = np.sort(rng.uniform(0.0, last, instants))
+        at[[0, -1]] = 0.0, last
         share = max(-(-count // (len(pairs) * instants)), len(start) * whole)
         together = instants if paths.family.one_by_one else max(IN_CACHE // max(len(start), 1), 1)
-        for part in (times[i : i + together] for i in range(0, instants, together)):
+        for part in (at[i : i + together] for i in range(0, instants, together)):
             found = paths.arrivals(part, tracks.kinematics)
             received = (part >= start[:, None]) & (part < end[:, None])
             level = 1.0 if whole else np.abs(paths.family.response(paths.rows, found, part, at_centre)[..., 0])
-            level = np.where(received, level, 0.0)
+            level = np.where(received, level, 0.0) * weight
             level[level < _SILENT] = 0.0
             if paths.family.varies and not paths.family.one_by_one and len(start) <= share and level.all():
-                each = np.repeat(1.0 / np.linalg.norm(level, axis=0), len(start))[:, None]
+                each = (weight / np.linalg.norm(level, axis=0)).T.reshape(-1, 1)
                 yield Picked(paths, found, part, each, tuple(range(0, level.size + 1, len(start))), whole)
                 continue
-            for rows, at, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
-                yield Picked(paths.part(rows), found.part(rows[:, None], at), when, scale, first, whole)
+            for rows, own, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
+                yield Picked(paths.part(rows), found.part(rows[:, None], own), when, scale * weight[rows], first, whole)
+
+
+def _candidates(
+    paths: PairPaths, tracks: SceneTracks, last: float, at_centre: SceneResponse, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], Floats]:
+    """Return loudest paths at an instant until `last`, as many others, and roots (n, 1) of how many each stands for."""
+    instant, half = rng.uniform(0.0, last, 1), _MOST_PATHS // 2
+    found = paths.arrivals(instant, tracks.kinematics)
+    order = np.argsort(-np.abs(paths.family.response(paths.rows, found, instant, at_centre)[:, 0, 0]), kind="stable")
+    weight = np.zeros((len(order), 1))
+    weight[rng.choice(order[half:], half, replace=False)] = math.sqrt((len(order) - half) / half)
+    weight[order[:half]] = 1.0
+    some = np.flatnonzero(weight)
+    return some, weight[some]
 
 
 def _drawn(
@@ -229,7 +249,7 @@ def _drawn(
         yield rows, at, times[at[0] if together else at], scale[:, None], tuple(np.cumsum([0, *counts]).tolist())
 
 
-def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
+def _instants(tracks: SceneTracks, pair: int, until: float, most: int, alike_most: int = TIMES) -> int:
     """Return the number of instants that tell of a pair, at least 3: fewer the less its ends approach each other.
 
     Ends that hear alike in all directions, go a quarter of their distance and have the same paths all the time are
@@ -244,7 +264,11 @@ def _instants(tracks: SceneTracks, pair: int, until: float, most: int) -> int:
     begin = np.zeros(1)
     apart = float(np.linalg.norm(source.trajectory.position(begin) - receiver.trajectory.position(begin)))
     return int(
-        np.clip(math.ceil(_PER_DISTANCE * travelled / max(apart - travelled, 1e-3 * travelled, NEAREST)), 3, most)
+        np.clip(
+            math.ceil(_PER_DISTANCE * travelled / max(apart - travelled, 1e-3 * travelled, NEAREST)),
+            3,
+            min(most, alike_most),
+        )
     )
 
 

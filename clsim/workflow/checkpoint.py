@@ -13,8 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from clsim.cluster.dispatch import Call, Dispatch, Row
-from clsim.cluster.processes import local_devices
+from clsim.cluster.processes import Call, Dispatch, Row, local_devices
 from clsim.cluster.workers import Workers
 from clsim.errors import ClsimError, InputError, warn
 from clsim.files.atomic import remove_leftovers

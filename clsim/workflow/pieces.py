@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from clsim.cluster.dispatch import Row
+from clsim.cluster.processes import Row
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import atomic_path, safe_path, temporary_path
 from clsim.numerics.blas import blas_threads, with_blas_threads

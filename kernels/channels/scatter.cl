@@ -1,10 +1,10 @@
 // The impulse response of a receiver at one instant, for each function of frequency: every path is spread over eight
 // points of a grid, five to four samples, by a Kaiser-Bessel window (render/channel_grid.py). Work-item: dimension 0
-// counts nodes (instants), dimension 1 receivers. Neighbouring slots have delays that lie far apart, so that what one
-// path adds does not wait for what the last one wrote.
+// counts groups of nodes (instants), dimension 1 receivers. Paths are evaluated some at a time, at all nodes of a group,
+// before they are spread: among so many places that are written, polynomials would come from memory line by line.
+// Neighbouring slots have delays that lie far apart, so that what one path adds does not wait for what the last one wrote.
 
-#define OF(lanes, i) (((const int*)&lanes)[i])
-#define OF_FLOATS(lanes, i) (((const float*)&lanes)[i])
+#define TILE 256  // paths that are evaluated at a time: their results stay in cache
 #define FLOATS_OF(x) (AS_VEC((x) + ROUNDING_BITS) - ROUNDING)  // small whole numbers, see rounding.h
 
 __kernel void scatter(__global const int* delay, __global const float* polynomials,  // as in render.cl
@@ -18,32 +18,46 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                       int first,                         // samples of delay at the grid's beginning
                       float shift,                       // samples that are added to all delays
                       int points,                        // of a grid
+                      int reached,                       // of these, by paths: the others are and stay 0
                       __global float* grids)             // [nodes][receivers][functions][points]
 {
-    const int node = get_global_id(0), receiver = get_global_id(1);
-    if (node >= nodes) return;
-    __global float* grid = grids + (node * (long)receivers + receiver) * functions * points;
-    const float t = node_place[node];
-    const int row = node_block[node], power = functions * BESIDE;
-    for (int i = 0; i < functions * points; i++) grid[i] = 0.0f;
-    for (int slot = first_slot[receiver]; slot < first_slot[receiver + 1]; slot += BESIDE) {
-        __global const float* c = polynomials + place_of(row, slot, functions, slots);
-        const vec rest = CUBIC(LOAD(c), LOAD(c + BESIDE), LOAD(c + 2 * BESIDE), LOAD(c + 3 * BESIDE), t);
-        const ivec quarters = (*(__global const loose_ivec*)(delay + row * (long)slots + slot) - first) * 5;
-        const vec place = FLOATS_OF(quarters & 3) * 0.25f + (rest + shift) * 1.25f, down = rounded(place - 0.5f);
-        const vec phase = (place - down) * (float)PHASES, left = rounded(phase - 0.5f), between = phase - left;
-        const ivec at = (quarters >> 2) + nearest(down) - (TAPS / 2 - 1), whole = nearest(left) + 1;
-        vec gain[FUNCTIONS];
+    const int receiver = get_global_id(1), first_node = get_global_id(0) * TOGETHER, power = functions * BESIDE;
+    const int last_node = first_node + TOGETHER < nodes ? first_node + TOGETHER : nodes;
+    const long of_node = (long)receivers * functions * points;
+    __global float* made = grids + receiver * (long)functions * points;
+    for (int node = first_node; node < last_node; node++) {
         for (int k = 0; k < functions; k++) {
-            __global const float* g = c + (DELAY_TERMS + k) * BESIDE;
-            gain[k] = CUBIC(LOAD(g), LOAD(g + power), LOAD(g + 2 * power), LOAD(g + 3 * power), t);
+            for (int i = 0; i < reached; i++) made[node * of_node + k * (long)points + i] = 0.0f;
         }
-        for (int i = 0; i < BESIDE; i++) {
-            __global const float* w = window + OF(whole, i) * (2 * TAPS);
-            const vec spread = LOAD(w) + LOAD(w + TAPS) * OF_FLOATS(between, i);
-            __global float* out = grid + OF(at, i);
-            for (int k = 0; k < functions; k++, out += points) {
-                *(__global loose_vec*)out = LOAD(out) + spread * OF_FLOATS(gain[k], i);
+    }
+    int at[TILE], phase[TILE];
+    float between[TILE], gain[FUNCTIONS][TILE];
+    for (int from = first_slot[receiver]; from < first_slot[receiver + 1]; from += TILE) {
+        const int count = min(first_slot[receiver + 1] - from, TILE);
+        for (int node = first_node; node < last_node; node++) {
+            const float t = node_place[node];
+            const int row = node_block[node];
+            for (int i = 0; i < count; i += BESIDE) {
+                __global const float* c = polynomials + place_of(row, from + i, functions, slots);
+                const vec rest = CUBIC(LOAD(c), LOAD(c + BESIDE), LOAD(c + 2 * BESIDE), LOAD(c + 3 * BESIDE), t);
+                const ivec quarters = (*(__global const loose_ivec*)(delay + row * (long)slots + from + i) - first) * 5;
+                const vec place = FLOATS_OF(quarters & 3) * 0.25f + (rest + shift) * 1.25f, down = rounded(place - 0.5f);
+                const vec fine = (place - down) * (float)PHASES, left = rounded(fine - 0.5f);
+                *(loose_ivec*)(at + i) = (quarters >> 2) + nearest(down) - (TAPS / 2 - 1);
+                *(loose_ivec*)(phase + i) = nearest(left) + 1;
+                *(loose_vec*)(between + i) = fine - left;
+                for (int k = 0; k < functions; k++) {
+                    __global const float* g = c + (DELAY_TERMS + k) * BESIDE;
+                    *(loose_vec*)(gain[k] + i) = CUBIC(LOAD(g), LOAD(g + power), LOAD(g + 2 * power), LOAD(g + 3 * power), t);
+                }
+            }
+            for (int i = 0; i < count; i++) {
+                __global const float* w = window + phase[i] * (2 * TAPS);
+                const vec spread = LOAD(w) + LOAD(w + TAPS) * between[i];
+                __global float* out = made + node * of_node + at[i];
+                for (int k = 0; k < functions; k++, out += points) {
+                    *(__global loose_vec*)out = LOAD(out) + spread * gain[k][i];
+                }
             }
         }
     }

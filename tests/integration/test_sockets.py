@@ -17,8 +17,7 @@ from made_tasks import MadeTasks, listening, tree
 from test_resume import SCENE, command
 
 from clsim.cli import main
-from clsim.cluster.dispatch import Dispatch
-from clsim.cluster.processes import local_team
+from clsim.cluster.processes import Dispatch, local_team
 from clsim.cluster.workers import Workers
 from clsim.errors import ClsimWarning
 

@@ -85,7 +85,7 @@ ENGINES = KeptEngines()
 
 @pytest.fixture(autouse=True)
 def _all_paths_in_equal_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Take no few paths out: of nodes by the host none are, and the echo of the stick jumps at the end of its side."""
+    """Take no few paths out of a batch: of nodes by the host none are."""
     monkeypatch.setattr(Run, "_divides", False)
 
 

@@ -12,7 +12,7 @@ from exhaustive import few
 import clsim
 from clsim.paths.path_set import PathSet
 from clsim.paths.search import edge_ends
-from clsim.paths.visibility.edges import TWO_ENDS
+from clsim.paths.vertices.gap_events import TWO_ENDS
 
 TONE, C, TALL = 40e3, 343.0, 30.0
 WAVE = 2.0 * np.pi * TONE / C
@@ -58,7 +58,7 @@ def test_an_end_across_air(
     slope: float, off: float, monkeypatch: pytest.MonkeyPatch, measured: Callable[..., float]
 ) -> None:
     """Behind a screen that ends, from the shadow of a leaning one, as near the end as the shortest path is to it."""
-    monkeypatch.setattr(edge_ends, "_QUIET", 0.0)
+    monkeypatch.setattr(edge_ends, "QUIET", 0.0)
     source, ear = np.array([-1.0, -0.6, 0.8]), np.array([1.2, -0.9 - 0.3 * slope, 1.2])
     lean = np.array([0.0, slope, 1.0]) / np.hypot(slope, 1.0)
     start = np.array([0.3, 0.1 - 0.9 * slope, 0.0]) - TALL * lean
@@ -101,7 +101,7 @@ def test_a_corner_at_which_both_edges_end(
     width: float, height: float, worst: float, monkeypatch: pytest.MonkeyPatch, measured: Callable[..., float]
 ) -> None:
     """Past the corner of a sheet, close to its plane, against an integral along both edges from the corner on."""
-    monkeypatch.setattr(edge_ends, "_QUIET", 0.0)
+    monkeypatch.setattr(edge_ends, "QUIET", 0.0)
     source, ear = np.array([0.5, -0.8, height]), np.array([-0.4 - width, 0.7, 0.8 * height])
     paths = paths_of(quad((0, 0, 0), (8, 0, 0), (8, 8, 0), (0, 8, 0)), source, ear, 2)
     edges, found = paths.scene.room.edges(), []
@@ -121,6 +121,13 @@ def test_a_corner_at_which_both_edges_end(
     assert measured("a corner at which both edges end", "an integral along both", error, worst) < worst
 
 
+def in_the_open(size: tuple[float, float, float]) -> clsim.MeshRoom:
+    """Return a hard box from (0, 0, 0) on among walls that reflect nothing."""
+    shell, box = clsim.Shoebox((20, 20, 20), clsim.Material.from_reflection(0.0)).as_mesh(), clsim.Shoebox(size, HARD)
+    walls = clsim.MeshRoom(shell.vertices - 10.0, shell.triangles, shell.faces.materials[0])
+    return clsim.MeshRoom.joined([walls, box.as_mesh()])
+
+
 def walks() -> dict[str, tuple[clsim.MeshRoom, Any, Any, float]]:
     """Return rooms, sources, ways, and the largest jump re the free field, dB."""
     line = clsim.Trajectory.line
@@ -129,11 +136,7 @@ def walks() -> dict[str, tuple[clsim.MeshRoom, Any, Any, float]]:
     row = clsim.MeshRoom.joined([quad((-0.3, -1, 0), (-0.3, 0, 0), (-0.3, 0, 1), (-0.3, -1, 1)),
                                  quad((0.3, -0.9, 0), (0.3, 0.1, 0), (0.3, 0.1, 1.1), (0.3, -0.9, 1.1))])  # fmt: skip
     sheet = quad((0, 0, 0), (0, -0.3, 0), (0, -0.3, -0.4), (0, 0, -0.4))
-    shell = clsim.Shoebox((20, 20, 20), clsim.Material.from_reflection(0.0)).as_mesh()
-    box = clsim.Shoebox((0.5, 0.4, 0.6), HARD).as_mesh()
-    inside = clsim.MeshRoom.joined(
-        [clsim.MeshRoom(shell.vertices - 10.0, shell.triangles, shell.faces.materials[0]), box]
-    )
+    inside = in_the_open((0.5, 0.4, 0.6))
     return {
         "a sheet": (sheet, (-0.3, 0.13, -0.1), line((0.1, -0.4, -0.3), (0.2, 0.2, 0.3), 1.0), -58.0),
         "screens at 90 degrees": (corner, (-0.8, -0.6, 0.8), line((0.5, 0.1, 0.7), (0.1, 0.6, 0.9), 1.0), -70.0),
@@ -142,19 +145,22 @@ def walks() -> dict[str, tuple[clsim.MeshRoom, Any, Any, float]]:
     }  # fmt: skip
 
 
+def around_events(paths: PathSet) -> np.ndarray:
+    """Return times just before and after all beginnings and ends of paths, in pairs."""
+    times = np.unique(np.concatenate([x for f in paths.families for x in (f.start, f.end)]))
+    times = times[np.isfinite(times)]
+    first = np.flatnonzero(np.append(True, np.diff(times) > 2e-6))  # events of different tests at one place
+    begin, end = times[first], times[np.append(first[1:], len(times)) - 1]
+    return np.stack([begin - 1e-7, end + 1e-7], axis=1).ravel()
+
+
 @pytest.mark.parametrize("name", ["a sheet", "screens at 90 degrees", "screens in a row", "a box"])
 def test_no_jump_past_corners(name: str, measured: Callable[..., float]) -> None:
     """Walks that jump by -35 to -49 dB re the free field without these paths."""
     room, source, way, least = walks()[name]
     paths = paths_of(room, source, way)
-    free = np.linalg.norm(way.position(np.array([0.5]))[0] - source)
-    times = np.unique(np.concatenate([x for f in paths.families for x in (f.start, f.end)]))
-    times = times[np.isfinite(times)]
-    first = np.flatnonzero(np.append(True, np.diff(times) > 2e-6))  # events of different tests at one place
-    begin, end = times[first], times[np.append(first[1:], len(times)) - 1]
-    sums = []
+    free, around, sums = np.linalg.norm(way.position(np.array([0.5]))[0] - source), around_events(paths), []
     for families in (paths.families, tuple(f for f in paths.families if f.kind != KIND)):
-        around = np.stack([begin - 1e-7, end + 1e-7], axis=1).ravel()
         sums.append(decibels(np.diff(terms(PathSet(paths.scene, families), around, TONE).sum(0).reshape(-1, 2)) * free))
     assert sums[1] > least + 8.0
     assert measured(f"a walk past {name}", "no jump", sums[0], least) < least
@@ -210,7 +216,7 @@ def test_an_end_takes_over_from_two_edges(measured: Callable[..., float]) -> Non
 
 def test_ends_of_both_edges_take_over(monkeypatch: pytest.MonkeyPatch, measured: Callable[..., float]) -> None:
     """Behind a sheet, where the path over an end of one of two opposite edges runs off the other, the sum goes on."""
-    monkeypatch.setattr(edge_ends, "_QUIET", 1e-5)
+    monkeypatch.setattr(edge_ends, "QUIET", 1e-5)
     sheet = quad((-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0), (-0.1, 0.1, 0))
     way = clsim.Trajectory.line((0.3, -0.02, -0.3), (0.25, 0.4, -0.1), 1.0)
     paths = paths_of(sheet, (-0.3, 0.05, 0.25), way)

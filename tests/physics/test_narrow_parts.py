@@ -234,6 +234,12 @@ def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
     assert apart_db(sound(planned(one)), whole) < -125.0
 
 
+def test_some_windows_do_not_tell_of_a_sweep() -> None:
+    signals = clsim.Signal.chirp(39.8e3, 40.2e3, 0.25, RATE), clsim.Signal.noise(0.25, RATE, 1, (39e3, 41e3))
+    splits = [planned(scene(signal), order=0).source_filters[0].split for signal in signals]
+    assert [split.quiet for split in splits] == [False, True]
+
+
 def test_rest_and_narrow_part_add_up_to_the_signal() -> None:
     plan = planned(scene(clsim.Signal.tone(40e3, 1.0, RATE), duration=1.0))
     (rest,), filters = plan.source_filters, plan.allocation.narrow[0].plan.source_filters[0]

@@ -18,7 +18,7 @@ from clsim.acoustics.outline import CapsuleOutline, EllipsoidOutline, counts_of_
 from clsim.acoustics.silhouette import ASPECTS, forward_share, outline_field
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
-from clsim.scene.shaded import hidden_by_several
+from clsim.scene.scene import hidden_by_several
 
 C = 343.0
 SILENT = clsim.Material.from_reflection(0.0)
@@ -241,6 +241,20 @@ def test_capsules_seen_along_their_axis(device: str) -> None:
     paths = clsim.find_paths(scene, 0)
     got, wanted = (clsim.render(paths, 192e3, engine=engine).samples for engine in ("opencl", "reference"))
     assert 20.0 * np.log10(np.linalg.norm(got - wanted) / np.linalg.norm(wanted)) < -60.0
+
+
+@pytest.mark.parametrize(("radius", "length"), [(0.05, 0.4), (0.02, 0.1)])
+def test_nothing_jumps_where_lines_of_sight_turn_through_an_axis(radius: float, length: float) -> None:
+    """Within the capsule and beside it: halved steps halve changes. It was -7 to -50 dB whatever the step."""
+    outline, wave = CapsuleOutline(radius, 0.5 * length), np.array([2.0 * np.pi * 40e3 / C])
+    for off in (0.005, 0.02, 0.06):
+        changes = []
+        for count in (1001, 2001):
+            angle = np.linspace(-0.12, 0.12, count)
+            along = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1)
+            ends = [distance * along + [0.0, off, 0.0] for distance in (-1.2, 1.0)]
+            changes.append(np.abs(np.diff(outline_field(outline, wave, *ends, 256)[0][:, 0])).max())
+        assert changes[0] / changes[1] == pytest.approx(2.0, rel=0.1)
 
 
 @pytest.mark.parametrize(

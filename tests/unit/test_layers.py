@@ -29,7 +29,7 @@ LAYERS = [
     ("tracks",),
     ("tail",),
     ("recording", "impulse_responses"),
-    ("room_measures", "decoding"),
+    ("room_measures",),
     ("render",),
     ("sensitivity",),
     ("score",),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -25,8 +25,10 @@ from clsim.paths.vertices.gap_pair import ACROSS_AIR, GapPairVertex
 
 Rows = NDArray[np.int64]
 Span = tuple[float, float]
+Route = tuple[int, int, NDArray[np.int32], int, NDArray[np.int64]]
 
 _LONGER = 1.2  # times a path as it is when received, as which it may have been before
+_NO_FACE = np.full(2, ACROSS_AIR)
 _IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in its air
 
 
@@ -35,14 +37,20 @@ def moving_gap_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chai
 
     others: paths over fewer edges, and over two of the room: where one of these is taken over from, its time is taken.
     """
-    finder, scene = _GapFinder(search), search.scene
+    return moving_pairs(GapFinder(search), GapPairVertex, search, others)
+
+
+def moving_pairs(
+    finder: GapFinder, kind: type[GapPairVertex], search: BodySearch, others: tuple[PathFamily, ...]
+) -> Chain:
+    """Find every path over two edges with a kind of vertices."""
     held = finder.every_path()
     own: dict[str, Any] = {name: held[name] for name in COLUMNS}
     alike: dict[str, Any] = {"lines": finder.lines, "model": "utd"}
     last = EdgeVertex(**(own | {"edge": held["last_edge"], "lit": held["last_lit"]}), **alike)
     more = {name: held[name] for name in ("shared", "between", "budget")}
-    vertex = GapPairVertex(**own, **alike, last=last, **more, seen=np.zeros((len(held["edge"]), 4, 3)))
-    return tied(moving_paths(scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
+    vertex = kind(**own, **alike, last=last, **more, seen=np.zeros((len(held["edge"]), 4, 3)))
+    return tied(moving_paths(search.scene, search.obstacles.mirrors, held, ("before", "after"), vertex), others)
 
 
 def _apart(places: Floats, others: Floats) -> Floats:
@@ -51,29 +59,32 @@ def _apart(places: Floats, others: Floats) -> Floats:
     return np.asarray(np.sqrt(np.einsum("ptkli,ptkli->ptkl", away, away)).max(axis=(2, 3)))
 
 
-class _GapFinder(EdgePairFinder):
+class GapFinder(EdgePairFinder):
     """Looks for paths over two edges with air between, from each source to each receiver."""
-
-    on_faces: ClassVar[bool] = False
 
     def __init__(self, search: BodySearch) -> None:
         super().__init__(search)
         self._hidden = self._find_hidden()
 
     def _evaluate(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Any]:
-        return _GapEvaluation(self._search, self._faces, pair, chains)
+        return GapEvaluation(self._search, self._faces, pair, chains)
 
     def _chains(self, source: int, receiver: int, span: Span) -> GapPairs:
         sides = self._reached(source, None, span), self._reached(source, receiver, span)
         none = np.empty((0, self.width), np.int32)
         parts: list[Any] = [(none, none, *(np.empty(0, np.int64),) * 3, np.empty((0, 2), np.int64), none)]
-        for one, other, walls in self._gaps(source, span):
+        for one, other, walls, end, face in self._routes(source, span):
             met, at_rest = int(np.sum(walls >= 0)), self._all_rest(one, other, walls)
             before, after = self._met(sides, (one, other), self._order - met, at_rest)
-            edges = (np.full(len(before), x) for x in (one, -1, other))
-            shared = np.full((len(before), 2), ACROSS_AIR)
+            edges = (np.full(len(before), x) for x in (one, end, other))
+            shared = np.tile(face, (len(before), 1))
             parts.append((before, after, *edges, shared, np.tile(walls, (len(before), 1))))
         return GapPairs(*(np.concatenate([part[i] for part in parts]) for i in range(7)))
+
+    def _routes(self, source: int, span: Span) -> Iterator[Route]:
+        """Yield edges, mirrors between (order,), ends, and shared faces (2,) of paths without their sides."""
+        for one, other, walls in self._gaps(source, span):
+            yield one, other, walls, -1, _NO_FACE
 
     def _find_hidden(self) -> NDArray[np.bool_]:
         """Mask (E, E) of edges of one object of which neither sees the other."""
@@ -121,7 +132,7 @@ class _GapFinder(EdgePairFinder):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _GapEvaluation(PairEvaluation):
+class GapEvaluation(PairEvaluation):
     """How paths over two edges with air between are at some times, see `PairEvaluation`."""
 
     solver: ClassVar[type[GapPairSolver]] = GapPairSolver
@@ -129,19 +140,24 @@ class _GapEvaluation(PairEvaluation):
     def __call__(self, rows: Rows, times: Floats) -> NDArray[Any]:
         """Codes of paths at times (P, T), s."""
         code = np.full(times.shape, ABSENT, dtype=np.int16)
-        p, t = np.nonzero(self._possible(self.pairs.part(rows), times))
+        p, t = np.nonzero(self.possible(self.pairs.part(rows), times))
         if len(p):
             code[p, t] = PairEvaluation.__call__(self, rows[p], times[p, t][:, None])[:, 0]
         return code
 
-    def _possible(self, pairs: Any, times: Floats) -> NDArray[np.bool_]:
+    def possible(self, pairs: Any, times: Floats) -> NDArray[np.bool_]:
         """Mask (P, T) of paths that may be there, as all is when sound is received, and by how far it moves."""
-        (edge, first, source, ahead), (last, second, receiver, back) = self._seen(pairs, times)
+        seen = self._seen(pairs, times)
+        (_, first, source, ahead), (_, second, receiver, _) = seen
         length = sum(_apart(*places) for places in ((source, first), (ahead, first), (receiver, second)))
         slack = (self._fastest(pairs) * _LONGER / self.search.scene.air.slowest)[:, None] * length
-        return self._alike(edge, times, first, (source, ahead), slack) & self._alike(
-            last, times, second, (receiver, back), slack
-        )
+        return self.may_pass(pairs, times, seen, slack)
+
+    def may_pass(self, pairs: Any, times: Floats, seen: Any, slack: Floats) -> NDArray[np.bool_]:
+        """Mask (P, T) of paths that both edges may let pass, by what these see."""
+        (edge, first, *before), (last, second, *behind) = seen
+        mine = self.alike(edge, times, first, (before[0], before[1]), slack)
+        return mine & self.alike(last, times, second, (behind[0], behind[1]), slack)
 
     def _seen(self, pairs: Any, times: Floats) -> list[tuple[Rows, Floats, Floats, Floats]]:
         """Return both edges, each with its ends (P, T, 2, 3) and what it sees, m: an end, and the other edge's ends."""
@@ -164,7 +180,7 @@ class _GapEvaluation(PairEvaluation):
         ahead, back = self._images(between[::-1], last, times), self._images(between, first, times)
         return [(pairs.edge, first, source, ahead), (pairs.last, last, receiver, back)]
 
-    def _alike(
+    def alike(
         self, edge: Rows, times: Floats, own: Floats, seen: tuple[Floats, Floats], slack: Floats
     ) -> NDArray[np.bool_]:
         """Mask (P, T) of paths with an end and the other edge in the air of an edge, at angles that may agree.
@@ -178,7 +194,7 @@ class _GapEvaluation(PairEvaluation):
             possible &= np.any(in_air(n, x, y, -slack[..., None]), axis=2)
             least = np.maximum(segment_off(np.stack([x, y], axis=3)) - slack, ON_LINE)
             heights = z.min(axis=2) - slack - length, z.max(axis=2) + slack
-            found = cotangents(*heights, least, np.hypot(x, y).max(axis=2) + slack)
+            found = cotangents(*heights, least, np.maximum(np.hypot(x, y).max(axis=2) + slack, ON_LINE))
             bounds.append(found if sign > 0.0 else (-found[1], -found[0]))
         return np.asarray(possible & (bounds[0][0] <= bounds[1][1]) & (bounds[1][0] <= bounds[0][1]))
 

@@ -17,10 +17,11 @@ from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.bodies import BodySearch, PairQuery
-from clsim.paths.search.body_edges import ABSENT, EdgeFinder, free_legs, halves, tied
+from clsim.paths.search.body_edges import ABSENT, END, EdgeFinder, free_legs, halves, tied
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.vertices.edge_pair_events import EdgePairEvents, EdgePairs, EdgePairSolver
+from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.edges import footprint, in_face, lines_apart
 from clsim.paths.visibility.subdivision import ROUNDS
 
@@ -46,8 +47,6 @@ def moving_edge_pair_paths(search: BodySearch, others: tuple[PathFamily, ...]) -
 
 class EdgePairFinder(EdgeFinder):
     """Looks for paths over two edges, from each source to each receiver."""
-
-    on_faces: ClassVar[bool] = True  # whether the ways between both edges are
 
     def __init__(self, search: BodySearch) -> None:
         super().__init__(search)
@@ -75,7 +74,8 @@ class EdgePairFinder(EdgeFinder):
         met = met + self.met_between(chains)
         last_lit = np.where(code[:, None] & bits, 1, -1).astype(np.int8)
         first, last = (adjacent_reflections(self.lines.n[edge]) for edge in (chains.edge, chains.last))
-        least = (x.min(axis=1, keepdims=True) * self.on_faces for x in (first, last))
+        on_face = chains.face[:, :1] != ACROSS_AIR
+        least = (x.min(axis=1, keepdims=True) * on_face for x in (first, last))
         for lit, mine, other in zip((last_lit, columns["lit"]), (last, first), least, strict=True):
             lit[met[:, None] + mine + other > self._order] = 0
         more = {"order": met + 2, "last_edge": chains.last, "last_lit": last_lit, "shared": chains.face}
@@ -141,14 +141,20 @@ class PairEvaluation:
         ahead, back = self.between(pairs, events, p, t)
         met = np.sum(pairs.before[p] >= 0, axis=1) + np.sum(pairs.after[p] >= 0, axis=1) + self.met(pairs)[p]
         code = np.full(times.shape, ABSENT, dtype=np.int16)
-        code[p, t] = 0
-        for first, wedge, angles in ((1, wedges[0], (t_s, ahead)), (_SECOND, wedges[1], (back, t_r))):
-            seen = (lit_angles(wedge, *angles) >= 0.0) & (
+        ended, inside = self.ended(solver, pairs, events, p, t)
+        code[p, t] = END * inside
+        edges = (1, wedges[0], (t_s, ahead)), (_SECOND, wedges[1], (back, t_r))
+        for (first, wedge, angles), ends in zip(edges, ended.T[..., None], strict=True):
+            seen = ends | (lit_angles(wedge, *angles) >= 0.0) & (
                 met[:, None] + adjacent_reflections(wedge) <= self.search.order
             )
             code[p, t] += (seen @ (first << np.arange(TERMS))).astype(np.int16)
         code[p, t] += halves(wedges, (t_s, t_r)).astype(np.int16)
         return code
+
+    def ended(self, solver: Any, pairs: Any, events: Any, p: Rows, t: Rows) -> tuple[Any, Any]:
+        """Masks of edges (n, 2) that end, and of paths (n,) whose shortest ways over both edges meet those."""
+        return np.zeros((len(p), 2), dtype=bool), np.zeros(len(p), dtype=bool)
 
     def free(self, pairs: Any, events: Any, p: Rows, t: Rows) -> NDArray[np.bool_]:
         """Mask (n,) of some paths at times (n,) of which the way between both edges is free."""
@@ -174,7 +180,8 @@ class PairEvaluation:
 def on_edges(solver: EdgePairSolver, pairs: EdgePairs, events: EdgePairEvents) -> NDArray[np.bool_]:
     """Mask (P, T) of paths that meet both edges from the air."""
     lines, edges = solver.lines, np.stack([pairs.edge, pairs.last], axis=1)
-    on = np.all((events.along > 0.0) & (events.along < lines.length[edges][..., None]), axis=1)
+    on = (events.along > 0.0) & (events.along < lines.length[edges][..., None])
+    on = np.all(on | ~np.isnan(solver.held(pairs)), axis=1)
     for edge, (_, angle, _) in zip(edges.T, (events.source, events.receiver), strict=True):
         on &= (angle > 0.0) & (angle < np.pi * lines.n[edge][:, None])
     return np.asarray(on)

@@ -35,7 +35,7 @@ _ON = 1e-7  # of the room's size; what is nearer to a plane is in it
 _INNER = 1e-9  # share of a way between two hits, from which on the one is not at the other
 _WITHIN = 1e-4  # s between two times at which the same event was found, at most
 ABSENT = -1  # code of a path that is not there; else bits for the sides of its terms, of its end, and of both ends
-_END, HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
+END, HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 
 
 def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
@@ -110,7 +110,7 @@ class EdgeFinder:
         met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
         seen &= met[p, None] + adjacent_reflections(n[p]) <= self._order
         inside = (end[p] >= 0) & (np.where(end[p] == 1, -apex, apex) >= 0.0)
-        code[p, t] = seen @ (1 << np.arange(TERMS)) + _END * inside + halves((n[p], n[p]), (t_s[p, t], t_r[p, t]))
+        code[p, t] = seen @ (1 << np.arange(TERMS)) + END * inside + halves((n[p], n[p]), (t_s[p, t], t_r[p, t]))
         return code
 
     def _columns(
@@ -125,7 +125,7 @@ class EdgeFinder:
         count, met = len(code), np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
         lit = np.where(code[:, None] & (1 << np.arange(TERMS)), 1, -1)
         lit[met[:, None] + adjacent_reflections(self.lines.n[chains.edge]) > self._order] = 0
-        side = np.where(chains.end < 0, 0, np.where(code & _END, 1, -1))
+        side = np.where(chains.end < 0, 0, np.where(code & END, 1, -1))
         return {
             "source": np.full(count, ends[0], dtype=np.int32), "receiver": np.full(count, ends[1], dtype=np.int32),
             "order": (met + 1).astype(np.int32), "start": received[0], "end": received[1], "before": chains.before,

@@ -25,21 +25,14 @@ from clsim.paths.search.edge_gaps import apart, between_edges
 from clsim.paths.search.edges import Reached, Sides, in_planes, rows_of
 from clsim.paths.search.gap_parts import PARTS, in_air, legs_open
 from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
-from clsim.paths.vertices.edge_end import OF_LAST
+from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS, at_meeting, end_numbers
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import end_levels, off_edges
 from clsim.paths.visibility.edge_gaps import seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch
-from clsim.paths.visibility.edges import (
-    CONTRACTED,
-    CONTRACTIONS,
-    MEETING,
-    TWO_ENDS,
-    EdgeCandidates,
-    at_meeting,
-    end_numbers,
-    imaged,
-)
+from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidates, imaged
+from clsim.scene.room.edges import Edges
+from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene
 
 Rows = NDArray[np.int64]
@@ -48,8 +41,8 @@ _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
 _BATCH = 20_000  # candidates searched at a time
 _LISTENED = 2_000  # candidates whose levels are estimated together
-_QUIET = 1e-3  # pressure over the direct sound: paths that stay below it are left out
-_QUIET_ECHO = 2e-4  # without direct sound: over that in free air as far away
+QUIET = 1e-3  # pressure over the direct sound: paths that stay below it are left out
+QUIET_ECHO = 2e-4  # without direct sound: over that in free air as far away
 _SAMPLED = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
@@ -60,12 +53,22 @@ def end_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, 
 
     others: paths without edges, over one and over two, whose times are taken as by `double_edge_paths`.
     """
-    lowest = min((source.emitted.centre_frequency for source in scene.sources), default=0.0)
-    wave = 2.0 * np.pi * lowest / scene.air.speed_of_sound
+    wave = lowest_wave(scene)
     fewest = 2 if scene.room.edges().free.any() else sys.maxsize
     find = partial(end_candidates, wave=wave, direct=search.direct is not False)
     rows, order, within = rows_of(scene, search, others, find, fewest)
     return with_swaps(end_chain(scene, order, rows), within)
+
+
+def lowest_wave(scene: Scene) -> float:
+    """Least wave number of a centre frequency of the sources, 1/m."""
+    lowest = min((source.emitted.centre_frequency for source in scene.sources), default=0.0)
+    return float(2.0 * np.pi * lowest / scene.air.speed_of_sound)
+
+
+def least_level(direct: bool) -> float:
+    """Pressure over that in free air, see `end_levels`: paths that stay below it are left out."""
+    return QUIET if direct else QUIET_ECHO
 
 
 def end_candidates(
@@ -122,26 +125,32 @@ def _together(parts: Iterator[EdgeCandidates], count: int) -> Iterator[EdgeCandi
 
 def _routes(finder: EdgeSearch, reached: Reached, order: int) -> EdgeCandidates:
     """Make routes without sides: over faces that edges share, and across air by up to so many walls."""
-    edges, near = finder.edges, _NEAR * finder.query.walls.size
-    pair, face = edges.pairs()
-    over_faces = _with_ends(finder, pair, face, np.full((len(pair), order), -1, dtype=np.int32))
-    _, place, _ = off_edges(edges, over_faces, edges.frames[over_faces.edge[:, 1]], np.arange(len(over_faces.edge)))
-    (mine, mine_face), (theirs, their_face) = _ended(over_faces)
-    ahead = np.einsum("ni,ni->n", place - edges.start[theirs], edges.inward(theirs, their_face)) > near
-    ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
-    ahead &= np.einsum("nei,ni->ne", ends, edges.inward(mine, mine_face)).min(axis=1) > -near
-    over_faces = _part(over_faces, np.flatnonzero(ahead))
-    found, pairs = [over_faces, _of_both(finder, over_faces), _meeting(finder, pair, face, order)], apart(finder)
+    edges, walls = finder.edges, finder.query.walls
+    found, pairs = [over_faces(walls, edges, order)], apart(finder)
     balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
     from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)] if len(pairs) else []
     for count in range(order + 1) if len(pairs) else ():
-        pair, walls = between_edges(pairs, from_edge, count)
-        between = np.pad(walls, ((0, 0), (0, order - count)), constant_values=-1)
+        pair, between = between_edges(pairs, from_edge, count)
+        between = np.pad(between, ((0, 0), (0, order - count)), constant_values=-1)
         for first in range(0, len(pair), _BATCH):
             some, met = pair[first : first + _BATCH], between[first : first + _BATCH]
-            routes = _with_ends(finder, some, np.full(some.shape, ACROSS_AIR), met)
+            routes = _with_ends(walls, edges, some, np.full(some.shape, ACROSS_AIR), met)
             found.append(_seen_ends(finder, routes, count))
     return EdgeCandidates.joined(found)
+
+
+def over_faces(walls: Walls, edges: Edges, order: int) -> EdgeCandidates:
+    """Make routes without sides over faces that edges share: over ends, and over corners at which both end."""
+    (pair, face), near = edges.pairs(), _NEAR * walls.size
+    found = _with_ends(walls, edges, pair, face, np.full((len(pair), order), -1, dtype=np.int32))
+    _, place, _ = off_edges(edges, found, edges.frames[found.edge[:, 1]], np.arange(len(found.edge)))
+    (mine, mine_face), (theirs, their_face) = _ended(found)
+    ahead = np.einsum("ni,ni->n", place - edges.start[theirs], edges.inward(theirs, their_face)) > near
+    ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
+    ahead &= np.einsum("nei,ni->ne", ends, edges.inward(mine, mine_face)).min(axis=1) > -near
+    found = _part(found, np.flatnonzero(ahead))
+    of_both, meeting = _of_both(walls, edges, found), _meeting(walls, edges, pair, face, order)
+    return EdgeCandidates.joined([found, of_both, meeting])
 
 
 def _seen_ends(finder: EdgeSearch, routes: EdgeCandidates, count: int) -> EdgeCandidates:
@@ -171,37 +180,35 @@ def _seen_ends(finder: EdgeSearch, routes: EdgeCandidates, count: int) -> EdgeCa
     return _part(routes, np.flatnonzero(~hidden))
 
 
-def _meeting(finder: EdgeSearch, pair: Rows, face: Rows, order: int) -> EdgeCandidates:
+def _meeting(walls: Walls, edges: Edges, pair: Rows, face: Rows, order: int) -> EdgeCandidates:
     """Make routes over corners at which both edges of pairs (n, 2) end."""
-    edges = finder.edges
     ends = np.stack([edges.start, edges.stop], axis=1)
     apart = np.linalg.norm(ends[pair[:, 0], :, None] - ends[pair[:, 1], None], axis=-1)
     free = edges.free[pair[:, 0], :, None] & edges.free[pair[:, 1], None]
-    rows, one, other = np.nonzero(free & (apart <= _NEAR * finder.query.walls.size))
+    rows, one, other = np.nonzero(free & (apart <= _NEAR * walls.size))
     none, no_walls = np.empty((len(rows), 0), dtype=np.int32), np.full((len(rows), order), -1, dtype=np.int32)
     return EdgeCandidates(none, none, pair[rows], face[rows], MEETING + 2 * other + one, rows, no_walls)
 
 
-def _of_both(finder: EdgeSearch, routes: EdgeCandidates) -> EdgeCandidates:
+def _of_both(walls: Walls, edges: Edges, routes: EdgeCandidates) -> EdgeCandidates:
     """Make routes over ends of both edges from those over one, where neither end is on the other edge's line."""
-    edges, near = finder.edges, _NEAR * finder.query.walls.size
     (mine, my_face), (theirs, _) = _ended(routes)
     ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
-    ahead = np.einsum("nei,ni->ne", ends, edges.inward(mine, my_face)) > near
+    ahead = np.einsum("nei,ni->ne", ends, edges.inward(mine, my_face)) > _NEAR * walls.size
     rows, other = np.nonzero(edges.free[theirs] & ahead)
     found = _part(routes, rows)
     return replace(found, end=found.end + TWO_ENDS + 4 * other)
 
 
-def _with_ends(finder: EdgeSearch, pair: Rows, face: Rows, between: NDArray[np.int32]) -> EdgeCandidates:
+def _with_ends(walls: Walls, edges: Edges, pair: Rows, face: Rows, between: NDArray[np.int32]) -> EdgeCandidates:
     """Make routes over each free end of either edge of pairs (n, 2) that is not on the other edge's line."""
-    edges, count = finder.edges, len(pair)
+    count = len(pair)
     rows, end = np.tile(np.arange(count), 4), np.repeat(np.arange(4), count)
     none = np.empty((4 * count, 0), dtype=np.int32)
     routes = EdgeCandidates(none, none, pair[rows], face[rows], end, rows, between[rows])
-    seen = seen_frames(finder.query.walls, edges, routes.edge[:, 1], routes.between)
+    seen = seen_frames(walls, edges, routes.edge[:, 1], routes.between)
     _, _, (x, y, _) = off_edges(edges, routes, seen, np.arange(len(rows)))
-    off_line = np.hypot(x, y) > _NEAR * finder.query.walls.size
+    off_line = np.hypot(x, y) > _NEAR * walls.size
     return _part(routes, np.flatnonzero(edges.free[_ended(routes)[0][0], end % OF_LAST] & off_line))
 
 
@@ -331,8 +338,7 @@ def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct
     every, begin, end = found.spans
     times, which = begin + _SAMPLED[:, None] * (end - begin), np.tile(every, len(_SAMPLED))
     levels = end_levels(finder.visibility(found), finder.query, which, times.ravel(), wave, direct)
-    least = _QUIET if direct else _QUIET_ECHO
-    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > least)
+    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > least_level(direct))
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from clsim.acoustics.corner import CornerLeg, meeting_field
 from clsim.acoustics.diffraction import (
     ON_LINE,
-    EdgePath,
     end_detour,
     end_transition,
     lit_angles,
@@ -24,11 +23,18 @@ from clsim.paths.links import Pair
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import Triple
 from clsim.paths.vertices.edge_pair import EdgePairVertex
+from clsim.paths.vertices.gap_events import (
+    MEETING,
+    OF_LAST,
+    TWO_ENDS,
+    EdgeEndSolver,
+    at_meeting,
+    end_numbers,
+    held_places,
+)
 from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, LEAVING, GapPairVertex, product_of_terms, terms_of
-from clsim.paths.visibility.edges import MEETING, TWO_ENDS, at_meeting, end_numbers
 
 _GRAZING, _INSIDE = (1.2, 2.2), (-1.5, -0.5)  # roots of phases, between which one theory goes over into another
-OF_LAST = 2  # added to the numbers of the ends of last edges
 
 
 def ends_of(number: int) -> list[tuple[int, int]]:
@@ -49,6 +55,7 @@ class EdgeEndVertex(GapPairVertex):
 
     kind: ClassVar[str] = "edge and end"
     loudest: ClassVar[float] = 18.0
+    solver: ClassVar[type[EdgeEndSolver]] = EdgeEndSolver
 
     @property
     def end_place(self) -> Floats:
@@ -79,23 +86,23 @@ class EdgeEndVertex(GapPairVertex):
         ends = zip((first, last), end_numbers(self.over_end), strict=True)
         return np.stack([np.where(end < 0, edge, len(self.lines) + 2 * edge + end) for edge, end in ends], axis=1)
 
-    def ended_at(self) -> tuple[Floats, Floats, Floats, Floats]:
+    def ended_at(self, frames: Pair | None = None) -> tuple[Floats, Floats, Floats, Floats]:
         """Where the ends are along their edges (P, 1), m, and (P, 3), and r and z (P, 1) about the other edges, m."""
-        ended, other = self._frames()
+        ended, other = self._frames(frames)
         length = self.lines.length[np.where(self.of_last, self.last.edge, self.edge)]
         along = np.where(self.over_end % OF_LAST == 1, length, 0.0)
         place = ended[:, 0] + along[:, None] * ended[:, 3]
         x, y, z = np.moveaxis(np.einsum("pai,pi->pa", other[:, 1:], place - other[:, 0]), 1, 0)
         return along[:, None], place, np.hypot(x, y)[:, None], z[:, None]
 
-    def _frames(self) -> Pair:
+    def _frames(self, frames: Pair | None = None) -> Pair:
         """Frames (P, 4, 3) of the edges that end, and of the other ones, as the first edges see them."""
-        of_last = self.of_last[:, None, None]
-        return np.where(of_last, self.seen, self.frame), np.where(of_last, self.frame, self.seen)
+        of_last, (first, last) = self.of_last[:, None, None], frames or (self.frame, self.seen)
+        return np.where(of_last, last, first), np.where(of_last, first, last)
 
-    def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
+    def met(self, source: Pair, receiver: Pair, frames: Pair | None = None) -> tuple[Pair, Floats]:
         """Places on both edges, and lengths, of shortest paths between ends at r and z about them, (P, T) m each."""
-        (along, _, r, z), of_last = self.ended_at(), self.of_last[:, None]
+        (along, _, r, z), of_last = self.ended_at(frames), self.of_last[:, None]
         (r_f, z_f), (r_n, z_n) = _swapped(of_last, source, receiver)
         route = path_over_edge(r, z, r_n, z_n)
         end, held = np.broadcast_to(along, route.apex.shape), self.held
@@ -109,24 +116,41 @@ class EdgeEndVertex(GapPairVertex):
         legs = (np.hypot(r, place - z) for (r, z), place in zip((source, receiver), places, strict=True))
         return places, np.where(self.meeting[:, None], next(legs) + next(legs), length)
 
+    def _length_between(self, frames: Pair, source: Pair, receiver: Pair) -> Floats:
+        return self.met(source, receiver, (frames[0][:, 0], frames[1][:, 0]))[1]
+
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
-        """Field (P, T, F) beyond the edge and the end, without its phase, of endpoints at r, θ, z about both."""
+        """Field (P, T, F) beyond the edge and the end, without its phase, of endpoints at r, θ, z about both.
+
+        end: of moving legs `GapEvents.middle`, as of `GapPairVertex`.
+        """
+        middle = end if end.ndim == 3 else None
         field, count = np.zeros(wave.shape, dtype=np.complex128), max(1, wave.size // AT_ONCE)
         kinds = np.where(self.meeting, 4, 2 * (self.shared[:, 0] == ACROSS) + self.of_last)
-        for kind in range(5):
+        kinds = np.where(self.over_end >= TWO_ENDS, 6 + self.of_last, kinds)
+        for kind in range(8):
             rows = np.flatnonzero(kinds == kind)
             for some in np.array_split(rows, min(count, len(rows))) if len(rows) else ():
                 part: Any = self.part(some)
                 ends: Any = tuple(tuple(x[some] for x in end_at) for end_at in (source, receiver))
+                bend = None if middle is None else middle[some]
+                if bend is not None and kind >= 4:
+                    part, ends, bend = replace(part, seen=part.last.frame), part.from_starts(ends), None
                 if kind == 4:
                     field[some] = _corner_field(part, ends, wave[some], at)
                 else:
-                    field[some] = _end_field(part, ends, kind % 2, kind >= 2, wave[some], at)
-        if self.between.size:
+                    field[some] = _end_field(part, ends, bend, kind % 2, kind in (2, 3), wave[some], at)
+        if self.between.size and middle is None:
             towards = self._towards(source, receiver)
             field *= at.reflection(self.between)[:, None]
             at.apply_angular_walls(field, self.between, towards)
         return field
+
+    def from_starts(self, ends: tuple[Triple, Triple]) -> tuple[Triple, Triple]:
+        """Endpoints at z (P, T) from the starts of edges that both end, of those at z from the ends, m."""
+        places = held_places(self.over_end, self.lines.length[np.stack([self.edge, self.last.edge], axis=1)])
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
+        return (r_s, t_s, z_s + places[:, :1]), (r_r, t_r, z_r + places[:, 1:])
 
     def _towards(self, source: Triple, receiver: Triple) -> Floats:
         """Directions (P, T, 3) in which paths leave the first edges."""
@@ -145,9 +169,30 @@ def _swapped(of_last: Any, source: Any, receiver: Any) -> tuple[Any, Any]:
     return far, tuple(np.where(of_last, s, r) for s, r in zip(source, receiver, strict=True))
 
 
+def _bend_at_rest(pair: EdgeEndVertex, near: Pair, ended: int) -> tuple[Floats, ...]:
+    """Place ends along their edges (P, 1), with lengths and angles of paths from them over the other edges.
+
+    Angles are those of `EdgeGap.angles`, slopes the cosines between the ways from ends and their edges.
+    """
+    (along, corner, r_c, z_c), (mine, theirs), (r_n, z_n) = pair.ended_at(), pair._frames(), near
+    route = path_over_edge(r_c, z_c, r_n, z_n)
+    between, behind = np.hypot(r_c, route.apex - z_c), np.maximum(np.hypot(r_n, route.apex - z_n), ON_LINE)
+    onto = theirs[:, None, 0] + route.apex[..., None] * theirs[:, None, 3] - corner[:, None]
+    slope = np.einsum("pti,pi->pt", onto, mine[:, 3]) / between
+    return along, between, behind, route.length, slope, *pair.gap.angles((1.0 - 2.0 * ended) * -onto)
+
+
+def _bend_in_motion(middle: Floats, near: Pair, ended: int) -> tuple[Floats, ...]:
+    """`_bend_at_rest` from `GapEvents.middle` and near endpoints from places on the edges."""
+    ahead, back, between, turn, *slopes = np.moveaxis(middle, 2, 0)
+    behind = np.maximum(np.hypot(*near), ON_LINE)
+    return np.zeros_like(turn), between, behind, between + behind, slopes[ended], ahead, back, turn
+
+
 def _end_field(
-    pair: EdgeEndVertex, ends: tuple[Triple, Triple], ended: int, across_air: bool, wave: Floats, at: SceneResponse
-) -> Any:
+    pair: EdgeEndVertex, ends: tuple[Triple, Triple], middle: Floats | None, ended: int, across_air: bool,
+    wave: Floats, at: SceneResponse,
+) -> Any:  # fmt: skip
     """Compute the field (P, T, F) of paths over ends of all first, 0, or of all last edges, 1.
 
     Our own derivation: the far endpoint is rolled out beyond the place V on the other edge, into the line from the end
@@ -155,16 +200,13 @@ def _end_field(
     of the terms of its own edge alone between the endpoint and the one rolled out.
     """
     (_, t_s, _), (_, t_r, _) = ends
-    along, corner, r_c, z_c = pair.ended_at()
     (r_f, _, z_f), (r_n, _, z_n) = ends[ended], ends[1 - ended]
-    mine, theirs = pair._frames()
-    route = path_over_edge(r_c, z_c, r_n, z_n)
-    between, behind = np.hypot(r_c, route.apex - z_c), np.maximum(np.hypot(r_n, route.apex - z_n), ON_LINE)
-    onto = theirs[:, None, 0] + route.apex[..., None] * theirs[:, None, 3] - corner[:, None]
-    slope = np.einsum("pti,pi->pt", onto, mine[:, 3]) / between
-    beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * route.length, ON_LINE), along + slope * route.length
+    near = (r_n, z_n)
+    bend = _bend_at_rest(pair, near, ended) if middle is None else _bend_in_motion(middle, near, ended)
+    along, between, behind, length, slope, ahead, back, turn = bend
+    beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * length, ON_LINE), along + slope * length
     rolled, leg = path_over_edge(r_f, z_f, *beyond), np.hypot(r_f, along - z_f)
-    whole = leg + route.length
+    whole = leg + length
     inside = np.where(pair.over_end[:, None] % OF_LAST == 1, along - rolled.apex, rolled.apex)
     detour = end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
     own, scale = np.where(inside < 0.0, -1.0, 1.0), np.sqrt(wave)
@@ -181,9 +223,10 @@ def _end_field(
     legs = leg * behind / ((leg + between) * (between + behind))
     if ended:
         slopes, breadths = slopes[::-1], breadths[::-1]
-    sides = -side[..., None] * _off_end(pair, route, (r_c, z_c), (r_n, z_n), root, wave)
+    sides: Any = -1.0 * side[..., None]
+    if pair.over_end[0] >= TWO_ENDS:
+        sides = sides * _off_end(pair, near, root, wave)
     if across_air:
-        ahead, back, turn = pair.gap.angles((1.0 - 2.0 * ended) * -onto)
         angles = (t_s, ahead), (back, t_r)
         given = zip((pair, pair.last), angles, slopes, breadths, (LEAVING, COMING), strict=True)
         found = [terms_of(*columns, at, own=i == ended) for i, columns in enumerate(given)]
@@ -199,21 +242,19 @@ def _end_field(
     return pair.over_face(made, np.sqrt(legs), wave, rolled.length) * sides
 
 
-def _off_end(pair: EdgeEndVertex, route: EdgePath, corner: Pair, near: Pair, root: Floats, wave: Floats) -> Any:
-    """Share (P, T, F) of the field of paths over one end that paths over ends of both edges have; 1 of other paths.
+def _off_end(pair: EdgeEndVertex, near: Pair, root: Floats, wave: Floats) -> Any:
+    """Share (P, T, F) of the field of paths over one end that paths over ends of both edges have.
 
     Our own derivation: the double integral along both edges is one over ``exp(-j (x² + y²))``. Beyond both ends it is
     half the sum of the integrals ``C`` along both borders, `root` from the shortest path, of `end_transition`.
     """
-    some, share = np.flatnonzero(pair.over_end >= TWO_ENDS), np.ones(wave.shape, dtype=np.complex128)
-    held = np.broadcast_to(pair.held, route.apex.shape)
+    (_, _, r_c, z_c), held, side = pair.ended_at(), pair.held, pair.end_side[:, None]
+    route = path_over_edge(r_c, z_c, *near)
     inside = np.where(held == 0.0, route.apex, held - route.apex)
-    detour = end_detour(route, corner, near, np.where(np.isnan(held), 0.0, held))
-    side = pair.end_side[some, None]
-    end: Any = np.where(inside[some] < 0.0, -1.0, 1.0) * side * np.sqrt(detour[some])
-    scale, both = np.sqrt(wave[some]), root[some, :, None]
-    share[some] = -side[..., None] * end_transition(end[..., None] * scale, both * scale) / transition(both * scale)
-    return share
+    detour = end_detour(route, (r_c, z_c), near, np.broadcast_to(held, route.apex.shape))
+    end: Any = np.where(inside < 0.0, -1.0, 1.0) * side * np.sqrt(detour)
+    at_end, at_both = (x[..., None] * np.sqrt(wave) for x in (end, root))
+    return -1.0 * side[..., None] * end_transition(at_end, at_both) / transition(at_both)
 
 
 def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats, at: SceneResponse) -> Any:

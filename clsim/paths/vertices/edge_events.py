@@ -116,13 +116,14 @@ class EdgeSolver:
 
     def _found(self, chains: Any, now: Floats, along: Floats) -> Any:
         """Events from about where they are on the edges (P, ..., T), m, on."""
-        length, over_end = self._lengths(chains), np.expand_dims(chains.end, tuple(range(1, along.ndim)))
-        along = np.where(over_end >= 0, np.where(over_end == 1, length, 0.0), along)
+        length, held = self._lengths(chains), self.held(chains)
+        along = np.where(np.isnan(held), along, held)
         found = self._at(chains, now, along)
-        rows = np.flatnonzero(chains.end < 0)
-        for _ in range(self.steps):
+        rows = np.flatnonzero(np.isnan(held).any(axis=tuple(range(1, held.ndim))))
+        for _ in range(self.steps if len(rows) else 0):
             place = self._next(chains.part(rows), found.part(rows))
             place = np.clip(place, -_BEYOND * length[rows], (1.0 + _BEYOND) * length[rows])
+            place = np.where(np.isnan(held[rows]), place, held[rows])
             left = np.abs(place - along[rows]).max(axis=tuple(range(1, along.ndim)), initial=0.0) > _FOUND
             rows = rows[left]
             if not len(rows):
@@ -134,6 +135,11 @@ class EdgeSolver:
     def _lengths(self, chains: Any) -> Floats:
         """Lengths of the edges (P, ..., 1), m."""
         return self.lines.length[chains.edge, None]
+
+    def held(self, chains: Any) -> Floats:
+        """Places on the edges (P, ..., 1) of paths over ends, m; NaN on edges that paths meet anywhere."""
+        ends = np.where(chains.end == 1, self.lines.length[chains.edge], 0.0)
+        return np.where(chains.end < 0, np.nan, ends)[:, None]
 
     def _next(self, chains: Any, found: Any) -> Floats:
         """Places on the edges (P, ..., T) to go on from, m."""

@@ -20,7 +20,7 @@ from clsim.paths.legs.mirrors import EdgePoint, dot
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver, Triple
 from clsim.paths.vertices.edge_lengths import RolledOut
 
-_NEAR = 0.05  # of an end's distance from an edge: steps that are shorter are left to Newton's method
+_NEAR = 0.05  # of ends' distances from edges, and of both places': steps that are shorter are left to Newton's method
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,14 +79,25 @@ class EdgePairSolver(EdgeSolver):
         """Lengths of both edges (P, 2, 1), m."""
         return self.lines.length[np.stack([pairs.edge, pairs.last], axis=1)][..., None]
 
+    def held(self, pairs: EdgePairs) -> Floats:
+        """Places on the edges (P, 2, 1) of paths over ends, m; NaN on edges that paths meet anywhere."""
+        return np.full((len(pairs.edge), 2, 1), np.nan)
+
     def _next(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
         """Places (P, 2, T) from which to go on: as if all rested where that is far, else by Newton's method, m."""
-        place, near = self._solved(pairs, found), _NEAR * np.minimum(found.source[0], found.receiver[0])
+        near = _NEAR * np.min([found.source[0], found.receiver[0], self._apart(pairs, found)], axis=0)
+        place = self._solved(pairs, found)
         (a, both), (_, b) = np.moveaxis(found.bend, (1, 2), (0, 1))
         first, last = np.moveaxis(found.slope, 1, 0)
         step = np.stack([b * first - both * last, a * last - both * first], axis=1) / (a * b - both**2)[:, None]
         close = np.all(np.abs(np.stack([place - found.along, step])) < near[:, None], axis=(0, 2))
         return np.where(close[:, None], found.along - step, place)
+
+    def _apart(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
+        """Distances (P, T) between both places, m: near a common corner of both edges Newton's method leads astray."""
+        frames, along = self.lines.frames[np.stack([pairs.edge, pairs.last])], np.moveaxis(found.along, 1, 0)
+        one, other = frames[:, :, None, 0] + along[..., None] * frames[:, :, None, 3]
+        return np.asarray(np.linalg.norm(other - one, axis=-1))
 
     def _solved(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
         """Places (P, 2, T) on both edges if all rested where it is seen: rolled out, m."""

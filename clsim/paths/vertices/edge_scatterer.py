@@ -135,6 +135,10 @@ class EdgeScattererVertex(ScattererVertex):
                 found += _Over.of(beside.edge, beyond, seen).length[:, 0]
         return found
 
+    def alike(self) -> list[NDArray[np.int64]]:
+        """Vertices whose paths are solved together."""
+        return self.groups()
+
     def _columns(self, kinematics: Kinematics, links: Links, times: Floats) -> Columns:
         """Arrivals (P, T) over edges and by one scatterer: rates and amplitudes are those of the scatterer.
 

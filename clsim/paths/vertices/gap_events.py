@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.acoustics.edge_gap import EdgeGap
 from clsim.arrays import Floats
 from clsim.paths.legs.events import Events
@@ -36,8 +37,9 @@ class GapEvents(EdgePairEvents):
     ----------
     between : Events
         Leg from the first edge to the second, received when it leaves that, at `leaving`.
-    middle : ndarray (P, T, 4)
-        Angles of that way about both edges, rad, its length, m, and the cosine between the directions of the angles.
+    middle : ndarray (P, T, 6)
+        Angles of that way about both edges, rad, its length, m, the cosine between the directions of the angles, and
+        those between either edge and the way from it to the other one.
     gap : ndarray (P, T, 2, 4, 3)
         Frames of both edges as the first one sees them, see `EdgeGap`.
     """
@@ -74,6 +76,9 @@ class GapPairSolver(EdgePairSolver):
         gap = EdgeGap(found.gap[:, :, 0], found.gap[:, :, 1], n)
         return np.stack(gap.cross((r_s, z_s), (r_r, z_r)).places, axis=1)
 
+    def _apart(self, pairs: Any, found: Any) -> Floats:
+        return np.asarray(found.middle[..., 2])
+
     def _between_axes(self, pairs: Any, time: Floats, leaving: Floats, between: Events) -> Floats:
         one, other = self._seen_axes(pairs, time, leaving, between)
         return dot(one[2], other[2])
@@ -94,7 +99,8 @@ class GapPairSolver(EdgePairSolver):
             for angle, (across, out, _) in zip((onto[1], came[1]), axes, strict=True)
         ]
         distance = np.hypot(onto[0], onto[2])
-        middle = np.stack([onto[1], came[1], distance, dot(*turned)], axis=-1)
+        slopes = [z / np.maximum(np.hypot(r, z), ON_LINE) for r, _, z in (onto, came)]
+        middle = np.stack([onto[1], came[1], distance, dot(*turned), *slopes], axis=-1)
         first, last = found.along[:, 0, :, None] * axes[0][2], found.along[:, 1, :, None] * axes[1][2]
         start = first - last + length.departure * length.distance[..., None]  # of the last edge from that of the first
         frames = [
@@ -102,3 +108,47 @@ class GapPairSolver(EdgePairSolver):
         ]
         own = {f.name: getattr(found, f.name) for f in fields(EdgePairEvents)}
         return GapEvents(**own, between=length, leaving=leaving, middle=middle, gap=np.stack(frames, axis=2))
+
+
+OF_LAST = 2  # added to the numbers of the ends of last edges
+MEETING = 4  # number of the first end, and twice that of the second one, of edges that end at one corner
+TWO_ENDS = 8  # as of an end of one edge, and four times the end of the other, of two edges that both end
+
+
+def at_meeting(end: Any) -> Any:
+    """Mask (n,) of numbers of corners at which both edges end."""
+    return (end >= MEETING) & (end < TWO_ENDS)
+
+
+def end_numbers(end: Any) -> tuple[Any, Any]:
+    """Numbers (n,) of the ends of the first and of the last edges, 0 or 1, and -1 of those that do not end."""
+    other, meeting, of_last = np.where(end >= TWO_ENDS, end // 4 - 2, -1), at_meeting(end), end % 4 >= 2
+    last = np.where(meeting, end // 2 % 2, end % 2)
+    return np.where(of_last & ~meeting, other, end % 2), np.where(of_last | meeting, last, other)
+
+
+def held_places(number: NDArray[Any], lengths: Floats) -> Floats:
+    """Places (P, 2) on both edges, of lengths (P, 2), of paths over ends, see `EdgeEndVertex`, m; NaN where any."""
+    ends = np.stack(end_numbers(number), axis=1)
+    return np.where(ends < 0, np.nan, np.where(ends == 1, lengths, 0.0))
+
+
+class EdgeEndSolver(GapPairSolver):
+    """What ways over an edge and an end of another one are looked for among, with air or a face between."""
+
+    __slots__ = ()
+
+    def held(self, pairs: Any) -> Floats:
+        """Places on the edges (P, 2, 1) of paths over ends, m; NaN on edges that paths meet anywhere."""
+        return held_places(pairs.end, self._lengths(pairs)[..., 0])[..., None]
+
+    def _next(self, pairs: Any, found: Any) -> Floats:
+        """Places (P, 2, T) where the shortest ways between endpoints and ends meet the other edges, m."""
+        places = np.array(found.along)
+        for i, ((r, _, z), slope) in enumerate(
+            zip((found.source, found.receiver), np.moveaxis(found.middle[..., 4:], 2, 0), strict=True)
+        ):
+            distance = found.middle[..., 2]
+            across = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * distance, ON_LINE)
+            places[:, i] = path_over_edge(r, z, across, found.along[:, i] + slope * distance).apex
+        return places

@@ -51,6 +51,7 @@ class GapPairVertex(EdgePairVertex):
 
     kind: ClassVar[str] = "edge gap"
     loudest: ClassVar[float] = 9.0
+    solver: ClassVar[type[GapPairSolver]] = GapPairSolver
 
     def part(self, rows: Rows) -> GapPairVertex:
         """Return some of the vertices."""
@@ -97,7 +98,7 @@ class GapPairVertex(EdgePairVertex):
         pairs = GapPairs(
             before.surfaces, after.surfaces, self.edge, self.over_end, self.last.edge, self.shared, self.between
         )
-        solver = GapPairSolver(before.mirrors, self.lines, links.motions, medium, kinematics.retarded)
+        solver = self.solver(before.mirrors, self.lines, links.motions, medium, kinematics.retarded)
         found: GapEvents = solver.find(pairs, times)
         return found
 
@@ -127,8 +128,11 @@ class GapPairVertex(EdgePairVertex):
             off = dot(frames[1], normal)
             off[:, :, 0] -= plane.offset
             frames[1] = frames[1] - 2.0 * off[..., None] * normal
-        crossing = EdgeGap(frames[0], frames[1], (self.n[:, None], self.last.n[:, None])).cross((r_s, z_s), (r_r, z_r))
-        return crossing.length[:, 0]
+        return self._length_between((frames[0], frames[1]), (r_s, z_s), (r_r, z_r))[:, 0]
+
+    def _length_between(self, frames: Pair, source: Pair, receiver: Pair) -> Floats:
+        """Lengths (P, 1) of shortest paths over edges with frames (P, 1, 4, 3), m."""
+        return EdgeGap(frames[0], frames[1], (self.n[:, None], self.last.n[:, None])).cross(source, receiver).length
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) beyond both edges, without its phase, of endpoints at r, θ, z about the first and the last.
@@ -137,7 +141,7 @@ class GapPairVertex(EdgePairVertex):
         places on the edges.
         """
         if end.ndim == 3:
-            ahead, back, between, turn = np.moveaxis(end, 2, 0)
+            ahead, back, between, turn = np.moveaxis(end[..., :4], 2, 0)
             legs = np.hypot(*source[::2]), between, np.hypot(*receiver[::2])
             return gap_field(self, (source, receiver), legs, (ahead, back, turn), wave, at)
         crossing = self.gap.cross(source[::2], receiver[::2])

@@ -19,8 +19,14 @@ from clsim.paths.family import SCATTERING, Instant, Rows, ends_at
 from clsim.paths.links import Columns, Links, Pair, in_chunks
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
-from clsim.paths.vertices.scatterer_paths import ScatteredEvents, ScatteredPath, find_scattered, scattered_path
-from clsim.scene.scatterer import Scatterer
+from clsim.paths.vertices.scatterer_paths import (
+    Capsules,
+    ScatteredEvents,
+    ScatteredPath,
+    find_scattered,
+    scattered_path,
+)
+from clsim.scene.scatterer import CapsuleShape, Scatterer
 from clsim.scene.scene import Scene
 
 
@@ -122,7 +128,15 @@ class ScattererVertex:
 
     def on_static_legs(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
         """Solve paths between static legs."""
-        return in_chunks(links, times, self.nodes_at_a_time, partial(self._columns, kinematics))
+        return in_chunks(links, times, self.nodes_at_a_time, partial(self._columns, kinematics), self.alike())
+
+    def alike(self) -> list[NDArray[np.int64]]:
+        """Vertices whose paths are solved together: those of one scatterer, and of capsules of one kind."""
+        shapes = [scatterer.shape for scatterer in self.scatterers]
+        kinds = np.array([
+            -1 - shape.outlined if isinstance(shape, CapsuleShape) else which for which, shape in enumerate(shapes)
+        ])[self.scatterer]  # fmt: skip
+        return [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)]
 
     def _columns(self, kinematics: Kinematics, links: Links, times: Floats) -> Columns:
         """Arrivals (P, T) by one scatterer.
@@ -133,7 +147,7 @@ class ScattererVertex:
         with its Mach number off the source, as by a mirror: behind it that is the direct sound's strength.
         """
         retarded, ends = kinematics.retarded, PairEnds(links, times)
-        solved, scatterer = _path_of(links, ends, times, retarded), links.vertex.one
+        solved, scatterer = _path_of(links, ends, times, retarded), links.vertex.together
         mach, coming, leaving = solved.mach, solved.coming, solved.leaving
         onwards, departing = links.legs[1].turned_back(solved.second.direction), ends.leaving(solved.first.direction)
         receding = solved.second.sound.growth(onwards, links.motions[1].velocity(times))
@@ -276,6 +290,12 @@ class ScattererVertex:
         """The scatterer of vertices that are all of one."""
         return self.scatterers[int(self.scatterer[0])]
 
+    @property
+    def together(self) -> Scatterer | Capsules:
+        """The scatterer of vertices that are all of one, or all capsules of vertices."""
+        first = self.scatterer[:1]
+        return self.one if np.all(self.scatterer == first) else Capsules(self.scatterers, self.scatterer)
+
     def _padded(self, aspects: Floats) -> Floats:
         """Aspects (P, T, n) with as many numbers as the field of any scatterer takes."""
         most = max(scatterer.shape.aspects for scatterer in self.scatterers)
@@ -286,7 +306,7 @@ class ScattererVertex:
 
 
 def _path_of(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> ScatteredPath:
-    return scattered_path(links.medium, links.vertex.one, ends, times, retarded)
+    return scattered_path(links.medium, links.vertex.together, ends, times, retarded)
 
 
 class PairEnds:

@@ -92,6 +92,10 @@ class ScattererPairVertex(ScattererVertex):
         legs = images[0] - first, first - second, images[1] - second
         return np.asarray(sum(np.linalg.norm(leg, axis=1) for leg in legs))
 
+    def alike(self) -> list[NDArray[np.int64]]:
+        """Vertices whose paths are solved together."""
+        return self.groups()
+
     def _columns(self, kinematics: Kinematics, links: Links, times: Floats) -> Columns:
         """Arrivals (P, T) by two scatterers: the law is that of three points of the wave equation in a row.
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.acoustics.capsule import capsule_aspects, capsule_specular_point
 from clsim.acoustics.scattering import SpecularPoint
 from clsim.arrays import Floats
 from clsim.errors import InputError
@@ -84,6 +87,51 @@ class ScatteredPath:
     aspects: Floats  # likewise
 
 
+class Capsules:
+    """Capsules of P paths that are solved together, as one scatterer would be: twelve of a person cost as one.
+
+    Times are those of all paths (P, T), or the same (T,).
+    """
+
+    def __init__(self, scatterers: Sequence[Scatterer], which: NDArray[np.int32]) -> None:
+        self._scatterers, self._which = scatterers, which
+        self.trajectory, self.shape, self.name = self, self, scatterers[int(which[0])].name
+        shapes: list[Any] = [scatterers[i].shape for i in which]
+        self._size = np.array([[shape.cylinder_radius, shape.length] for shape in shapes]).T
+        self.radius, self.outlined = float(self._size.max()), shapes[0].outlined
+        self.aspects, self.shadows = shapes[0].aspects, shapes[0].shadows
+        self.has_orientation = any(scatterers[i].trajectory.has_orientation for i in np.unique(which))
+
+    def __getattr__(self, name: str) -> Any:
+        """Return the function of times for positions, velocities, orientations or angular velocities (P, T, n)."""
+        if name not in ("position", "velocity", "orientation", "angular_velocity"):
+            raise AttributeError(name)
+        return partial(self._moved, name)
+
+    def _moved(self, name: str, times: Floats) -> Floats:
+        times = np.broadcast_to(times, (len(self._which), times.shape[-1]))
+        out = np.empty((*times.shape, 4 if name == "orientation" else 3))
+        for i in np.unique(self._which):
+            mine = self._which == i
+            out[mine] = getattr(self._scatterers[i].trajectory, name)(times[mine])
+        return out
+
+    def specular(
+        self, source: Floats, receiver: Floats, near: SpecularPoint | None, weight: Floats | float
+    ) -> SpecularPoint:
+        """Return specular points of P paths at times, one path after the other."""
+        return capsule_specular_point(*self._sizes(source), source, receiver, near, weight)
+
+    def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
+        """Return strengths and aspects likewise."""
+        assert specular is not None
+        return capsule_aspects(*self._sizes(source), source, receiver, specular, self.outlined)
+
+    def _sizes(self, ends: Floats) -> tuple[Floats, Floats]:
+        radius, length = np.repeat(self._size, ends.shape[1] // self._size.shape[1], axis=1)
+        return radius, length
+
+
 class Body:
     """A scatterer as ends see it, and what was found of it when last looked at.
 
@@ -95,7 +143,7 @@ class Body:
         Its specular points, as far as known.
     """
 
-    def __init__(self, scatterer: Scatterer, specular: SpecularPoint | None = None) -> None:
+    def __init__(self, scatterer: Scatterer | Capsules, specular: SpecularPoint | None = None) -> None:
         self._shape, self._trajectory = scatterer.shape, scatterer.trajectory
         self._turned = scatterer.trajectory.has_orientation and scatterer.shape.radius > 0.0
         self.specular = specular
@@ -150,7 +198,9 @@ def _axes(quaternions: Floats) -> Floats:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def scattered_path(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats, retarded: bool) -> ScatteredPath:
+def scattered_path(
+    medium: Medium, scatterer: Scatterer | Capsules, ends: Ends, times: Floats, retarded: bool
+) -> ScatteredPath:
     """Return the ways (P, T) of sound by a scatterer that is received at times (T,), s.
 
     retarded: whether all is where it was when the sound passed, or where it is at reception.
@@ -200,7 +250,7 @@ class _Known:
         return _Known(self.late @ shares, self.first_time @ shares, specular, self.weight @ shares)
 
 
-def _begin(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats) -> _Known:
+def _begin(medium: Medium, scatterer: Scatterer | Capsules, ends: Ends, times: Floats) -> _Known:
     """Estimate from the centre at the times of reception."""
     centre = scatterer.trajectory.position(times)
     late = medium.passage(straight(centre, ends.receiver_at)[0], ends.receiver - centre).time
@@ -209,7 +259,7 @@ def _begin(medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats) -> _
 
 
 def _solved(
-    medium: Medium, scatterer: Scatterer, ends: Ends, times: Floats, retarded: bool, known: _Known
+    medium: Medium, scatterer: Scatterer | Capsules, ends: Ends, times: Floats, retarded: bool, known: _Known
 ) -> tuple[ScatteredPath, _Known]:
     """Return the ways by Newton's method from what is known of them, and what is known then."""
     body, shape = Body(scatterer, known.specular), ends.receiver_at.shape[:2]

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge, wedge_terms
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
 from clsim.arrays import Floats
-from clsim.paths.vertices.edge_end import OF_LAST
+from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS
 from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
 from clsim.paths.visibility.edges import (
     FAR,
-    MEETING,
-    TWO_ENDS,
     Course,
     EdgeCandidates,
     EdgeStance,
@@ -176,49 +174,68 @@ class EndVisibility(GapVisibility):
 def end_levels(
     seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float, direct: bool
 ) -> Floats:
-    """Estimate the pressure (n,) of paths over ends at times (n,), at a wave number, 1/m.
+    """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m.
 
-    It is over that in free air: of the `direct` sound, or else as far away as the path is long. Magnitudes of all terms
-    add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
+    It is over that in free air: of the `direct` sound, or else as far away as the path is long.
     """
-    still, longer = np.zeros(len(which)), np.zeros(len(which))
+    still, longer = np.zeros(len(which)), np.full(len(which), np.nan)
     if isinstance(seen, EndVisibility):  # over ends of both edges a share of what is over one
-        longer = seen.stance(query, which, time, still).course.edge_paths[0].length
+        whole = seen.stance(query, which, time, still).course.edge_paths[0].length
+        longer = np.where(np.isnan(seen.held[which]), np.nan, whole)
         seen = replace(seen, held=np.full_like(seen.held, np.nan))
-    stance, (one, other) = seen.stance(query, which, time, still), seen.candidates.edge[which].T
-    beyond_both = np.sqrt(wave * np.maximum(longer - stance.course.edge_paths[0].length, 0.0))
+    stance, edges = seen.stance(query, which, time, still), seen.candidates.edge[which].T
     (ahead, back), _ = seen.between(stance, which, (still, still))
     crossing, last = stance.course.crossing, seen.candidates.end[which] % MEETING >= OF_LAST
-    off = [place - height for place, height in zip(stance.places, stance.heights, strict=True)]
-    legs = [np.hypot(r, z) for r, z in zip(stance.distances, off, strict=True)]
-    if crossing is None:
-        between, shortest, tie = still, stance.course.edge_paths[0].length, np.ones(len(which))
-    else:
-        between = crossing.legs[1]
-        beyond = between + np.where(last, *legs)
-        far = [np.where(last, x[1], x[0]) for x in (stance.distances, off)]
-        gap = cast("GapVisibility", seen).gap(which)
+    heights = tuple(height - place for place, height in zip(stance.places, stance.heights, strict=True))
+    between, slope = still, None
+    if crossing is not None:
+        between, gap = crossing.legs[1], cast("GapVisibility", seen).gap(which)
         frames = np.where(last[:, None], gap.last[:, 3], gap.first[:, 3])
         slope = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / between
-        shortest = np.hypot(far[0] + np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * beyond, far[1] + slope * beyond)
+    angles = (stance.angles[0], ahead), (back, stance.angles[1])
+    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1) if direct else None
+    ends, n = (stance.distances, (heights[0], heights[1])), (seen.edges.n[edges[0]], seen.edges.n[edges[1]])
+    lengths = stance.course.edge_paths[0].length, longer
+    return levels_over_ends(n, angles, ends, (between, slope), lengths, last, wave, apart)
+
+
+def levels_over_ends(
+    n: End, angles: tuple[End, End], ends: tuple[End, End], middle: tuple[Floats, Floats | None], lengths: End,
+    last: Bools, wave: float, apart: Floats | None,
+) -> Floats:  # fmt: skip
+    """Estimate the pressure (n,) of paths over ends at a wave number, 1/m, over that in free air.
+
+    Magnitudes of all terms add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
+
+    ends: r and z of both endpoints from the places on the edges, m.
+
+    middle: length of the way between both edges, m, and the cosine between the edge that ends and that way; None of
+    corners at which both edges end.
+
+    lengths: of the shortest paths over both edges of corners, and of paths over ends of both edges, m; NaN of others.
+
+    apart: distance in free air, m; None: as far as the path is long.
+    """
+    legs, (between, slope), (shortest, longer) = [np.hypot(*end) for end in zip(*ends, strict=True)], middle, lengths
+    tie = np.ones(len(last))
+    if slope is not None:
+        beyond, far = between + np.where(last, *legs), [np.where(last, x[1], x[0]) for x in ends]
+        shortest = np.hypot(far[0] + np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * beyond, slope * beyond - far[1])
         tie = np.sqrt(legs[0] * legs[1] / ((legs[0] + between) * (between + legs[1])))
-    whole = legs[0] + between + legs[1]
-    angles = lit_angles(seen.edges.n[one], stance.angles[0], ahead), lit_angles(seen.edges.n[other], back,
-                                                                               stance.angles[1])  # fmt: skip
-    roots, weights = [], []
-    for n, angle, r, leg in zip((seen.edges.n[one], seen.edges.n[other]), angles, stance.distances, legs, strict=True):
-        weight, root = wedge_terms(n, angle)
+    whole, roots, weights = legs[0] + between + legs[1], [], []
+    for wedge, (came, went), r, leg in zip(n, angles, ends[0], legs, strict=True):
+        weight, root = wedge_terms(wedge, lit_angles(wedge, came, went))
         roots.append(root * np.sqrt(2.0 * wave * leg * (whole - leg) / whole)[:, None] * (r / leg)[:, None])
         weights.append(np.abs(weight))
-    end, total = np.sqrt(wave * np.maximum(whole - shortest, 0.0)), np.zeros(len(which))
+    end, total = np.sqrt(wave * np.maximum(whole - shortest, 0.0)), np.zeros(len(last))
     for i, j in np.ndindex(TERMS, TERMS):
         a, b = roots[0][:, i], roots[1][:, j]
-        share = _end_share(end, a + b if crossing is None else np.where(last, b, a))
+        share = _end_share(end, a + b if slope is None else np.where(last, b, a))
         both = _fall(np.maximum(a, b)) * _fall(np.minimum(a, b) * np.sqrt(np.maximum(1.0 - tie**2, 0.0)))
         total += 0.25 * weights[0][:, i] * weights[1][:, j] * share * both
-    off_both = seen.candidates.end[which] >= TWO_ENDS
-    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1) if direct else whole
-    return np.asarray(total * np.where(off_both, _end_share(beyond_both, end), 1.0) * apart / shortest)
+    beyond_both = np.sqrt(wave * np.maximum(longer - whole, 0.0))
+    total *= np.where(np.isnan(longer), 1.0, _end_share(beyond_both, end))
+    return np.asarray(total * (whole if apart is None else apart) / shortest)
 
 
 def _end_share(end: Floats, root: Floats) -> Floats:

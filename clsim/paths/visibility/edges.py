@@ -31,6 +31,7 @@ from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_e
 from clsim.acoustics.edge_gap import Crossing
 from clsim.arrays import Floats
 from clsim.paths.trajectory_tables import PERTURBATIONS
+from clsim.paths.vertices.gap_events import at_meeting
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.scene.room.edges import Edges
@@ -44,8 +45,6 @@ End = tuple[Floats, Floats]
 FAR = 1e3  # sizes of the room
 SIDES = 2 * TERMS + 3  # of a path, see `EdgeVisibility.sides`
 ENDS_BESIDE = (SIDES - 2, SIDES - 1)  # those of its ends
-MEETING = 4  # number of the first end, and twice that of the second one, of edges that end at one corner
-TWO_ENDS = 8  # as of an end of one edge, and four times the end of the other, of two edges that both end
 NEAR_WRAP = 0.2 * np.pi  # from the middle of a wedge, where angles wrap: nearer to it they go on beyond it
 CONTRACTIONS = 100
 CONTRACTED = 1e-13  # s
@@ -278,18 +277,6 @@ class EdgeVisibility:
             off.append(np.where((angle >= 0.0) & (angle <= whole), away, -away))
             on.append(np.where(end < 0, np.minimum(place, self.edges.length[edge] - place), EVER))
         return np.stack([np.min(off, axis=0), np.min(on, axis=0)])
-
-
-def at_meeting(end: Any) -> Any:
-    """Mask (n,) of numbers of corners at which both edges end."""
-    return (end >= MEETING) & (end < TWO_ENDS)
-
-
-def end_numbers(end: Any) -> tuple[Any, Any]:
-    """Numbers (n,) of the ends of the first and of the last edges, 0 or 1, and -1 of those that do not end."""
-    other, meeting, of_last = np.where(end >= TWO_ENDS, end // 4 - 2, -1), at_meeting(end), end % 4 >= 2
-    last = np.where(meeting, end // 2 % 2, end % 2)
-    return np.where(of_last & ~meeting, other, end % 2), np.where(of_last | meeting, last, other)
 
 
 def beside_faces(n: Floats, angle: Floats) -> tuple[NDArray[np.int64], Floats]:

@@ -27,9 +27,12 @@ from clsim.render.plan import NarrowPart, Plan
 from clsim.render.source_filters import Emission
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.scene.signal.signal import Signal
+from clsim.scene.signal.waveforms import Chirp
 from clsim.tracks.basis import flat_basis
 from clsim.tracks.tracks import SceneTracks, Tracks
 
+# Processor time of filtering by the functions of a few paths by scatterers, ns in a sample of the sound (12 capsules).
+_STREAMS = 150.0
 _AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
 
 
@@ -196,8 +199,13 @@ class NarrowOffer:
     cost: float  # processor time of the envelopes and of the rest of a path in a sample of the sound, ns
 
 
-def cheapest_split(emission: Emission, pairs: list[int]) -> tuple[Split | None, str]:
-    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used."""
+def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = None) -> tuple[Split | None, str]:
+    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used.
+
+    A split that is `known` is that of other paths of the source, which has been paid for.
+    """
+    if known is not None and can(emission, pairs, known) is None:
+        return known, ""
     best = min(offers(emission, pairs), key=lambda offer: offer.cost, default=None)
     if best is None or (best.cost > emission.cost_of_whole() and not emission.options.narrowband):
         return None, ""
@@ -225,11 +233,13 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         _active_paths(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0
     )
     of_band = samples * known.upsampled * len(pairs) / path_samples
-    of_all = (known.planned + samples * known.split) / path_samples
+    per_sample = known.split - (_STREAMS if emission.filters_more else 0.0)
+    of_all = (known.planned + samples * per_sample) / path_samples
     if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
         return []
     some, inner = _some(signal)
     some = some if len(some.energy) else sound  # a train's pauses
+    steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
     motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
     sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
@@ -238,7 +248,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     for bands in sorted(sets, key=costs.__getitem__):
         if costs[bands] >= min((offer.cost for offer in found), default=math.inf):
             break
-        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, inner)
+        split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, steady)
         loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found

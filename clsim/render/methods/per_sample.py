@@ -65,6 +65,9 @@ class PathSum:
         return _Sum(self.plan)
 
 
+ECHOES = "scattered"  # name of the group of paths by scatterers that cast no shadows of outlines
+
+
 class Group(NamedTuple):
     """Pairs with filters of their own: name of their part, options, indices and lengths of blocks."""
 
@@ -89,7 +92,7 @@ def scattered_groups(tracks: Tracks, convolved: Allocation, options: RenderOptio
         within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
         found.append(Group("shadows", within, outlined, BLOCKS[1:]))
     if varied - outlined:
-        found.append(Group("scattered", replace(options, channels=False), frozenset(varied - outlined), BLOCKS))
+        found.append(Group(ECHOES, replace(options, channels=False), frozenset(varied - outlined), BLOCKS))
     return found
 
 

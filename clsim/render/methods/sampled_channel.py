@@ -251,8 +251,8 @@ class _Adding(Stateless):
 
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
-_AT_ONCE = 8 * 2**20  # bytes of grids that are made at a time: what is transformed at once should stay in cache
-_ROWS = 4  # of float32 that SciPy transforms side by side; those that are left over take three times as long each
+_TOGETHER = 4  # nodes to a thread at a time. SciPy transforms four side by side; others take three times as long each
+_AT_ONCE = 32 * 2**20  # bytes of grids that are made at a time: a launch takes as long as some hundred thousand places
 _MARGIN = 64  # samples beside the bounds of delays
 _NEVER = -(2**62)
 
@@ -315,36 +315,44 @@ class _ChannelRun(Run):
         begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
-        size = 4 * len(rows) * self._functions * frames.grid.points
-        unit = thread_count() * (_ROWS // math.gcd(_ROWS, len(rows)))
-        step = unit * max(1, _AT_ONCE // (unit * size))
+        unit = _TOGETHER * thread_count()
+        beside = min(max(1, _AT_ONCE // (4 * unit * self._functions * frames.grid.points)), len(rows))
+        step = unit * max(1, _AT_ONCE // (4 * unit * beside * self._functions * frames.grid.points))
         for some in (wanted[i : i + step] for i in range(0, len(wanted), step)):
             at = np.array(some) * spacing - first
-            place = 2.0 * (at % block) / block - 1.0
-            self._scattered(nodes, some, (at // block + first_block).astype(np.int32), place.astype(np.float32))
+            place = (2.0 * (at % block) / block - 1.0).astype(np.float32)
+            where = (at // block + first_block).astype(np.int32), place
+            spectra = frames.spectra(some)
+            for i in range(0, len(rows), beside):
+                self._scattered(nodes, some, where, spectra, slice(i, min(i + beside, len(rows))))
 
-    def _scattered(self, nodes: Any, some: list[int], block: NDArray[np.int32], place: NDArray[np.float32]) -> None:
-        """Make the responses of some nodes, and add what is heard by them."""
+    def _scattered(
+        self, nodes: Any, some: list[int], where: tuple[NDArray[np.int32], NDArray[np.float32]],
+        spectra: NDArray[Any], receivers: slice,
+    ) -> None:  # fmt: skip
+        """Make responses of some nodes, by their blocks and places there, to some receivers, and add their sound."""
         import pyopencl as cl
 
-        engine, frames, rows = self._engine, self._task.frames, self._batch.row
+        engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
         shape = len(some), len(rows), self._functions, frames.grid.points
-        grids = engine._scratch.take("grids", 4 * math.prod(shape))
+        grids = engine._scratch.take(("grids", shape[1:]), 4 * math.prod(shape), zeros=True)
         bank = self._plan.source_filters[self._source].bank
         room = 1 if self._functions == 1 else -(-self._functions // 8) * 8
-        constants = {"LANES": 8, "FUNCTIONS": room, "PHASES": PHASES, "TAPS": TAPS, **self._polynomial_constants(nodes)}
+        first_slot = self._batch.first_slot[receivers.start : receivers.stop + 1]
+        constants = {
+            "LANES": 8, "FUNCTIONS": room, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": _TOGETHER,
+            **self._polynomial_constants(nodes),
+        }  # fmt: skip
         engine._compiler.kernel("scatter", constants)(
-            engine._queue, work(len(some), len(rows), group=1), delay=nodes.delay, polynomials=nodes.polynomials,
-            slots=self._batch.count, functions=self._functions, node_block=block, node_place=place, nodes=len(some),
-            first_slot=self._first_slot, receivers=len(rows), window=engine.window,
+            engine._queue, work(-(-len(some) // _TOGETHER), len(rows), group=1), delay=nodes.delay,
+            polynomials=nodes.polynomials, slots=self._batch.count, functions=self._functions, node_block=where[0],
+            node_place=where[1], nodes=len(some), first_slot=first_slot, receivers=len(rows), window=engine.window,
             first=frames.grid.first - math.floor(bank.shift), shift=bank.shift - math.floor(bank.shift),
-            points=shape[3], grids=grids,
+            points=shape[3], reached=frames.grid.reached, grids=grids,
         )  # fmt: skip
         made: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         parts = np.array_split(np.arange(len(some)), min(thread_count(), len(some)))
-        received = side_by_side(
-            lambda part: frames.received([some[i] for i in part], made[part[0] : part[-1] + 1]), parts
-        )
+        received = side_by_side(lambda part: frames.received(spectra[part], made[part[0] : part[-1] + 1]), parts)
         made.base.release(engine._queue)
         for part, samples in zip(parts, received, strict=True):
             for i, of_node in zip(part, samples, strict=True):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clsim.acoustics import fock, shade, silhouette
 from clsim.acoustics.capsule import CAP_FADE, FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE, adjacent_reflections
-from clsim.acoustics.outline import NEAREST_END, STRAIGHTEST, Outline, most_points, steps_of_points
+from clsim.acoustics.outline import NEAR_AXIS, NEAREST_END, Outline, most_points, steps_of_points
 from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.arrays import Floats
@@ -56,7 +56,7 @@ OF_GAINS = {
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
-    "NEAREST_END": NEAREST_END, "STRAIGHTEST": STRAIGHTEST, "CAP_FADE": CAP_FADE, "WITHIN": shade.WITHIN,
+    "NEAREST_END": NEAREST_END, "NEAR_AXIS": NEAR_AXIS, "CAP_FADE": CAP_FADE, "WITHIN": shade.WITHIN,
     "SHARP": silhouette.SHARP, "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}

@@ -159,7 +159,12 @@ class AxialDirectivity(AxisymmetricDirectivity):
             raise InputError(
                 "angles_degrees", f"must begin on the axis, 0°, and go on, but are {angles.tolist()!s:.80}"
             )
-        self._check_rear(float(angles[-1]))
+        last = float(angles[-1])
+        if last < 180.0 - _SAME_ANGLE and self.rear is None:
+            advice = 'give rear="hold", "mirror" or "zero" for what lies beyond'
+            raise InputError("angles_degrees", f"must reach 180°, but end at {last:g}°; {advice}")
+        if self.rear == "mirror" and last < 180.0 - _SAME_ANGLE and abs(last - 90.0) > _SAME_ANGLE:
+            raise InputError("rear", f'must be "hold" or "zero" unless the table ends at 90°, but it ends at {last:g}°')
         if self.relative_to_axis:
             values = values - values[0] if self.scale == "db" else over_axis(values, values[0], frequencies)
         delay = np.zeros(2)
@@ -367,15 +372,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
                     f'{apart[worst]:.3g}{unit}; give side="positive", "negative" or "mean"',
                 )
         return angles[right], {"negative": other, "mean": 0.5 * (one + other)}.get(self.side or "", one)
-
-    def _check_rear(self, last: float) -> None:
-        if last < 180.0 - _SAME_ANGLE and self.rear is None:
-            raise InputError(
-                "angles_degrees",
-                f'must reach 180°, but end at {last:g}°; give rear="hold", "mirror" or "zero" for what lies beyond',
-            )
-        if self.rear == "mirror" and last < 180.0 - _SAME_ANGLE and abs(last - 90.0) > _SAME_ANGLE:
-            raise InputError("rear", f'must be "hold" or "zero" unless the table ends at 90°, but it ends at {last:g}°')
 
 
 def _scale_of(values: Any, scale: str | None) -> str:

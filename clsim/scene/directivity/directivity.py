@@ -257,12 +257,10 @@ class ChannelDirectivity(Directivity):
 
         Parameters
         ----------
-        direction : ndarray (..., 3)
-            Unit vectors in the receiver's own frame.
+        direction, speed_of_sound
+            As of `lateness`.
         frequencies : ndarray (F,)
             Hz.
-        speed_of_sound : float
-            m/s.
         channels : range
             Indices of C channels.
         """

@@ -96,7 +96,14 @@ def read_mat_arrays(
     except (OSError, ValueError) as error:
         raise InputError("path", f"must be a MATLAB file, but is not: {path} ({error})") from error
     if variable is not None:
-        _check_struct(content, variable, path)
+        known = sorted(content["names"].tolist())
+        if variable not in known:
+            raise InputError("variable", f"{not_one_of(variable, known)}: {path}")
+        if variable not in content["structs"]:
+            raise InputError("variable", f"must be a struct, but {variable!r} is an array; leave it out: {path}")
+        if content["count"] != 1:
+            several = f"{variable!r} is {int(content['count'])} of them"
+            raise InputError("variable", f"must be one struct, but {several}: {path}")
     there = content["names"] if variable is None else content["fields"]
     arrays = {name: content.get(f"array {name}") for name in there.tolist()}
     return _picked(arrays, names, path, [] if variable is not None else content["structs"].tolist())
@@ -137,21 +144,6 @@ def _mat_variables(path: Path, stamp: tuple[int, ...], names: tuple[str, ...], v
     return dict(np.load(io.BytesIO(done.stdout), allow_pickle=False))
 
 
-def _check_struct(content: Mapping[str, Any], variable: str, path: str | PathLike[str]) -> None:
-    """Refuse a variable that a MATLAB file does not hold, or that is not one struct."""
-    there = sorted(content["names"].tolist())
-    if variable not in there:
-        raise InputError("variable", _must_be_one_of(there, variable, path))
-    if variable not in content["structs"]:
-        raise InputError("variable", f"must be a struct, but {variable!r} is an array; leave it out: {path}")
-    if content["count"] != 1:
-        raise InputError("variable", f"must be one struct, but {variable!r} is {int(content['count'])} of them: {path}")
-
-
-def _must_be_one_of(there: list[str], name: str, path: str | PathLike[str]) -> str:
-    return f"{not_one_of(name, there)}: {path}"
-
-
 def _picked(
     file: Mapping[str, Any], names: tuple[str, str, str], path: str | PathLike[str], structs: Sequence[str] = ()
 ) -> tuple[Any, Any, Any]:
@@ -159,7 +151,7 @@ def _picked(
     for what, name in zip(("angle", "frequency", "values"), names, strict=True):
         if name not in there:
             hint = f'; {structs[0]!r} is a struct: give variable="{structs[0]}"' if structs else ""
-            raise InputError(what, _must_be_one_of(there, name, path) + hint)
+            raise InputError(what, f"{not_one_of(name, there)}: {path}{hint}")
     angles, frequencies, values = (np.asarray(file[name]) for name in names)
     return angles, frequencies, values
 
@@ -192,7 +184,10 @@ def _read_responses(sofa: Any) -> tuple[Floats, Floats, float]:
     if emitters > 1 and str(getattr(sofa, "EmitterPosition_Type", "cartesian")) == "spherical harmonics":
         raise InputError("path", "must hold responses by direction, but holds spherical harmonics")
     directions = np.concatenate([_directions(sofa, m, emitters) for m in range(measurements)])
-    return directions, _left_first(directions, np.moveaxis(responses, 3, 1).reshape(len(directions), 2, -1)), rate
+    responses = np.moveaxis(responses, 3, 1).reshape(len(directions), 2, -1)
+    # First the ear that is louder for sound from the left: files of early versions have receivers the wrong way round.
+    side = directions[:, 1] @ np.sum(responses**2, axis=2)
+    return directions, responses if side[0] >= side[1] else responses[:, ::-1], rate
 
 
 def _impulses(sofa: Any) -> tuple[Floats, float]:
@@ -251,13 +246,6 @@ def _directions(sofa: Any, measurement: int, emitters: int) -> Floats:
     if len(apart) != emitters or not distance.min() > 0.0:
         raise InputError("path", "must have every source away from the listener, but has not")
     return np.asarray(apart / distance[:, None])
-
-
-def _left_first(directions: Floats, responses: Floats) -> Floats:
-    """Return responses (n, 2, m) with the ear first that is louder for sound from the left."""
-    # Positions of receivers do not tell: files of early versions have them the wrong way round.
-    side = directions[:, 1] @ np.sum(responses**2, axis=2)
-    return responses if side[0] >= side[1] else responses[:, ::-1]
 
 
 _MOST_UNPACKED = 2**29  # bytes

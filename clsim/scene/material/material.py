@@ -376,16 +376,12 @@ class Material(ReflectingSurface):
 
         Parameters
         ----------
-        path : path-like
-            Path of the file.
-        channel : int
-            Index of the channel, from 0.
+        path, channel, truncated
+            As of `Signal.from_wav`.
         scale : float
             Value of full scale: 1 where the file holds the factor's own impulse response.
         reference, band, outside, tolerance, name
             See `from_impulse_response`.
-        truncated : bool
-            Whether a file that ends before its header says is taken as far as it goes; else it is refused.
 
         Raises
         ------

@@ -65,7 +65,14 @@ def _rows(path: Path, topic: str) -> tuple[list[tuple[Any, ...]], str]:
     frame = ""
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
         chosen = [one for one in bag.connections if one.topic == topic]
-        _check_topic(path, topic, {one.topic: one.msgtype for one in bag.connections})
+        kinds = {one.topic: one.msgtype for one in bag.connections}
+        fit = ", ".join(sorted(name for name, kind in kinds.items() if kind in _POSES)) or "none"
+        if topic not in kinds:
+            raise InputError("topic", f"must be one with poses in {path.name} ({fit:.200}), but is {topic!r:.80}")
+        if kinds[topic] not in _POSES:
+            wanted = ", ".join(kind.rpartition("/")[2] for kind in _POSES)
+            problem = f"must be of {wanted}, but {topic} is of {kinds[topic]}; with poses are: {fit:.200}"
+            raise InputError("topic", problem)
         if sum(one.msgcount for one in chosen) > _MOST:
             raise InputError("topic", f"must have at most {_MOST} messages, but {topic} has more")
         for connection, _, raw in bag.messages(chosen):
@@ -76,12 +83,3 @@ def _rows(path: Path, topic: str) -> tuple[list[tuple[Any, ...]], str]:
             clock = int(stamp.sec) * _NANOSECONDS + int(stamp.nanosec)
             rows.append((clock, place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
     return rows, frame
-
-
-def _check_topic(path: Path, topic: str, kinds: dict[str, str]) -> None:
-    fit = ", ".join(sorted(name for name, kind in kinds.items() if kind in _POSES)) or "none"
-    if topic not in kinds:
-        raise InputError("topic", f"must be one with poses in {path.name} ({fit:.200}), but is {topic!r:.80}")
-    if kinds[topic] not in _POSES:
-        wanted = ", ".join(kind.rpartition("/")[2] for kind in _POSES)
-        raise InputError("topic", f"must be of {wanted}, but {topic} is of {kinds[topic]}; with poses are: {fit:.200}")

@@ -306,7 +306,13 @@ def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: 
     moved = ", ".join(f"{1e3 * r:.3g}" for r in found.residual)
     note = f"Smoothed by {how}: points moved by {moved} mm rms along x, y, z of the file."
     curve = spline_through(times, place(found.points), "natural")
-    _warn_if_rough(curve, times)
+    acceleration = np.linalg.norm(curve.polynomial(times, nu=2), axis=1)
+    i = int(np.argmax(acceleration))
+    if acceleration[i] > _ROUGH:
+        warn(
+            f"trajectory: accelerates by {acceleration[i]:.3g} m/s² at {times[i]:.6g} s, more than "
+            f"{_ROUGH:g}: the noise may not be white (dropouts, filters); smooth=<metres> smooths more"
+        )
     return Fit(curve, read_only(found.residual), (note,))
 
 
@@ -328,16 +334,6 @@ def speed_noise(times: Floats, positions: Floats) -> float:
     order = min(5, len(times) - 1)
     variance = np.mean(np.diff(positions, n=order, axis=0) ** 2, axis=0) / math.comb(2 * order, order)
     return _SPEED_NOISE * math.sqrt(float(np.max(variance))) / float(np.median(np.diff(times)))
-
-
-def _warn_if_rough(curve: Piecewise, times: Floats) -> None:
-    acceleration = np.linalg.norm(curve.polynomial(times, nu=2), axis=1)
-    i = int(np.argmax(acceleration))
-    if acceleration[i] > _ROUGH:
-        warn(
-            f"trajectory: accelerates by {acceleration[i]:.3g} m/s² at {times[i]:.6g} s, more than "
-            f"{_ROUGH:g}: the noise may not be white (dropouts, filters); smooth=<metres> smooths more"
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

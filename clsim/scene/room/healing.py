@@ -33,8 +33,12 @@ class CleanMesh:
 
 def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     """Weld vertices (V, 3), m, by position, and drop triangles (T, 3) without area and copies of others."""
+    from scipy.spatial import cKDTree
+
     unique, _, which = unique_rows(vertices)
-    vertex, welded = _weld(unique)
+    count, vertex = clusters(len(unique), cKDTree(unique).query_pairs(WELD, output_type="ndarray"))
+    welded = np.empty((count, 3))
+    welded[vertex[::-1]] = unique[::-1]
     corners = vertex[which][triangles]
     notes = []
     area = 0.5 * np.linalg.norm(cross_products(welded[corners]), axis=1)
@@ -50,16 +54,6 @@ def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     kept = once
     used, corners = np.unique(corners[kept], return_inverse=True)
     return CleanMesh(welded[used], corners.reshape(-1, 3).astype(np.int64), kept, tuple(notes))
-
-
-def _weld(points: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return the index of each point's cluster, and one place per cluster."""
-    from scipy.spatial import cKDTree
-
-    count, cluster = clusters(len(points), cKDTree(points).query_pairs(WELD, output_type="ndarray"))
-    places = np.empty((count, 3))
-    places[cluster[::-1]] = points[::-1]
-    return cluster, places
 
 
 def without_copies(vertices: Floats, triangles: Ints) -> Ints:

@@ -200,7 +200,13 @@ def _parse_obj(file: Path) -> tuple[Floats, list[_Face]]:
     material = part = ""
     for line, key, rest in _statements(file):
         if key == "v":
-            vertices.append(_vertex(file, line, rest))
+            try:
+                numbers = [float(cell) for cell in rest.split()[:3]]
+            except ValueError:
+                numbers = []
+            if len(numbers) < 3:
+                raise InputError(str(file), f"line {line}: a vertex must be three numbers, but is {rest!r:.60}")
+            vertices.append(numbers)
         elif key == "f":
             number = len(faces) + 1
             where = f"line {line}: face {number}"
@@ -238,16 +244,6 @@ def _statements(file: Path) -> Iterator[tuple[int, str, str]]:
         held = ""
         if key:
             yield first, key, rest
-
-
-def _vertex(file: Path, line: int, rest: str) -> list[float]:
-    try:
-        numbers = [float(cell) for cell in rest.split()[:3]]
-    except ValueError:
-        numbers = []
-    if len(numbers) < 3:
-        raise InputError(str(file), f"line {line}: a vertex must be three numbers, but is {rest!r:.60}")
-    return numbers
 
 
 def _corner(file: Path, where: str, cell: str, count: int) -> int:

@@ -46,7 +46,12 @@ def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
     # It may be concave, and touch itself along a seam, as polygons with holes are written; one without area gives none.
     from mapbox_earcut import triangulate_float64
 
-    flat, depth, size = _project(corners)
+    centre, axes, extent = _plane(corners)
+    local = corners - centre
+    size = float(np.linalg.norm(np.ptp(local, axis=0)))
+    flat, depth = np.zeros((len(corners), 2)), 0.0  # in the plane of Newell's normal, turning left
+    if extent > _FLAT * size**2:
+        flat, depth = np.ascontiguousarray(local @ axes[:2].T), float(np.max(np.abs(local @ axes[2])))
     area = 0.5 * float(np.sum(_cross(flat, np.roll(flat, -1, axis=0))))
     if abs(area) <= _FLAT * size**2:
         spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
@@ -67,16 +72,6 @@ def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
     counts["concave"] += bool(np.any(_cross(before, after) < -_FLAT * size**2))
     counts["bent"] += bool(depth > _PLANE_TOLERANCE * size)
     return cut
-
-
-def _project(corners: Floats) -> tuple[Floats, float, float]:
-    """Return corners (n, 2) in the plane of Newell's normal, turning left, the largest distance from it, the size."""
-    centre, axes, area = _plane(corners)
-    local = corners - centre
-    size = float(np.linalg.norm(np.ptp(local, axis=0)))
-    if area <= _FLAT * size**2:
-        return np.zeros((len(corners), 2)), 0.0, size
-    return np.ascontiguousarray(local @ axes[:2].T), float(np.max(np.abs(local @ axes[2]))), size
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,11 +83,17 @@ class ShortTimeSpectra:
         return math.sqrt(float((self.energy @ self.frequencies**2).max(initial=0.0)))
 
 
+# Of signals that are still used: paths by scatterers and all others have filters of their own.
+_known: WeakKeyDictionary[Signal, tuple[Floats, Floats, Floats, Floats]] = WeakKeyDictionary()
+
+
 def spectra(signal: Signal) -> tuple[ShortTimeSpectra, Callable[[], tuple[Floats, Floats]]]:
     """Return a signal's short-time spectra (without a window for silence) and a function for its energy spectrum."""
     # The function gives frequencies (n,), Hz, and energy (n,) as `Signal.energy_spectrum`. Both are computed together
     # where their windows have the same length; otherwise the function computes it when first called.
-    frequencies, energy, weights, whole = signal.short_time_spectra()
+    if signal not in _known:
+        _known[signal] = signal.short_time_spectra()
+    frequencies, energy, weights, whole = _known[signal]
     found = ShortTimeSpectra(frequencies, energy, weights)
     if len(whole) == SEGMENT_LENGTH // 2 + 1:
         return found, lambda: (frequencies, whole)

@@ -36,7 +36,7 @@ _TAPERS = {"none": 0.0, "tukey": 0.1, "hann": 0.5}  # share of a chirp's duratio
 _REFERENCE, _LOUD = 20e-6, 160.0  # Pa and dB SPL, above which samples are hardly in Pa
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Signal:
     """Sound pressure at 1 m on a source's axis in free field, Pa, by sample.
 
@@ -100,7 +100,7 @@ class Signal:
         return Signal(self.waveform.pulse, self.waveform.pulse_rate)
 
     def steady_band(self, first: int, last: int) -> tuple[float, float] | None:
-        """Return the frequencies between which a tone or noise of a band lies where its level is constant.
+        """Return the frequencies between which a tone, noise of a band or a sweep lies where its level is constant.
 
         Parameters
         ----------
@@ -113,10 +113,11 @@ class Signal:
             Hz, beyond which there is -120 dB of it; None unless all of these samples are at full level.
         """
         wave = self.waveform
-        if not isinstance(wave, Tone | Noise):
+        if not isinstance(wave, Tone | Noise | Chirp):
             return None
         fade = math.ceil(wave.fade * self.sampling_rate)
-        return wave.steady_band(self.sampling_rate) if fade <= first and last <= self.count - 1 - fade else None
+        inside = fade <= first and last <= self.count - 1 - fade
+        return wave.steady_band(self.sampling_rate, first, last) if inside else None
 
     def read(self, start: int, stop: int) -> Floats:
         """Return samples (n,) from `start` to `stop`, Pa or V; zero outside the signal, the same however cut."""

@@ -67,7 +67,7 @@ class Tone:
     def centre_frequency(self) -> float:
         return self.frequency
 
-    def steady_band(self, sampling_rate: float) -> tuple[float, float]:
+    def steady_band(self, sampling_rate: float, first: int, last: int) -> tuple[float, float]:
         """Return the frequencies that it has between its fades, Hz."""
         return self.frequency, self.frequency
 
@@ -123,8 +123,22 @@ class Chirp:
             cycles = self.start * np.expm1(growth * t) / growth
         out = self.amplitude * np.sin(2.0 * math.pi * (cycles - np.floor(cycles)))
         if self.taper > 0.0:
-            _taper(out, first, sampling_rate, self.duration, self.taper * self.duration)
+            _taper(out, first, sampling_rate, self.duration, self.fade)
         return np.asarray(out)
+
+    def steady_band(self, sampling_rate: float, first: int, last: int) -> tuple[float, float]:
+        """Return the lowest and the highest frequency from a sample to another, Hz."""
+        shares = (at / (self.duration * sampling_rate) for at in (first, last))
+        if self.method == "linear":
+            ends = [self.start + (self.stop - self.start) * share for share in shares]
+        else:
+            ends = [self.start * (self.stop / self.start) ** share for share in shares]
+        return min(ends), max(ends)
+
+    @property
+    def fade(self) -> float:
+        """Length of its rise, and of its fall, s."""
+        return self.taper * self.duration
 
     def at_rate(self, old: float, new: float) -> Chirp:
         _fits("start", self.start, new)
@@ -195,7 +209,7 @@ class Noise:
     def centre_frequency(self) -> float | None:
         return None if self.band is None else 0.5 * (self.band[0] + self.band[1])
 
-    def steady_band(self, sampling_rate: float) -> tuple[float, float] | None:
+    def steady_band(self, sampling_rate: float, first: int, last: int) -> tuple[float, float] | None:
         """Return the frequencies beyond which its filter stops it, Hz."""
         beyond = _NOISE_EDGE * sampling_rate
         return None if self.band is None else (self.band[0] - beyond, self.band[1] + beyond)
@@ -213,18 +227,10 @@ class Noise:
         """Return samples without the rise and fall."""
         if self.band is None:
             return self.rms * white_noise(self.seed, first, last)
-        from scipy.fft import irfft, rfft
-
-        # Overlap-save with the generator's own blocks, one by one: the rounding is the same however one reads.
-        response = _band_response(*self.band, sampling_rate)
         start, stop = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
-        white = white_noise(self.seed, start * _NOISE_BLOCK - _NOISE_HALF, stop * _NOISE_BLOCK + _NOISE_HALF)
-        length = _NOISE_BLOCK + 2 * _NOISE_HALF
-        out = np.empty((stop - start, _NOISE_BLOCK))
-        for k, row in enumerate(out):
-            part = rfft(white[k * _NOISE_BLOCK : k * _NOISE_BLOCK + length])
-            row[:] = irfft(part * response, length)[2 * _NOISE_HALF :]
-        return np.asarray(self.rms * out.ravel()[first - start * _NOISE_BLOCK : last - start * _NOISE_BLOCK])
+        blocks = [_noise_block(self.seed, self.band, sampling_rate, k) for k in range(start, stop)]
+        out = np.concatenate(blocks)[first - start * _NOISE_BLOCK : last - start * _NOISE_BLOCK]
+        return np.asarray(self.rms * out)
 
     def at_rate(self, old: float, new: float) -> Noise:
         """Return noise of the same seed and band; its samples are others, since each is drawn by itself."""
@@ -291,11 +297,25 @@ class Samples:
 def white_noise(seed: int, first: int, last: int) -> Floats:
     """Return samples `first` to `last` of endless Gaussian noise of unit variance, the same however they are cut."""
     a, b = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
-    parts = []
-    for k in range(a, b):
-        stream = np.random.Philox(key=np.array([seed % 2**64, k % 2**64], dtype=np.uint64))
-        parts.append(np.random.Generator(stream).standard_normal(_NOISE_BLOCK))
+    parts = [_white_block(seed, k) for k in range(a, b)]
     return np.concatenate(parts)[first - a * _NOISE_BLOCK : last - a * _NOISE_BLOCK]
+
+
+@lru_cache(maxsize=4)  # neighbours of a block that is filtered
+def _white_block(seed: int, k: int) -> Floats:
+    """Return block k of endless white noise."""
+    stream = np.random.Philox(key=np.array([seed % 2**64, k % 2**64], dtype=np.uint64))
+    return np.random.Generator(stream).standard_normal(_NOISE_BLOCK)
+
+
+@lru_cache(maxsize=512)  # 16 MiB: planning looks at what rendering reads again
+def _noise_block(seed: int, band: tuple[float, float], sampling_rate: float, k: int) -> Floats:
+    """Return block k of endless noise through a band's filter, by overlap-save: the same however it is read."""
+    from scipy.fft import irfft, rfft
+
+    white = white_noise(seed, k * _NOISE_BLOCK - _NOISE_HALF, (k + 1) * _NOISE_BLOCK + _NOISE_HALF)
+    length = _NOISE_BLOCK + 2 * _NOISE_HALF
+    return np.asarray(irfft(rfft(white) * _band_response(*band, sampling_rate), length)[2 * _NOISE_HALF :])
 
 
 @lru_cache(maxsize=16)

@@ -82,19 +82,16 @@ class StreamFilter:
 
     def __call__(self, samples: Floats) -> Floats:
         """Return filtered samples (n,); n is a whole number of blocks but for the last piece."""
-        out = np.empty_like(samples)
-        for first in range(0, len(samples), self._block):
-            out[first : first + self._block] = self._filter(samples[first : first + self._block])
-        return out
-
-    def _filter(self, samples: Floats) -> Floats:
         from scipy.fft import irfft, rfft
 
-        whole = irfft(rfft(samples, self._size) * self._spectrum, self._size)
-        whole = whole[: self._block + len(self.ringing)]
-        whole[: len(self.ringing)] += self.ringing
-        self.ringing = whole[self._block :].copy()
-        return np.asarray(whole[: len(samples)], dtype=np.float64)
+        out = np.empty_like(samples)
+        for first in range(0, len(samples), self._block):
+            part = samples[first : first + self._block]
+            whole = irfft(rfft(part, self._size) * self._spectrum, self._size)[: self._block + len(self.ringing)]
+            whole[: len(self.ringing)] += self.ringing
+            self.ringing = whole[self._block :].copy()
+            out[first : first + self._block] = whole[: len(part)]
+        return out
 
 
 @lru_cache(maxsize=_CACHED)
@@ -430,14 +427,10 @@ class Transducer:
 
         Parameters
         ----------
-        path : path-like
-            Path of the sound file.
-        channel : int
-            From 0.
+        path, channel, truncated
+            As of `Signal.from_wav`.
         scale : float
             Response of a sample of 1: Pa at 1 m per V, or V per Pa.
-        truncated : bool
-            Whether a file that ends before its header says is taken as far as it goes; else it is refused.
 
         Raises
         ------

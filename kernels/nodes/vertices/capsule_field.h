@@ -13,15 +13,15 @@ static capsule_lengths lengths_by(const scatterer_frame* g, triples place, tripl
     const triples ends[2] = {g->source, g->receiver};
     for (int i = 0; i < 2; i++) {
         const triples away = apart(place, ends[i]);
-        const reals squared = DOT(away, away), near = inverse_root(squared);
+        const reals weight = i ? g->weight : (reals)1.0, squared = DOT(away, away), near = inverse_root(squared), size = weight * near;
         const reals a = DOT(around, away) * near, b = DOT(along, away) * near;
-        way += squared * near;
-        inward -= DOT(normal, away) * near;
-        g0 += a;
-        g1 += b;
-        h0 += (1.0 - a * a) * near;
-        h1 -= a * b * near;
-        h2 += (1.0 - b * b) * near;
+        way += squared * size;
+        inward -= DOT(normal, away) * size;
+        g0 += weight * a;
+        g1 += weight * b;
+        h0 += (1.0 - a * a) * size;
+        h1 -= a * b * size;
+        h2 += (1.0 - b * b) * size;
     }
     const reals steep = larger(h0 + positive(inward) / g->scale.x, (reals)FLATTEST), off = g0 / steep;
     const capsule_lengths out = {way - 0.5 * g0 * off, g1 - h1 * off, steep, positive(h2 - h1 * h1 / steep), inward};

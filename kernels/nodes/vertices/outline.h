@@ -14,9 +14,16 @@ typedef struct {
 typedef struct {
     double source[3], receiver[3], sight[3], one[3], other[3];
     double axes[3];            // of an ellipsoid; of a capsule the radius and, along z, half of the whole length, m
+    double straight;           // of a capsule: half of the distance of both half circles along the axis, m
     double first, both, last;  // of an ellipsoid: root of the projection of the squared axes; of a capsule: sine, side, half circle
     int is_capsule;
 } outline;
+
+static double faded(double x, double whole, double none)
+{
+    const double part = fmin(fmax((x - none) / (whole - none), 0.0), 1.0);
+    return part * part * (3.0 - 2.0 * part);
+}
 
 static double dot_of(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 static void cross_of(const double* a, const double* b, double* c)
@@ -44,7 +51,8 @@ static void look_along(outline* o)
         double axis[3] = {-o->sight[2] * o->sight[0], -o->sight[2] * o->sight[1], 1.0 - o->sight[2] * o->sight[2]};
         o->first = of_length(axis);
         for (int i = 0; i < 3; i++) o->one[i] = o->first > 1e-9 ? axis[i] : o->one[i];
-        o->both = 2.0 * (o->axes[2] - o->axes[0]) * o->first;
+        o->straight = (o->axes[2] - o->axes[0]) * faded(o->first, NEAR_AXIS, 0.0);
+        o->both = 2.0 * o->straight * o->first;
         o->last = HALF_TURN * o->axes[0];
     }
     cross_of(o->sight, o->one, o->other);
@@ -66,7 +74,7 @@ static double turning_of(const outline* o, double largest)
     if (o->is_capsule) {
         const double side = o->both * (0.4625 * o->both + 2.0 * along), off = along + 0.5 * o->both;
         most = (2.0 / HALF_TURN) * fmax(side, 2.0 * o->last * sqrt(aside * aside + off * off));
-        reach = (o->axes[2] - o->axes[0]) * fabs(u[2]);
+        reach = o->straight * fabs(u[2]);
     } else {
         const double middle = 0.5 * (o->first + o->last), apart_by = 0.5 * (o->first - o->last);
         const double parted = sqrt(apart_by * apart_by + o->both * o->both);  // of the difference of the outline's semi-axes
@@ -114,12 +122,12 @@ typedef reals __attribute__((aligned(8))) point_reals;  // may start at any doub
     }
     const triples normal = ALONG(normal, u, v), along = ALONG(along, -v, u);
     if (o->is_capsule) {
-        const double radius = o->axes[0];
+        const double radius = o->axes[0], short_of = radius / o->axes[2];
         place = scaled((reals)radius, normal);
-        place.z += sign * at * (o->axes[2] - radius);
+        place.z += sign * at * o->straight;
         p.support = radius;
         p.q_nn = 1.0 / (radius * radius), p.q_nz = 0.0;
-        p.q_zz = p.q_nn * (1.0 + on_side * (fmax(o->first * o->first, STRAIGHTEST) - 1.0));
+        p.q_zz = p.q_nn * (1.0 + on_side * (fmax(o->first * o->first, short_of * short_of) - 1.0));
         p.step = share * (o->last + on_side * (o->both - o->last));
     } else {
         const triples axes = {o->axes[0], o->axes[1], o->axes[2]}, stretched = along_axes(axes, normal);

@@ -51,12 +51,6 @@ typedef struct {
     double middle, reach, most;
 } root_range;
 
-static double faded(double x, double whole, double none)
-{
-    const double part = fmin(fmax((x - none) / (whole - none), 0.0), 1.0);
-    return part * part * (3.0 - 2.0 * part);
-}
-
 // Add the shares of neighbouring points of one outline to the field.
 static void add_points(const vertex_tables* t, const outline_points* p, double sight, const root_range* roots, response* field)
 {

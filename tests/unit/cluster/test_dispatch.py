@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from clsim.cluster import dispatch as dispatch_module
-from clsim.cluster.dispatch import Dispatch, WorkersLostError
+from clsim.cluster import processes as dispatch_module
+from clsim.cluster.processes import Dispatch, WorkersLostError
 from clsim.cluster.workers import Workers
 from clsim.errors import InputError
 

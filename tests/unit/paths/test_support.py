@@ -35,6 +35,7 @@ FOUND = {
     "moving edge": ({"diffraction": 1}, "bodies"),
     "moving edge pair": ({"diffraction": 2}, "bodies"),
     "moving edge gap": ({"diffraction": 2}, "bodies"),
+    "moving edge and end": ({"diffraction": 2}, "bodies"),
     "moving scatterer": ({"scattering_order": 0}, "bodies scatterers"),
 }
 

@@ -69,6 +69,8 @@ def test_ends_that_hardly_move_need_few_instants() -> None:
     assert sampled._instants(tracks(0.1), 0, 1.0, most) == 3
     assert sampled._instants(tracks(1.0), 0, 1.0, most) == 7  # 12 x 1.02 / (3 - 1.02) = 6.2
     assert sampled._instants(tracks(3.5), 0, 1.0, most) == most
+    assert sampled._instants(tracks(3.5), 0, 1.0, most, 8) == 8  # for narrow bands, but where ends are not alike
+    assert sampled._instants(tracks(3.5, turning=True), 0, 1.0, most, 8) == most
     assert sampled._instants(tracks(0.1, turning=True), 0, 1.0, most) == most
     assert sampled._instants(tracks(0.1, head=True), 0, 1.0, most) == most
     slow = tracks(0.1)

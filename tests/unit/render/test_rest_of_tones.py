@@ -1,4 +1,4 @@
-"""What narrow parts leave of a tone or noise, where it is known to be nothing without filtering."""
+"""What narrow parts leave of a tone, noise or a sweep, where it is known to be nothing without filtering."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,24 @@ def test_a_tone_is_steady_where_its_level_is_whole(fade: float) -> None:
     first, last = inside[0], inside[-1] + 1
     np.testing.assert_array_equal(tone.read(first, last), steady.read(first, last))
     assert tone.steady_band(first - 1, last) is tone.steady_band(first, last + 2) is None
-    assert Signal.chirp(1e3, 2e3, 0.1, 48e3).steady_band(first, last) is None
+
+
+@pytest.mark.parametrize("method", ["linear", "exponential"])
+@pytest.mark.parametrize("ends", [(39.9e3, 40.1e3), (40.3e3, 39.9e3)], ids=["passed", "from beyond"])
+def test_the_rest_of_a_sweep_is_that_of_its_samples(ends: tuple[float, float], method: str) -> None:
+    sweep = Signal.chirp(*ends, 0.4, RATE, method=method, window="tukey")
+    samples = Signal.from_array(sweep.read(0, sweep.count), RATE)
+    known = 0
+    for first, last in [*RANGES, (20_000, 30_000), (40_000, 45_000)]:
+        rest = SPLIT.rest(sweep, first, last)
+        np.testing.assert_array_equal(rest, SPLIT.rest(samples, first, last))
+        known += sweep.steady_band(first, last) is not None and not np.any(rest)
+    assert known > 0
+    low, high = sweep.steady_band(20_000, 50_000) or (0.0, 0.0)
+    middle = np.linspace(0.0, 1.0, 76_801)[[20_000, 50_000]]
+    at = ends[0] + (ends[1] - ends[0]) * middle if method == "linear" else ends[0] * (ends[1] / ends[0]) ** middle
+    np.testing.assert_allclose([low, high], np.sort(at), rtol=1e-12)
+    assert sweep.steady_band(7000, 30_000) is None  # it rises
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.02])
