@@ -17,6 +17,7 @@ import numpy as np
 import clsim
 from clsim.render.methods.costs import FILE, measured_costs
 from clsim.render.methods.sampled_channel import work_of
+from clsim.render.opencl.tapered_sum import TaperedEngine
 from clsim.render.render import record
 
 RATE, SECONDS = 192e3, 1.0
@@ -92,7 +93,25 @@ def measured() -> dict[str, float]:
         "split": 1e9 * seconds(lambda: split.emitted_samples(0, samples)) / samples,
         "planned": 1e9 * max(planned[1] - planned[0], 0.0),
         **of_dense_scenes(),
+        "stretch": a_stretch(),
     }
+
+
+def a_stretch() -> float:
+    """Return the processor time of a stretch of a path beside sampled channels, less that of its samples, ns."""
+    room = clsim.MeshRoom.from_plan(
+        [(0, 0), (6, 0), (6, 2.6), (2.8, 2.6), (2.8, 5), (0, 5)], 3.0, clsim.Material.from_reflection(0.9)
+    )
+    way = clsim.Trajectory.line((0.8, 0.9, 1.4), (2.6, 1.7, 1.4), 4.0)
+    source = clsim.Source("s", clsim.Signal.noise(4.0, 16e3, 1, (100.0, 6500.0)), way)
+    ear = clsim.Receiver("r", clsim.Trajectory.fixed((1.2, 4.1, 1.2)))
+    paths = clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], [ear]), 10)
+    plan = clsim.plan_render(paths, 16e3, channels=True, narrowband=False, duration=4.0)
+    (part,) = plan.allocation.beside
+    rows, filters = part.plan.tracks.pairs[0], plan.source_filters[0]
+    samples = 16e3 * float(np.sum(np.clip(rows.end, 0.0, 4.0) - np.clip(rows.start, 0.0, 4.0)))
+    taken = 1e9 * seconds(lambda: TaperedEngine(part.plan).render(0, plan.samples))
+    return max(taken - filters.cost() * samples, 0.0) / len(rows)
 
 
 def dense(order: int, rate: float, speed: float, *, by_frequency: bool) -> clsim.PathSet:

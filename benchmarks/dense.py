@@ -53,6 +53,21 @@ class Dense:
         return clsim.find_paths(scene, self.order)
 
 
+@dataclass(frozen=True)
+class Corner(Dense):
+    """The same at 0.5 m/s in an L-shaped room, whose paths begin and end."""
+
+    def paths(self, seconds: float | None = None, microphones: int | None = None) -> clsim.PathSet:
+        """Return its paths."""
+        length = seconds or self.seconds
+        plan = [(0, 0), (6, 0), (6, 2.6), (2.8, 2.6), (2.8, 5), (0, 5)]
+        room = clsim.MeshRoom.from_plan(plan, SIZE[2], clsim.Material.from_reflection(FACTOR))
+        way = clsim.Trajectory.line((0.8, 0.9, 1.4), (0.8 + 0.45 * length, 0.9 + 0.2 * length, 1.4), length)
+        source = clsim.Source("s", clsim.Signal.noise(length, self.rate, 1, self.band), way)
+        places = [(1.2, 4.1 - 0.05 * i, 1.2) for i in range(microphones or self.microphones)]
+        return clsim.find_paths(clsim.Scene(room, clsim.Air(), [source], clsim.receiver_array("r", places)), self.order)
+
+
 SCENES = {
     "16 kHz, order 17, one factor": Dense(16e3, 17, 6, 4.0, (100.0, 6500.0)),
     "16 kHz, order 17, by frequency": Dense(16e3, 17, 6, 4.0, (100.0, 6500.0), by_frequency=True),
@@ -60,6 +75,8 @@ SCENES = {
     "192 kHz, order 20, 82 kHz": Dense(192e3, 20, 1, 0.5, (1e3, 82e3)),
     "16 kHz, order 6, one factor": Dense(16e3, 6, 4, 4.0, (100.0, 6500.0)),
     "192 kHz, order 10, 82 kHz": Dense(192e3, 10, 1, 0.5, (1e3, 82e3)),
+    "48 kHz, order 13, round a corner": Corner(48e3, 13, 1, 4.0, (100.0, 19e3)),
+    "48 kHz, order 17, round a corner": Corner(48e3, 17, 1, 4.0, (100.0, 19e3)),
 }
 
 

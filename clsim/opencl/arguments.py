@@ -172,13 +172,36 @@ EDGE_INTERVALS = {
     "edges": taken("edge_of_room", "edges of the room"), "edge_of": taken("int", "paths, 2"),
     "face_of": taken("int", "paths, 2"), "end_of": taken("int", "paths"), "far": DOUBLE,
 }  # fmt: skip
+TAPERS = {
+    "rise": taken("float", "slots"), "fall": taken("float", "slots"), "terms": taken("float", "TAPER_TERMS"),
+    "per_half": FLOAT,
+}  # fmt: skip
+TAPER_GAINS = (
+    ("common/rounding.h", "common/vector.h", "common/polynomials.h", "common/taper.h", "render/taper_gains.cl"),
+    {
+        "functions": INT, "activity": taken("int", "blocks, slots"), "slots": INT, "first_block": INT, "blocks": INT,
+        "block_samples": INT, **TAPERS, "polynomials": changed("float", "blocks, slots, terms"),
+    },
+    frozenset({"LANES", "DELAY_TERMS", "SPARSE", "TAPER_TERMS"}),
+)  # fmt: skip
+TRIM_ACTIVITY = (
+    ("common/mask.h", "render/transition.h", "render/trim_activity.cl"),
+    {
+        "count": INT, "slot_of": taken("int", "count"), "block": taken("int", "count"),
+        "start": taken("float", "count"), "end": taken("float", "count"), "per_ramp": FLOAT, "subblock": INT,
+        "activity": changed("int", "blocks, slots"), "slots": INT,
+    },
+    frozenset[str](),
+)  # fmt: skip
 SCATTER = {
     "delay": taken("int", "blocks, slots"),
     "polynomials": taken("float", "blocks, slots, terms"),
     "slots": INT, "functions": INT,
     "node_block": taken("int", "nodes"),
     "node_place": taken("float", "nodes"),
+    "node_sample": taken("float", "nodes"),
     "nodes": INT,
+    **TAPERS,
     "first_slot": taken("int", "receivers + 1"),
     "receivers": INT,
     "window": taken("float", "PHASES + 3, 2, TAPS"),

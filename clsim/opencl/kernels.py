@@ -35,6 +35,8 @@ from clsim.opencl.arguments import (
     RAYS,
     SCATTER,
     TABLES,
+    TAPER_GAINS,
+    TRIM_ACTIVITY,
     VIEWS,
     Argument,
     changed,
@@ -207,12 +209,11 @@ PROGRAMS = {
         {
             **BRANCHES,
             "functions": INT, "first_row": taken("int", "functions + 1"), "channels": INT,
-            **BLOCKS,
-            **FADES,
-            **PRESSURE,
+            **BLOCKS, **FADES, "subblock": INT, **PRESSURE,
         },
-        frozenset({"DELAY_TERMS", "OVERSAMPLING", "SPARSE"}),
+        frozenset({"DELAY_TERMS", "OVERSAMPLING", "SPARSE", "TRIMMED"}),
     ),
+    "trim_activity": Program(*TRIM_ACTIVITY),
     "clear_gains": Program(
         (*_POLYNOMIALS, "render/clear_gains.cl"),
         {
@@ -222,6 +223,7 @@ PROGRAMS = {
         },
         frozenset({"DELAY_TERMS", "SPARSE"}),
     ),
+    "taper_gains": Program(*TAPER_GAINS),
     "render": Program(
         (
             *_ROUNDING, "common/vector.h", *_POLYNOMIALS, *_GAINS, *_MASK, "render/phases.h", "render/subblock.h",
@@ -236,18 +238,18 @@ PROGRAMS = {
             "pressure_row": taken("int", "receivers"),
             **PRESSURE,
         },
-        frozenset(
-            {
-                "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
-                "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "APART",
-            }
-        ),
+        frozenset({
+            "LANES", "VECTORS", "WORKERS", "SPARSE", "FINE", "OVERSAMPLING", "BATCH", "TILE", "SUBBLOCKS",
+            "DELAY_TERMS", "FUNCTIONS", "CHANNELS", "APART",
+        }),
     ),
     "moments": Program(*MOMENTS),
     "scatter": Program(
-        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "channels/scatter.cl"),
+        (*_ROUNDING, "common/vector.h", *_POLYNOMIALS, "common/taper.h", "channels/scatter.cl"),
         SCATTER,
-        frozenset({"LANES", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "PHASES", "TAPS", "TOGETHER"}),
+        frozenset({
+            "LANES", "DELAY_TERMS", "SPARSE", "FUNCTIONS", "PHASES", "TAPS", "TOGETHER", "TAPERED", "TAPER_TERMS",
+        }),
     ),
     "plane_waves": Program(
         (*_ROUNDING, "common/vector.h", "render/plane_waves.cl"),

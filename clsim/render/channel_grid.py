@@ -195,7 +195,7 @@ class ChannelFrames:
         return np.asarray(rfft(np.stack([self._frame(node) for node in nodes])))
 
     def received(self, emitted: NDArray[Any], grids: NDArray[Any]) -> NDArray[Any]:
-        """Return weighted samples (nodes, receivers, n) of spectra and responses (nodes, receivers, K, points)."""
+        """Return weighted samples (nodes, rows, n) of spectra and responses (nodes, rows, K, points)."""
         from scipy.fft import irfft, rfft
 
         size, bins = self.grid.size, self.grid.size // 2 + 1
@@ -225,10 +225,11 @@ def reference_channels(part: ChannelPart, start: int, stop: int) -> Floats:
     nodes = frames.active_nodes(frames.nodes)
     for pair in part.pairs if nodes else ():
         delay, _, gain = plan.tracks.evaluate(pair, np.array(nodes) * (part.spacing / rate), filters.basis)
-        places = frames.grid.places((delay + filters.start) * rate)
+        places, tapers = frames.grid.places((delay + filters.start) * rate), plan.tracks.pairs[pair].tapers
+        gain = gain if tapers is None else gain * tapers.weights(np.array(nodes) * (part.spacing / rate))
         for i, node in enumerate(nodes):
-            grid = spread(places[:, i], gain[0, :, :, i], frames.grid.points)[None, None]
-            frames.add(
-                node, np.array([plan.rows_of_pair(pair).start]), frames.received(frames.spectra([node]), grid)[0]
-            )
+            grids = np.stack([spread(places[:, i], of_row[:, :, i], frames.grid.points) for of_row in gain])
+            rows = plan.rows_of_pair(pair)
+            received = frames.received(frames.spectra([node]), grids[None])[0]
+            frames.add(node, np.arange(rows.start, rows.stop), received)
     return pressure

@@ -63,6 +63,8 @@ class Plan:
         Each makes a contribution of the plan, or None.
     left_out : str
         Parts of the scene that are not in the tracks, in words; "" for none.
+    fine : int
+        Samples: shorter blocks are rendered in small subblocks, by all terms of their cubics.
     contributions : tuple of Contribution
         Contributions to the pressure at the receivers, in this order.
     receivers : tuple of Receiver
@@ -82,6 +84,7 @@ class Plan:
     blocks: tuple[int, ...]
     builders: InitVar[Sequence[Callable[[Plan], Contribution | None]]]
     left_out: str = ""
+    fine: int = FINE
     contributions: tuple[Contribution, ...] = field(init=False)
     receivers: tuple[Receiver, ...] = field(init=False)
     first_rows: NDArray[np.int32] = field(init=False)
@@ -118,7 +121,7 @@ class Plan:
 
     def is_fine(self, block: int) -> bool:
         """Test whether blocks of `block` samples are rendered in small subblocks with all terms of their cubics."""
-        return self.baseband is None and block < FINE
+        return self.baseband is None and block < self.fine
 
     def subblock(self, source: int, block: int) -> int:
         """Return the number of samples of a `block` of a `source` that share the whole part of a delay."""
@@ -360,6 +363,7 @@ class Allocation:
     # Bands that are rendered as complex envelopes, for all other pairs of their sources.
     narrow: tuple[NarrowPart, ...] = ()
     channels: tuple[ChannelPart, ...] = ()  # pairs of which impulse responses are sampled
+    beside: tuple[PairPart, ...] = ()  # paths of these that cannot be, for as long as they cannot; one part at most
     # Pairs with receivers whose channels differ over frequency, by the sound at each one's centre; one part at most.
     ears: tuple[PairPart, ...] = ()
     scattered: tuple[ScatteredPart, ...] = ()  # one part of each name at most
@@ -379,7 +383,7 @@ class Allocation:
         return self.convolved.union(*(part.pairs for part in parts))
 
 
-WITH_PLANS = "narrow", "channels", "ears", "scattered"  # fields of an allocation whose parts have plans of their own
+WITH_PLANS = "narrow", "channels", "beside", "ears", "scattered"  # fields whose parts have plans of their own
 
 
 def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Floats:
@@ -412,11 +416,13 @@ def plan_of_part(
     samples: int,
     blocks: tuple[int, ...] = BLOCKS,
     builders: Sequence[Callable[[Plan], Contribution | None]] = (),
+    *,
+    fine: int = FINE,
 ) -> Plan:
     """Return the plan of a part at the sampling rate of the recording."""
     rate = options.sampling_rate
     chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)
-    return Plan(options, tracks, allocation, filters, rate, samples, chunk, SEGMENT, blocks, builders)
+    return Plan(options, tracks, allocation, filters, rate, samples, chunk, SEGMENT, blocks, builders, fine=fine)
 
 
 @contextmanager

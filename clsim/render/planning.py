@@ -21,14 +21,13 @@ from clsim.render.contributions import Contribution
 from clsim.render.diffuse_tail import DiffuseTail
 from clsim.render.envelope import NarrowFilters, Split, design_envelope, design_split
 from clsim.render.methods import ears, narrow_part, per_sample, sampled_channel, static
+from clsim.render.methods.per_sample import PER_SAMPLE
 from clsim.render.options import RenderOptions
 from clsim.render.plan import (
     BLOCKS,
-    LONG_BLOCKS,
     SEGMENT,
     WITH_PLANS,
     Allocation,
-    ChannelPart,
     NarrowPart,
     Plan,
     ScatteredPart,
@@ -289,8 +288,8 @@ class _Request:
                     narrow += [(i, filters) for filters in bands]
         carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
         parts = tuple(self._narrow_part(carrier, narrow, claimed) for carrier in carriers)
-        sampled = tuple(self._channel_part(i, offer, tuple(made)) for i, offer in channels)
-        return tuple(made), replace(claimed, narrow=parts, channels=sampled, notes=tuple(notes))
+        sampled = sampled_channel.parts_of(channels, tracks, tuple(made), options, self.samples)
+        return tuple(made), replace(claimed, narrow=parts, notes=tuple(notes), **sampled)
 
     def _narrow_part(
         self, carrier: tuple[float, float], narrow: list[tuple[int, NarrowFilters]], claimed: Allocation
@@ -312,15 +311,6 @@ class _Request:
         plan = Plan(within, tracks, alone, filters, carrier[1], count, chunk, segment, blocks, builders)
         return NarrowPart(plan, tuple(mine), upsampler)
 
-    def _channel_part(
-        self, source: int, offer: sampled_channel.ChannelOffer, filters: tuple[SourceFilters, ...]
-    ) -> ChannelPart:
-        """Return pairs of a source whose impulse responses are sampled, with a plan of their own for their tracks."""
-        pairs, tracks = frozenset(offer.pairs), offer.tracks
-        alone = Allocation(frozenset(range(len(tracks.pairs))) - pairs)
-        plan = plan_of_part(self.options, tracks, alone, filters, self.samples, LONG_BLOCKS, [PER_SAMPLE])
-        return ChannelPart(plan, pairs, source, offer.spacing, offer.error_db)
-
 
 def on_device(plan: Plan, device: str | None) -> Plan:
     """Return a plan for a device of this machine; one that it names stays, and None is any."""
@@ -341,7 +331,6 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
     return replace(allocation, **parts)
 
 
-PER_SAMPLE = methodcaller("where_left", per_sample.PathSum)
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,

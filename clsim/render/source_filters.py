@@ -69,12 +69,9 @@ class Emission:
         """Return that of a signal and its start, s; responses are drawn from some tracks, few if they are costly."""
         signal = emitted[0].at_rate(options.sampling_rate)
         sound, spectrum = spectra(signal)
-        first, fewer = (
-            cache(partial(Draw.of, drawn_from, source, until, costly, times=n)) for n in (TIMES, TIMES_OF_BANDS)
-        )
-        return cls(
-            source, signal, emitted[1], sound, tracks, options, until, static, spectrum, first, fewer, filters_more
-        )
+        draws = [partial(Draw.of, drawn_from, source, until, costly, times=n) for n in (TIMES, TIMES_OF_BANDS)]
+        of_run = options, until, static, spectrum, cache(draws[0]), cache(draws[1]), filters_more
+        return cls(source, signal, emitted[1], sound, tracks, *of_run)
 
     @property
     def field(self) -> str:

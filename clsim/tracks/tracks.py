@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scene import Scene
 from clsim.tracks.basis import Basis, flat_basis
 from clsim.tracks.splines import DEFAULT_TRANSITION, as_transition, fitted_tracks, in_batches
+from clsim.tracks.tapers import Rows, Tapers
 
 _BESIDE = 1e-4  # s, to either side, between which the lateness of channels is taken to change evenly
 
@@ -36,6 +37,7 @@ class PairTracks:
     start: Floats  # (paths,) interval of reception in which each path is heard, s
     end: Floats  # likewise
     channels: range = range(1)  # of the receiver: those that have the delays
+    tapers: Tapers | None = None  # slow weights of the paths, beside their transitions; None for 1
 
     def __len__(self) -> int:
         return len(self.start)
@@ -257,6 +259,14 @@ class SceneTracks(Tracks):
         paths = tuple(self.pair_paths[i] for i in pairs)
         return replace(self, pairs=tuple(self.pairs[i] for i in pairs), pair_paths=paths)
 
+    def with_rows(self, rows: Mapping[int, Rows]) -> SceneTracks:
+        """Return the same tracks, of some pairs with other paths: stretches of theirs."""
+        pairs, pair_paths = list(self.pairs), list(self.pair_paths)
+        for i, some in rows.items():
+            pairs[i] = replace(pairs[i], start=some.start, end=some.end, tapers=some.tapers)
+            pair_paths[i] = pair_paths[i].part(some.rows)
+        return replace(self, pairs=tuple(pairs), pair_paths=tuple(pair_paths))
+
     def costly(self, pair: int) -> bool:
         """Test the kind of paths, and whether the host works out the gains of several channels."""
         receiver = self.paths.scene.receivers[self.pairs[pair].receiver]
@@ -362,9 +372,7 @@ class SceneTracks(Tracks):
         ends = [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
         ends += [(body.trajectory.end, body.name) for body in scene.bodies]
         known = [min([(r.trajectory.end, r.name), *ends]) for r in scene.receivers]
-        audible = [
-            float(_clock_time(r, np.array([end]))[0]) for r, (end, _) in zip(scene.receivers, known, strict=True)
-        ]
+        audible = [float(clock_time(r, np.array([end]))[0]) for r, (end, _) in zip(scene.receivers, known, strict=True)]
         first = int(np.argmin(audible))
         return audible[first], f"the trajectory of {known[first][1]!r}"
 
@@ -460,7 +468,7 @@ def track(
     pairs, pair_paths = [], []
     for _, of_pair in paths.pairs():
         receiver, family = scene.receivers[of_pair.receiver], of_pair.family
-        start, end = (_clock_time(receiver, times[of_pair.rows]) for times in (family.start, family.end))
+        start, end = (clock_time(receiver, times[of_pair.rows]) for times in (family.start, family.end))
         for group in of_pair.by_delay():
             pairs.append(PairTracks(of_pair.source, of_pair.receiver, start, end, group.channels or range(1)))
             pair_paths.append(group)
@@ -486,7 +494,7 @@ def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:
     return 0.0 if trajectory.is_static else trajectory.peak_speed(start - CONTINUATION, end + CONTINUATION)[0]
 
 
-def _clock_time(receiver: Receiver, times: Floats) -> Floats:
+def clock_time(receiver: Receiver, times: Floats) -> Floats:
     """Return the readings of the receiver's clock at true times (n,), s."""
     if receiver.electronics is None:
         return times

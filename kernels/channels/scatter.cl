@@ -4,14 +4,17 @@
 // before they are spread: among so many places that are written, polynomials would come from memory line by line.
 // Neighbouring slots have delays that lie far apart, so that what one path adds does not wait for what the last one wrote.
 
-#define TILE 256  // paths that are evaluated at a time: their results stay in cache
+#define TILE (FUNCTIONS > 32 ? 64 : 256)  // paths that are evaluated at a time: their results stay in cache
 #define FLOATS_OF(x) (AS_VEC((x) + ROUNDING_BITS) - ROUNDING)  // small whole numbers, see rounding.h
 
 __kernel void scatter(__global const int* delay, __global const float* polynomials,  // as in render.cl
                       int slots, int functions,
                       __global const int* node_block,    // [nodes], of `delay` and `polynomials`
                       __global const float* node_place,  // [nodes], in the block, -1 to 1
+                      __global const float* node_sample,  // [nodes], of the run, as `rise` and `fall`
                       int nodes,
+                      __global const float* rise, __global const float* fall,  // [slots], where paths are TAPERED
+                      __global const float* terms, float per_half,             // as in taper.h
                       __global const int* first_slot,    // [receivers + 1], multiples of BESIDE
                       int receivers,
                       __global const float* window,      // [PHASES + 3][2][TAPS]: values from one phase before the first
@@ -32,6 +35,9 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
     }
     int at[TILE], phase[TILE];
     float between[TILE], gain[FUNCTIONS][TILE];
+#if TAPERED
+    float weight[TILE];
+#endif
     for (int from = first_slot[receiver]; from < first_slot[receiver + 1]; from += TILE) {
         const int count = min(first_slot[receiver + 1] - from, TILE);
         for (int node = first_node; node < last_node; node++) {
@@ -46,12 +52,24 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                 *(loose_ivec*)(at + i) = (quarters >> 2) + nearest(down) - (TAPS / 2 - 1);
                 *(loose_ivec*)(phase + i) = nearest(left) + 1;
                 *(loose_vec*)(between + i) = fine - left;
+#if TAPERED
+                const float sample = node_sample[node];
+                const vec share = taken(sample - LOAD(rise + from + i), sample - LOAD(fall + from + i), per_half, terms);
+                *(loose_vec*)(weight + i) = share;
+#endif
                 for (int k = 0; k < functions; k++) {
                     __global const float* g = c + (DELAY_TERMS + k) * BESIDE;
-                    *(loose_vec*)(gain[k] + i) = CUBIC(LOAD(g), LOAD(g + power), LOAD(g + 2 * power), LOAD(g + 3 * power), t);
+                    vec own = CUBIC(LOAD(g), LOAD(g + power), LOAD(g + 2 * power), LOAD(g + 3 * power), t);
+#if TAPERED
+                    own *= share;
+#endif
+                    *(loose_vec*)(gain[k] + i) = own;
                 }
             }
             for (int i = 0; i < count; i++) {
+#if TAPERED
+                if (weight[i] == 0.0f) continue;  // its place may lie beside the grid
+#endif
                 __global const float* w = window + phase[i] * (2 * TAPS);
                 const vec spread = LOAD(w) + LOAD(w + TAPS) * between[i];
                 __global float* out = made + node * of_node + at[i];

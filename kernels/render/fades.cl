@@ -16,6 +16,7 @@ __kernel void fades(__global const float* branches,  // [rows][stride]
                     float per_ramp,                  // 1 / samples of a transition; 0 for a gate
                     int block_samples,
                     int samples,                     // in the run
+                    int subblock,                    // samples; TRIMMED: those without a transition are left to render.cl
                     __global float* pressure, int pressure_stride,
                     int first_sample)                // of `pressure`, at the run's first sample
 {
@@ -34,6 +35,9 @@ __kernel void fades(__global const float* branches,  // [rows][stride]
         __global const float* c = polynomials + place_of(node, slot, gains, slots);
         const float both = weight((float)n - start[fade], per_ramp) - weight((float)n - end[fade], per_ramp);
         if (both == 0.0f) continue;
+#if TRIMMED
+        if (is_steady(n / subblock, subblock, start[fade], end[fade], per_ramp)) continue;
+#endif
         const float delayed = CUBIC(c[0], c[apart], c[2 * apart], c[3 * apart], t);
         const float rest = floor(delayed + 0.5f), mu = delayed - rest;
         const int whole = delay[node * (long)slots + slot] + (int)rest;

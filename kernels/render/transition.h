@@ -8,3 +8,10 @@ static float weight(float samples, float per_ramp)
                        xx * (0.0821458866f + xx * -7.37043095e-3f)))));
     return x <= -0.5f ? 0.0f : x >= 0.5f ? 1.0f : 0.5f + 0.5f * sine;
 }
+
+// Whether a path is heard without a transition in all of a subblock, by its number.
+static int is_steady(int subblock, int samples, float start, float end, float per_ramp)
+{
+    const float first = (float)(subblock * samples), last = first + (float)(samples - 1);
+    return weight(first - start, per_ramp) - weight(last - end, per_ramp) == 1.0f;
+}

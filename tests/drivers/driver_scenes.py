@@ -35,12 +35,14 @@ from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
+from clsim.render.opencl.tapered_sum import TaperedEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
 from clsim.render.tilt import Stretches
 from clsim.sensitivity.adjoint import MomentEngine
 from clsim.tail.device_rays import GROUP, DeviceRays
 from clsim.tail.streams import NODE, Between, Motion
+from clsim.tracks.tapers import Pieces
 
 RATE = 192e3
 SAMPLES = 192
@@ -356,6 +358,32 @@ class Channels:
 def channels(device: str) -> Channels:
     """Impulse responses of a receiver at nodes."""
     return Channels(plan(world(walls=[CURTAIN, *REAL[1:]]), device))
+
+
+@dataclasses.dataclass(frozen=True)
+class Tapered:
+    """What sampled channels take of paths that begin and end, and what the sum over paths keeps of them."""
+
+    plan: Plan
+
+    def heard(self, lanes: int) -> np.ndarray:
+        pressure, tracks = np.zeros((1, self.plan.samples)), self.plan.tracks
+        (pair,) = tracks.pairs
+        found = Pieces.of(pair.start, pair.end, np.empty((len(pair), 0)), 1.0)
+        none = np.zeros(len(pair), np.bool_)
+        taken, left = (
+            dataclasses.replace(self.plan, tracks=tracks.with_rows({0: rows}), builders=BUILDERS)
+            for rows in found.handed_over(none, 0.6e-3, tracks.transition)
+        )
+        ChannelEngine(taken, 64).add(pressure, 0)
+        return np.concatenate([pressure, TaperedEngine(left).render(0, left.samples)])
+
+
+@scene
+def tapered(device: str) -> Tapered:
+    """Paths that begin and end between pulses."""
+    pulse = clsim.Signal.pulses(clsim.Signal.chirp(38e3, 42e3, 0.2e-3, RATE, window="hann"), 0.75e-3, 2)
+    return Tapered(plan(partly(world(pulse, walls=[CURTAIN, *REAL[1:]]), 0.0024), device, duration=0.0024))
 
 
 @dataclasses.dataclass(frozen=True)

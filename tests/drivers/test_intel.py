@@ -19,6 +19,7 @@ AS_USERS = [
     "waves.cpu",
     "rays.cpu",
     "channels.cpu",
+    "tapered.cpu",
     "moments.cpu",
     "heads.cpu",
     "doubled.cpu",

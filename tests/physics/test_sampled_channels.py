@@ -28,12 +28,16 @@ from clsim.render.channel_grid import (
     window_table,
 )
 from clsim.render.methods import sampled_channel
+from clsim.render.methods.per_sample import ReferenceEngine
+from clsim.render.methods.sampled_channel import ChannelEngine
 from clsim.render.opencl import branch_signals
+from clsim.render.opencl.tapered_sum import TaperedEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import on_device
 from clsim.render.render import record
 
 PROMISED_DB = -86.0
+LEFT_DB = -83.0  # of what is summed beside them alone: tapers as lines over subblocks; measured -84.7
 TWIN_DB = -105.0  # float32 and linear phases beside float64: measured -112 to -118
 RATE = 16e3
 CHANNELS: dict[str, Any] = {"channels": True, "narrowband": False}
@@ -139,9 +143,9 @@ def test_the_twin_sees_a_kernel_with_one_thing_wrong(name: str, monkeypatch: pyt
     assert not apart_db(sound(plan), reference_channels(part, 0, plan.samples)) <= TWIN_DB
 
 
-def mutated(program: str, old: str, new: str) -> str:
+def mutated(program: str, old: str, new: str, wanted: str = "scatter") -> str:
     text = kernel_source(program)
-    if program != "scatter":
+    if program != wanted:
         return text
     assert text.count(old) == 1
     return text.replace(old, new)
@@ -179,6 +183,17 @@ def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
     assert apart_db(sound(planned(one, order=2)), whole) < -105.0  # another grid: images of the spread, and rounding
 
 
+def test_what_is_handed_over_goes_on_bit_for_bit_and_goes_with_its_plan() -> None:
+    """From any piece on, as resumed runs and workers render it."""
+    plan = of_walk(walk(1.25, 2), chunk=18432, duration=1.25)
+    assert plan.allocation.beside
+    whole = sound(plan).astype(np.float32)
+    there = pickle.loads(pickle.dumps(on_device(plan, "0:0")))
+    assert [part.plan.options.device for part in there.allocation.beside] == ["0:0"]
+    later = [piece for _, piece in clsim.render_chunks(there, first=18432)]
+    np.testing.assert_array_equal(np.concatenate(later, axis=1), whole[:, 18432:])
+
+
 def test_pairs_at_rest_are_convolved_beside_channels() -> None:
     one = scene()
     still = [
@@ -205,21 +220,108 @@ def test_nothing_sounds_before_an_arrival() -> None:
     assert np.abs(made[:, : onset - channel.ringing]).max() < 1e-6 * np.abs(made).max()
 
 
+def walk(
+    duration: float = 0.5,
+    order: int = 2,
+    *,
+    air: clsim.Air | None = None,
+    smooth: bool = True,
+    sources: int = 1,
+    **receiver: Any,
+) -> clsim.PathSet:
+    """Return the paths of a walk round the corner of an L-shaped room, past a receiver in the other arm that moves."""
+    soft = clsim.Material.from_absorption([125, 500, 2e3, 8e3], [0.1, 0.2, 0.35, 0.5])
+    room = clsim.MeshRoom.from_plan([(0, 0), (6, 0), (6, 2.6), (2.8, 2.6), (2.8, 5), (0, 5)], 3.0, soft)
+    places = np.array([(1.5, 0.9, 1.4), (2.4, 1.0, 1.5), (3.0, 1.4, 1.4), (3.9, 1.2, 1.3)])
+    walkers = [
+        clsim.Source(
+            f"s{i}", clsim.Signal.noise(duration - 0.1, RATE, i, (200.0, 6e3)),
+            clsim.Trajectory.waypoints(np.linspace(0.0, 1.2, 4), places - (0.0, 0.3 * i, 0.0), smooth=smooth),
+        )
+        for i in range(sources)
+    ]  # fmt: skip
+    ear = clsim.Receiver("r", clsim.Trajectory.line((1.2, 4.4, 1.2), (1.9, 3.4, 1.0), 1.3), **receiver)
+    return clsim.find_paths(clsim.Scene(room, air or clsim.Air(), walkers, [ear]), order)
+
+
+def of_walk(paths: clsim.PathSet, **options: Any) -> Plan:
+    return clsim.plan_render(paths, RATE, **CHANNELS | {"duration": 0.5} | options)
+
+
+CLOCK = clsim.Electronics(clock_ppm=300.0, clock_offset=1e-3, high_cut=5e3, gain_db=20.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "options"),
+    [
+        pytest.param({"sources": 2, "directivity": clsim.FirstOrder(0.5), "aim": (1.0, -1.0, 0.0)}, {}, id="a beam, two sources"),
+        pytest.param({"directivity": clsim.Ambisonic(1)}, {}, id="four channels"),
+        pytest.param({"electronics": CLOCK}, {"transition": 0.0}, id="a clock, begins at once"),
+        pytest.param({"air": clsim.Air((20.0, 24.0), heights=(0.0, 3.0)), "order": 1}, {}, id="air by height, nodes by the host"),
+    ],
+)  # fmt: skip
+def test_paths_that_begin_and_end_are_handed_over(
+    given: dict[str, Any], options: dict[str, Any], measured: Any
+) -> None:
+    paths = walk(**given)
+    plan = of_walk(paths, **options)
+    assert len(plan.allocation.channels) == len(plan.tracks.scene.sources)
+    assert any("beginnings, ends and" in line for line in plan.describe())
+    right = of_walk(paths, **options | {"engine": "reference", "channels": None})
+    found = apart_db(sound(plan), sound(right))
+    assert measured("sampled channels", "paths that begin and end", found, PROMISED_DB) <= PROMISED_DB
+
+
+def beside_twins(plan: Plan) -> tuple[float, float]:
+    """Return the errors of sampled channels and of the sum beside them, relative to their twins in float64, dB."""
+    (part,), (beside,) = plan.allocation.channels, plan.allocation.beside
+    made = np.zeros((plan.row_count, plan.samples), np.float32)
+    ChannelEngine(part.plan, part.spacing).add(made, 0)
+    left = TaperedEngine(beside.plan).render(0, plan.samples)
+    return (
+        apart_db(made, reference_channels(part, 0, plan.samples)),
+        apart_db(left, ReferenceEngine(beside.plan).render(0, plan.samples)),
+    )
+
+
+TAPER_MUTANTS = {
+    "no taper of responses": ("scatter", "own *= share;", ""),
+    "rises only": ("scatter", "taken(sample - LOAD(rise + from + i), sample - LOAD(fall + from + i)", "taken(sample - LOAD(rise + from + i), -FAR"),
+    "a taper too long": ("taper_gains", "since_fall * per_half", "since_fall * 0.99f * per_half"),
+    "no taper of what is left": ("taper_gains", "block < last", "block < first"),
+    "the taper itself": ("taper_gains", "1.0f - taken", "taken"),
+    "a cubic without its curve": ("taper_gains", "c[0] = inner - INNER * INNER * c[2 * power]", "c[0] = inner"),
+    "fades twice": ("fades", "if (is_steady(n / subblock, subblock, start[fade], end[fade], per_ramp)) continue;", ""),
+    "fades never": ("trim_activity", "first < last ? MASK(first, last) : 0", "0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [None, *TAPER_MUTANTS])
+def test_the_twins_see_tapers_with_one_thing_wrong(name: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = of_walk(walk(0.4, 2), duration=0.4)
+    if name is not None:
+        wanted, old, new = TAPER_MUTANTS[name]
+        monkeypatch.setattr(launch, "kernel_source", lambda program: mutated(program, old, new, wanted))
+    channels_db, left_db = beside_twins(plan)
+    assert (channels_db <= TWIN_DB and left_db <= LEFT_DB) == (name is None)
+
+
 NEAR = clsim.Trajectory.line((3.0, 2.0, 1.0), (5.0, 2.0, 1.0), 0.5)
 LEGS = clsim.Trajectory.waypoints([0.0, 0.2, 0.5], [(1, 1, 1), (1.2, 1, 1), (1.2, 1.3, 1)], smooth=False)
 
 
-@pytest.mark.parametrize(
-    ("way", "why"), [pytest.param(NEAR, "receiver 0 is passed so near", id="near"), pytest.param(LEGS, "", id="legs")]
-)
-def test_where_channels_would_not_do_every_path_is_summed(way: clsim.Trajectory, why: str) -> None:
+@pytest.mark.parametrize("way", [pytest.param(NEAR, id="near"), pytest.param(LEGS, id="legs")])
+def test_only_what_changes_fast_is_summed(way: clsim.Trajectory, measured: Any) -> None:
+    """The direct path that is passed, all of the time, and all paths about the corner of a way."""
     source = clsim.Source("s", clsim.Signal.noise(0.4, RATE, 1, (200.0, 6e3)), way)
     ear = clsim.Receiver("r", clsim.Trajectory.fixed((4.0, 2.012, 1.0)))
     room = clsim.Shoebox((6.0, 5.0, 3.0), clsim.Material.from_reflection(0.9))
-    plan = planned(clsim.Scene(room, clsim.Air(), [source], [ear]), order=1)
-    assert not plan.allocation.channels
-    told = [line for line in plan.describe() if "sampled channels" in line]
-    assert [why in line for line in told] == ([True] if why else [])
+    one = clsim.Scene(room, clsim.Air(), [source], [ear])
+    plan = planned(one, order=1)
+    (beside,) = plan.allocation.beside
+    assert len(beside.plan.tracks.pairs[0]) == (1 if way is NEAR else 14)
+    found = apart_db(sound(plan), sound(planned(one, order=1, channels=False)))
+    assert measured("sampled channels", "the sum over paths", found, PROMISED_DB) <= PROMISED_DB
 
 
 @pytest.mark.parametrize(

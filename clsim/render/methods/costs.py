@@ -38,6 +38,7 @@ class Costs:
     channel_function: float
     channel_point: float
     channel_nodes: float
+    stretch: float
     gpu: float
 
 
@@ -74,8 +75,10 @@ def passes(
             yield f"scatterer {i}", (end, scatterer.trajectory), speed + fast, radius
 
 
-def is_passed(ends: tuple[Trajectory, Trajectory], until: float, needed: float, most: float, radius: float) -> bool:
-    """Test whether two ends come within `radius` m plus the distance that they cover in `needed` s at up to `most` m/s.
+def passing_times(
+    ends: tuple[Trajectory, Trajectory], until: float, needed: float, most: float, radius: float
+) -> Floats:
+    """Return times (n,) at which ends are within `radius` m plus what they cover in `needed` s at up to `most` m/s.
 
     Sound that is heard until the end was emitted before. Ends that are carried together do not pass each other.
     """
@@ -90,4 +93,4 @@ def is_passed(ends: tuple[Trajectory, Trajectory], until: float, needed: float, 
     places = apart((near[:, None] + within).ravel()).reshape(len(near), len(within), 3)
     moved = np.linalg.norm(np.diff(places, axis=1), axis=-1)
     distance = np.linalg.norm(places, axis=-1)[:, :-1] - radius
-    return bool(np.any(distance < (0.5 + needed / _FINE) * moved))
+    return np.asarray((near[:, None] + within[:-1])[distance < (0.5 + needed / _FINE) * moved])

@@ -19,7 +19,7 @@ from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.contributions import Stateless
 from clsim.render.envelope import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
 from clsim.render.interpolator import Bandlimited
-from clsim.render.methods.costs import is_passed, measured_costs, on_gpu, passes
+from clsim.render.methods.costs import measured_costs, on_gpu, passes, passing_times
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
@@ -383,7 +383,7 @@ def _obstacle(
     shortest = blocks_of(rate, carrier, tracks.max_rate(index))[-1] / rate
     needed = max(needed, shortest * (9.0 * GAIN_ERROR[8] / silence) ** 0.25)
     for what, ends_of, most, radius in passes(tracks, index, receivers):
-        if most > 0.0 and is_passed(ends_of, span[2], needed, most, radius):
+        if most > 0.0 and len(passing_times(ends_of, span[2], needed, most, radius)):
             return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
     if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _EVALUATED_AT[0])]) > silence:
         return "ends move so quickly that the received band is not narrow"

@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import methodcaller
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,6 +67,7 @@ class PathSum:
 
 
 ECHOES = "scattered"  # name of the group of paths by scatterers that cast no shadows of outlines
+PER_SAMPLE = methodcaller("where_left", PathSum)  # builds it of a plan
 
 
 class Group(NamedTuple):
@@ -175,6 +177,7 @@ def path_pressures(plan: Plan, pair: int, first: int, last: int) -> Iterator[tup
         return
     delay, _, gain = tracks.evaluate(pair, times, filters.basis, rows)
     weight = audible(times, member.start[rows], member.end[rows], tracks.transition)
+    weight = weight if member.tapers is None else weight * member.tapers.part(rows).weights(times)
     gain = np.where(weight > 0.0, gain, 0.0) * weight
     delay_samples = delay * (filters.oversampling * plan.sampling_rate) + filters.delay_samples
     whole = np.rint(delay_samples)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -90,6 +91,7 @@ class Limits:
         check_buffers(self._info, needed | {"polynomials": _LEVELS * self.node_budget}, f"{segment} samples", advice)
 
 
+_CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _VECTORS = 8  # of samples that a work-item filters
 _MARGIN = 64  # samples of branch signal beyond the bounds of the delays
 
@@ -156,6 +158,7 @@ class BranchSignals:
         self._plan, self._queue, self._compiler, self._scratch = plan, queue, compiler, scratch
         self._lanes, self._parts, self._chunk = lanes, parts, chunk
         self.last = plan.samples  # from which on nothing is prepared
+        self.of_few = False  # whether so few paths are active at a time that their activity always pays
         self._emitted: tuple[tuple[int, int], int, Any] | None = None  # rows and samples, and where they are not zero
         self._written: tuple[tuple[int, int], Activity] | None = None  # branches kept in memory, silent elsewhere
         self._ahead: tuple[tuple[int, int, int] | None, Feed | None] = None, None  # prepared: source, start, length
@@ -195,6 +198,17 @@ class BranchSignals:
         ]
         return [pair for pair in found if len(pair.rows)]
 
+    def chosen(
+        self, active: list[ActivePaths], start: int, length: int
+    ) -> Iterator[tuple[int, int, list[ActivePaths]]]:
+        """Yield the first of some segments from a sample on, the one behind the last, and the paths active in these."""
+        plan, ramp, segments = self._plan, 0.5 * self._plan.tracks.transition, -(-length // self._plan.segment)
+        always = all(plan.tracks.pairs[pair.index].always_audible for pair in active)
+        for first in range(0, segments, segments if always else _CHOSEN_ANEW):
+            last = min(first + (segments if always else _CHOSEN_ANEW), segments)
+            begin, end = ((start + at * plan.segment) / plan.sampling_rate for at in (first, last))
+            yield first, last, [pair.during(plan.tracks.pairs[pair.index], ramp, begin, end) for pair in active]
+
     def _feed(self, source: int, start: int, length: int) -> Feed | None:
         """Return the part of a signal that can arrive in a chunk; None if it is zero."""
         filters, rate = self._plan.source_filters[source], self._plan.sampling_rate
@@ -218,7 +232,7 @@ class BranchSignals:
         parts = np.stack([values.real, values.imag][: self._parts], axis=1, dtype=np.float32)
         return Feed(
             source, active, places.astype(np.int32), parts, before, after, width, first, least, most,
-            found if found.is_cheaper and times == 1 else None,
+            found if (found.is_cheaper or self.of_few) and times == 1 else None,
         )  # fmt: skip
 
     def made(self, feed: Feed, skips_silence: bool) -> Branches:

@@ -25,7 +25,6 @@ from clsim.render.plan import BATCH, Plan
 
 Maker = NodeMaker | HostNodeMaker
 
-_CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
 _TOGETHER = 8  # functions of frequency that are summed at a time
 _CHANNELS = 16  # of a receiver that are summed at a time
 _TURN = 4  # segments at a time in which they do
@@ -98,6 +97,10 @@ class OpenclEngine:
                     "raise the sampling rate or the distance"
                 )
 
+    def shares(self, other: OpenclEngine) -> None:
+        """Let what `warn` tells be that of this engine and of another, which renders other paths of the same plan."""
+        self.residuals, self._coarse = other.residuals, other._coarse
+
     def note_coarse(self, source: int, wrong: float, time: float) -> None:
         """Remember the largest error that the shortest blocks leave of a source, and when."""
         self._coarse[source] = max(self._coarse[source], (wrong, time))
@@ -148,14 +151,7 @@ class OpenclEngine:
                 on_device = self._scratch.take("pressure", size)
                 cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
             active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
-            segments = -(-length // plan.segment)
-            always = all(plan.tracks.pairs[pair.index].always_audible for pair in active)
-            step = segments if always else _CHOSEN_ANEW
-            for first in range(0, segments, step):
-                last = min(first + step, segments)
-                begin, end = ((start + at * plan.segment) / plan.sampling_rate for at in (first, last))
-                ramp = 0.5 * plan.tracks.transition
-                here = [pair.during(plan.tracks.pairs[pair.index], ramp, begin, end) for pair in active]
+            for first, last, here in self.branch_signals.chosen(active, start, length):
                 parts = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
                 for batch in in_batches(plan, parts, self.kind, self.limits.node_budget, plan.shortest_block):
                     self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
@@ -183,6 +179,7 @@ class Run:
     _task: Task
 
     _apart: ClassVar[bool] = False  # whether each path has a row of its own
+    _trims: ClassVar[bool] = False  # whether blocks in which paths begin or end are rendered but for the transitions
     _divides: ClassVar[bool] = True  # whether a few paths can be taken out of a batch
 
     def __post_init__(self) -> None:
@@ -326,14 +323,23 @@ class Run:
         filters = self._plan.source_filters[self._source]
         slot, at = engine._upload(fades.slot), engine._upload(fades.block + np.int32(first_block))
         constants = {"OVERSAMPLING": filters.oversampling, **self._polynomial_constants(nodes)}
-        kernel = engine._compiler.kernel("fades", constants)
+        kernel = engine._compiler.kernel("fades", constants | {"TRIMMED": int(self._trims and self._is_sparse(nodes))})
         kernel(
             engine._queue, self._fade_work(fades, block), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
-            functions=self._functions, channels=self._channels, first_row=filters.rows, pressure=self._pressure,
-            pressure_stride=self._stride, first_sample=begin - self._origin,
+            subblock=self._plan.subblock(self._source, block), functions=self._functions, channels=self._channels,
+            first_row=filters.rows, pressure=self._pressure, pressure_stride=self._stride,
+            first_sample=begin - self._origin,
         )  # fmt: skip
+        self._leave(nodes, fades, slot, at, block)
+
+    def _leave(self, nodes: Any, fades: Fades, slot: Any, at: Any, block: int) -> None:
+        """Leave nothing of the blocks in which paths begin or end, by slot and block."""
         self._clear_gains(nodes, slot, at, len(fades.slot))
+
+    @staticmethod
+    def _is_sparse(nodes: Any) -> bool:
+        return nodes.activity is not None
 
     def _fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths within some blocks from a sample on."""
@@ -341,7 +347,7 @@ class Run:
 
     def _polynomial_constants(self, nodes: Any) -> dict[str, int]:
         """Return the constants of the layout of block polynomials."""
-        return {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(nodes.activity is not None)}
+        return {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(self._is_sparse(nodes))}
 
     def _branch_arguments(self, begin: int) -> dict[str, Any]:
         """Return the branch signals for samples of the chunk from `begin` on, as kernels take them."""
