@@ -17,6 +17,7 @@ from clsim.numerics.quaternions import cross_product
 
 # Points of an outline beyond the turns of the phase along it, and the most points, those for (k a)^(2/3).
 FEWEST_OF_ELLIPSOID, FEWEST_OF_CAPSULE, MOST_POINTS = 24.0, 40.0, (24.0, 15.0)
+FLATTEST, OF_FLATNESS = 512.0, 4.0  # most points of flat ellipsoids, and those for a ratio of semi-axes of 1
 NEAREST_END = 0.2  # of the largest radius: endpoints count as at least so far from an outline
 LEAST = 1e-30
 NEAR_AXIS = 0.1  # sine of the angle between line of sight and axis of a capsule below which its ends come together
@@ -54,6 +55,11 @@ class Outline(Protocol):
         """Points where the phase is the same all along the outline."""
         ...
 
+    @property
+    def sharpness(self) -> float:
+        """Points, of the fewest and of the most, because the outline has sharp ends."""
+        ...
+
     def turning(self, source: Floats, receiver: Floats) -> Floats:
         """Bounds (n,) of the largest rate of the phase along `table`, in turns of the table, over wave numbers, m."""
         ...
@@ -76,7 +82,17 @@ class EllipsoidOutline:
     """The outline of an ellipsoid with semi-axes (3,) m."""
 
     semi_axes: Floats
-    fewest: ClassVar[float] = FEWEST_OF_ELLIPSOID
+
+    @property
+    def sharpness(self) -> float:
+        """Points because edge-on the outline has sharp ends."""
+        ratio = float(self.semi_axes.max() / self.semi_axes.min())
+        return max(min(OF_FLATNESS * ratio, FLATTEST) - FEWEST_OF_ELLIPSOID, 0.0)
+
+    @property
+    def fewest(self) -> float:
+        """Points where the phase is the same all along the outline."""
+        return FEWEST_OF_ELLIPSOID + self.sharpness
 
     @property
     def largest(self) -> float:
@@ -142,6 +158,7 @@ class CapsuleOutline:
     radius: float
     half: float
     fewest: ClassVar[float] = FEWEST_OF_CAPSULE
+    sharpness: ClassVar[float] = 0.0
 
     @property
     def largest(self) -> float:
@@ -260,7 +277,7 @@ def _nearness(largest: float, reach: Floats, sight: Floats, ends: tuple[Floats, 
 
 def most_points(outline: Outline, wave: float) -> float:
     """Return the most points that an outline takes at a largest wave number, 1/m; our own choice."""
-    return float(MOST_POINTS[0] + MOST_POINTS[1] * (wave * outline.largest) ** (2.0 / 3.0))
+    return float(MOST_POINTS[0] + outline.sharpness + MOST_POINTS[1] * (wave * outline.largest) ** (2.0 / 3.0))
 
 
 def steps_of_points(outline: Outline, wave: float) -> list[tuple[float, int]]:

@@ -1,9 +1,9 @@
-"""Every path over an edge and a free end of another one of which an edge or a mirror belongs to a body."""
+"""Every path over an edge and a free end of another one, or over ends of both, of bodies or by these."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any, ClassVar
 
@@ -18,11 +18,11 @@ from clsim.paths.legs.mirrors import dot
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.body_edge_gaps import GapEvaluation, GapFinder, Route, Span, moving_pairs
 from clsim.paths.search.body_edge_pairs import on_edges
-from clsim.paths.search.edge_ends import QUIET, lowest_wave, over_faces
+from clsim.paths.search.edge_ends import least_level, lowest_wave, over_faces
 from clsim.paths.search.gap_parts import in_air
 from clsim.paths.search.mesh import visibility_query
 from clsim.paths.vertices.edge_end import EdgeEndVertex
-from clsim.paths.vertices.gap_events import MEETING, OF_LAST, EdgeEndSolver, GapPairs, held_places
+from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS, EdgeEndSolver, GapPairs, at_meeting, held_places
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import levels_over_ends
 from clsim.paths.visibility.intervals import VisibilityQuery
@@ -34,6 +34,7 @@ Bools = NDArray[np.bool_]
 _TIMES = 9, 33  # times of a stretch at which levels are estimated, fewest and most
 _EVERY = 4  # of the times at which paths are searched, for which there is one of these
 _SPARE = 0.05  # of the least level, from which on paths are looked for: between these times they may be louder
+_PAUSE = 1e-6  # s up to which a path that is absent, as where an endpoint passes a plane, is one path
 _ON_FACE = 1e-6  # m by which ends may be off the faces that they end at
 
 
@@ -50,6 +51,7 @@ class _EndFinder(GapFinder):
 
     def __init__(self, search: BodySearch) -> None:
         super().__init__(search)
+        self._direct = search.search.direct is not False
         self._wave, self._pair, self._query = lowest_wave(search.scene), cache(search.pair), cache(self._find_query)
         self._over_faces = list(self._find_over_faces())
 
@@ -84,31 +86,31 @@ class _EndFinder(GapFinder):
         return _EndEvaluation(self._search, self._faces, pair, chains)
 
     def _chains(self, source: int, receiver: int, span: Span) -> GapPairs:
-        """Objects that paths may meet within an interval of time, but where these stay below `QUIET`."""
+        """Objects that paths may meet within an interval of time, but where these stay below the least level."""
         pairs, pair = GapFinder._chains(self, source, receiver, span), self._pair(source, receiver)
         inner = int(np.sum((pair.times > span[0]) & (pair.times < span[1])))
         instants = np.linspace(*span, int(np.clip(inner // _EVERY, *_TIMES)))
-        return pairs.part(self._loud(pair, pairs, np.tile(instants, (len(pairs.edge), 1)), _SPARE * QUIET))
+        return pairs.part(self._loud(pair, pairs, np.tile(instants, (len(pairs.edge), 1)), _SPARE))
 
-    def _loud(self, pair: PairQuery, pairs: Any, times: Floats, least: float) -> Rows:
-        """Paths over whose levels at some times (P, T), s, the largest is above a least one."""
-        levels = _EndEvaluation(self._search, self._faces, pair, pairs).levels(times, self._wave)
-        return np.flatnonzero(levels.max(axis=1, initial=0.0) > least)
+    def _loud(self, pair: PairQuery, pairs: Any, times: Floats, share: float) -> Rows:
+        """Paths over whose levels at some times (P, T), s, the largest is above a share of the least one."""
+        levels = _EndEvaluation(self._search, self._faces, pair, pairs).levels(times, self._wave, self._direct)
+        return np.flatnonzero(levels.max(axis=1, initial=0.0) > share * least_level(self._direct))
 
     def _columns(
         self, ends: tuple[int, int], chains: Any, received: tuple[Floats, Floats], code: Any
     ) -> dict[str, Any]:
-        """Columns of paths but those that stay below `QUIET` all the while they are there, as in rooms."""
+        """Columns of paths but those that stay below the least level all the while they are there, as in rooms."""
         columns = GapFinder._columns(self, ends, chains, received, code)
         keys = np.column_stack([getattr(chains, f.name) for f in fields(chains)])
-        begins = np.any(keys[1:] != keys[:-1], axis=1) | (received[0][1:] != received[1][:-1])
+        begins = np.any(keys[1:] != keys[:-1], axis=1) | (received[0][1:] > received[1][:-1] + _PAUSE)
         first = np.flatnonzero(np.append(True, begins)[: len(keys)])
         run, pair = np.cumsum(np.append(True, begins)[: len(keys)]) - 1, self._pair(*ends)
         last = float(self._query(ends[0]).last[ends[1]])
         start = np.maximum(received[0][first], 0.0)
         stop = np.minimum(received[1][np.append(first[1:], len(keys))[: len(first)] - 1], last)
         times = start[:, None] + np.linspace(0.0, 1.0, _TIMES[0]) * (stop - start)[:, None]
-        kept = np.isin(run, self._loud(pair, chains.part(first), times, QUIET))
+        kept = np.isin(run, self._loud(pair, chains.part(first), times, 1.0))
         return {name: column[kept] for name, column in columns.items()}
 
 
@@ -118,8 +120,8 @@ class _EndEvaluation(GapEvaluation):
 
     solver: ClassVar[type[EdgeEndSolver]] = EdgeEndSolver
 
-    def levels(self, times: Floats, wave: float) -> Floats:
-        """Estimate the pressure (P, T) of paths over that in free air at times of reception (P, T), s."""
+    def levels(self, times: Floats, wave: float, direct: bool) -> Floats:
+        """Estimate the pressure (P, T) of paths at times of reception (P, T), s, see `end_levels`."""
         levels = np.zeros(times.shape)
         rows, when = np.nonzero(self.possible(self.pairs, times))
         if not len(rows):
@@ -127,7 +129,9 @@ class _EndEvaluation(GapEvaluation):
         pairs, lines = self.pairs.part(rows), self.faces.lines
         mirrors = self.search.obstacles.mirrors
         solver = self.solver(mirrors, lines, self.pair.ends, self.pair.medium, rounds=ROUNDS)
-        now = times[rows, when]
+        now, longer, both = times[rows, when], np.full(len(rows), np.nan), np.flatnonzero(pairs.end >= TWO_ENDS)
+        longer[both] = _lengths(solver.find(pairs.part(both), now[both, None]))[:, 0]
+        pairs = replace(pairs, end=np.where(pairs.end >= TWO_ENDS, pairs.end % MEETING, pairs.end))
         events: Any = solver.find(pairs, now[:, None])
         ahead, back, between, _, *slopes = np.moveaxis(events.middle[:, 0], 1, 0)
         (r_s, t_s, z_s), (r_r, t_r, z_r) = ([x[:, 0] for x in end] for end in (events.source, events.receiver))
@@ -135,7 +139,7 @@ class _EndEvaluation(GapEvaluation):
         turned = np.where(on_face[:, None], np.pi * pairs.face * lines.n[np.stack([pairs.edge, pairs.last], 1)], 0.0)
         ahead, back = np.where(on_face, turned[:, 0], ahead), np.where(on_face, turned[:, 1], back)
         z_s, z_r = z_s - events.along[:, 0, 0], z_r - events.along[:, 1, 0]
-        meeting, last = pairs.end >= MEETING, pairs.end >= OF_LAST
+        meeting, last = at_meeting(pairs.end), pairs.end >= OF_LAST
         whole = self._rolled_out(solver, pairs, events).length[:, 0]
         emission = now - (events.first.delay + events.last.delay)[:, 0]
         source, receiver = (end.position(t) for end, t in zip(self.pair.ends, (emission, now), strict=True))
@@ -146,7 +150,8 @@ class _EndEvaluation(GapEvaluation):
             ends = (r_s[k], r_r[k]), (z_s[k], z_r[k])
             middle = between[k], None if slope is None else slope[k]
             n = lines.n[pairs.edge[k]], lines.n[pairs.last[k]]
-            levels[rows[k], when[k]] = levels_over_ends(n, angles, ends, middle, whole[k], last[k], wave) * apart[k]
+            lengths, free = (whole[k], longer[k]), apart[k] if direct else None
+            levels[rows[k], when[k]] = levels_over_ends(n, angles, ends, middle, lengths, last[k], wave, free)
         return levels
 
     def _rolled_out(self, solver: Any, pairs: Any, events: Any) -> Any:
@@ -175,8 +180,8 @@ class _EndEvaluation(GapEvaluation):
     def ended(self, solver: Any, pairs: Any, events: Any, p: Rows, t: Rows) -> tuple[Any, Any]:
         """Masks of edges (n, 2) that end, and of paths (n,) whose shortest ways over both edges meet those."""
         number, middle = pairs.end[p], events.middle[p, t]
-        held, meeting = ~np.isnan(solver.held(pairs))[p, :, 0], number >= MEETING
-        last = held[:, 1] & ~meeting
+        meeting, both = at_meeting(number), number >= TWO_ENDS
+        last = (number % MEETING >= OF_LAST) & ~meeting
         (r_s, z_s), (r_r, z_r) = ((r[p, t], z[p, t]) for r, _, z in (events.source, events.receiver))
         along = events.along[p, :, t]
         r, z = np.where(last, r_r, r_s), np.where(last, z_r - along[:, 1], z_s - along[:, 0])
@@ -184,13 +189,27 @@ class _EndEvaluation(GapEvaluation):
         apex = self._rolled_out(solver, pairs, events).apex[p, t]
         length = self.faces.lines.length[np.where(last, pairs.last[p], pairs.edge[p])]
         slope = np.where(meeting, np.where(number % 2 == 1, length - apex, -apex), slope)
-        inside = np.where(number % 2 == 1, slope, -slope) >= 0.0
-        return held & ~meeting[:, None], inside
+        inside = np.where(number % 2 == 1, slope, -slope)
+        near = np.where(last, r_s, r_r), np.where(last, z_s, z_r)
+        inside[both] = self._over_both(pairs.part(p[both]), (near[0][both], near[1][both]))
+        return np.stack([~last & ~meeting, last], axis=1), inside >= 0.0
+
+    def _over_both(self, pairs: Any, near: tuple[Floats, Floats]) -> Floats:
+        """How far (n,) paths over one end are inside the other edge's end, m, to endpoints at r and z about that."""
+        lines, last, edges = self.faces.lines, pairs.end % MEETING >= OF_LAST, np.stack([pairs.edge, pairs.last])
+        held = held_places(pairs.end, lines.length[edges.T]).T
+        mine, theirs = np.where(last, edges[::-1], edges)
+        along, end = np.where(last, held[::-1], held)
+        own, other = lines.frames[mine], lines.frames[theirs]
+        away = own[:, 0] + along[:, None] * own[:, 3] - other[:, 0]
+        x, y, z = np.einsum("nai,ni->an", other[:, 1:], away)
+        apex = path_over_edge(np.hypot(x, y), z, *near).apex
+        return np.asarray(np.where(end == 0.0, apex, end - apex))
 
     def free(self, pairs: Any, events: Any, p: Rows, t: Rows) -> Bools:
         """Mask (n,) of some paths at times (n,) of which the way between both edges is free."""
         free, air = np.ones(len(p), dtype=bool), pairs.face[p, 0] == ACROSS_AIR
-        there, along = np.flatnonzero(air), np.flatnonzero(~air & (pairs.end[p] < MEETING))
+        there, along = np.flatnonzero(air), np.flatnonzero(~air & ~at_meeting(pairs.end[p]))
         free[there] = GapEvaluation.free(self, pairs, events, p[there], t[there])
         free[along] = self.faces.free(pairs.part(p[along]), events.along[p[along], :, t[along]])
         return free
@@ -207,5 +226,11 @@ class _EndEvaluation(GapEvaluation):
         on, across = GapEvaluation.on(self, solver, pairs, events), pairs.face[:, 0] == ACROSS_AIR
         on = np.where(across[:, None], on, on_edges(solver, pairs, events))
         for r, _ in solver.ahead(pairs, events):
-            on &= (pairs.end < MEETING)[:, None] | (r > 0.0)
+            on &= ~at_meeting(pairs.end)[:, None] | (r > 0.0)
         return np.asarray(on)
+
+
+def _lengths(events: Any) -> Floats:
+    """Lengths (P, T) of paths over two edges at rest, m."""
+    ends = ((end[0], end[2] - events.along[:, i]) for i, end in enumerate((events.source, events.receiver)))
+    return np.asarray(events.middle[..., 2] + sum(np.hypot(*end) for end in ends))

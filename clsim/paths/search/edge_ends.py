@@ -25,7 +25,7 @@ from clsim.paths.search.edge_gaps import apart, between_edges
 from clsim.paths.search.edges import Reached, Sides, in_planes, rows_of
 from clsim.paths.search.gap_parts import PARTS, in_air, legs_open
 from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
-from clsim.paths.vertices.gap_events import MEETING, OF_LAST
+from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS, at_meeting, end_numbers
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import end_levels, off_edges
 from clsim.paths.visibility.edge_gaps import seen_frames
@@ -41,7 +41,8 @@ _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
 _BATCH = 20_000  # candidates searched at a time
 _LISTENED = 2_000  # candidates whose levels are estimated together
-QUIET = 1e-3  # pressure over that in free air: paths that stay below it are left out
+QUIET = 1e-3  # pressure over the direct sound: paths that stay below it are left out
+QUIET_ECHO = 2e-4  # without direct sound: over that in free air as far away
 _SAMPLED = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
@@ -54,7 +55,8 @@ def end_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, 
     """
     wave = lowest_wave(scene)
     fewest = 2 if scene.room.edges().free.any() else sys.maxsize
-    rows, order, within = rows_of(scene, search, others, partial(end_candidates, wave=wave), fewest)
+    find = partial(end_candidates, wave=wave, direct=search.direct is not False)
+    rows, order, within = rows_of(scene, search, others, find, fewest)
     return with_swaps(end_chain(scene, order, rows), within)
 
 
@@ -64,12 +66,20 @@ def lowest_wave(scene: Scene) -> float:
     return float(2.0 * np.pi * lowest / scene.air.speed_of_sound)
 
 
+def least_level(direct: bool) -> float:
+    """Pressure over that in free air, see `end_levels`: paths that stay below it are left out."""
+    return QUIET if direct else QUIET_ECHO
+
+
 def end_candidates(
-    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float, wave: float
-) -> Iterator[tuple[float, EdgeCandidates]]:
+    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float, wave: float,
+    direct: bool,
+) -> Iterator[tuple[float, EdgeCandidates]]:  # fmt: skip
     """Yield candidates over an edge and an end of another one, with the times of both sides, and the share of the work.
 
-    wave: wave number at which those that stay below `QUIET` are left out, 1/m.
+    wave: wave number at which those that are quiet are left out, 1/m.
+
+    direct: whether there is direct sound, by which it is told.
 
     sides, reached, longest: see `gap_candidates`. Candidates may have different numbers of walls on their sides.
     """
@@ -82,7 +92,7 @@ def end_candidates(
     source = _Sight(finder, 0, sides[0], routes, left, longest)
     after = left - source.fewest
     sights = [_Sight(finder, row, mover, routes, after, longest) for row, mover in enumerate(sides[1], 1)]
-    kinds = np.column_stack([routes.end >= MEETING, routes.face[:, 0] == ACROSS_AIR, met])
+    kinds = np.column_stack([at_meeting(routes.end), routes.face[:, 0] == ACROSS_AIR, met])
     every, kind = np.unique(kinds, axis=0, return_inverse=True)
     for number in range(len(every)):
         rows, count = np.flatnonzero(kind.ravel() == number), int(every[number, 2])
@@ -92,7 +102,7 @@ def end_candidates(
             for sight in sights
             for x in _joined(finder, some, left[rows], (source.request[rows], sight.request[rows]), (source, sight))
         )
-        audible = (_audible_ones(finder, x, wave) for x in _together(found, _LISTENED))
+        audible = (_audible_ones(finder, x, wave, direct) for x in _together(found, _LISTENED))
         yield from ((number / len(every), x) for x in _together(audible, _BATCH))
 
 
@@ -138,7 +148,9 @@ def over_faces(walls: Walls, edges: Edges, order: int) -> EdgeCandidates:
     ahead = np.einsum("ni,ni->n", place - edges.start[theirs], edges.inward(theirs, their_face)) > near
     ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
     ahead &= np.einsum("nei,ni->ne", ends, edges.inward(mine, mine_face)).min(axis=1) > -near
-    return EdgeCandidates.joined([_part(found, np.flatnonzero(ahead)), _meeting(walls, edges, pair, face, order)])
+    found = _part(found, np.flatnonzero(ahead))
+    of_both, meeting = _of_both(walls, edges, found), _meeting(walls, edges, pair, face, order)
+    return EdgeCandidates.joined([found, of_both, meeting])
 
 
 def _seen_ends(finder: EdgeSearch, routes: EdgeCandidates, count: int) -> EdgeCandidates:
@@ -176,6 +188,16 @@ def _meeting(walls: Walls, edges: Edges, pair: Rows, face: Rows, order: int) -> 
     rows, one, other = np.nonzero(free & (apart <= _NEAR * walls.size))
     none, no_walls = np.empty((len(rows), 0), dtype=np.int32), np.full((len(rows), order), -1, dtype=np.int32)
     return EdgeCandidates(none, none, pair[rows], face[rows], MEETING + 2 * other + one, rows, no_walls)
+
+
+def _of_both(walls: Walls, edges: Edges, routes: EdgeCandidates) -> EdgeCandidates:
+    """Make routes over ends of both edges from those over one, where neither end is on the other edge's line."""
+    (mine, my_face), (theirs, _) = _ended(routes)
+    ends = np.stack([edges.start[theirs], edges.stop[theirs]], axis=1) - edges.start[mine, None]
+    ahead = np.einsum("nei,ni->ne", ends, edges.inward(mine, my_face)) > _NEAR * walls.size
+    rows, other = np.nonzero(edges.free[theirs] & ahead)
+    found = _part(routes, rows)
+    return replace(found, end=found.end + TWO_ENDS + 4 * other)
 
 
 def _with_ends(walls: Walls, edges: Edges, pair: Rows, face: Rows, between: NDArray[np.int32]) -> EdgeCandidates:
@@ -226,10 +248,8 @@ class _Sight:
         seen = seen_frames(walls, edges, routes.edge[:, 1], routes.between)
         _, _, (x, y, z) = off_edges(edges, routes, seen, every)
         edge = routes.edge[:, int(row > 0)]
-        ended = (routes.end >= OF_LAST) == (row > 0)
-        ended |= routes.end >= MEETING
-        number = np.where((routes.end >= MEETING) & (row > 0), routes.end // 2, routes.end) % 2
-        self._end = np.where(ended, number, -1)
+        self._end = end_numbers(routes.end)[int(row > 0)]
+        ended = self._end >= 0
         r = np.where(ended, _BESIDE * walls.size, np.hypot(x, y))
         z = np.where(ended, self._end * edges.length[edge], z)
         keys = np.round(np.column_stack([edge, self._end, r, z]), _SAME)
@@ -312,13 +332,13 @@ def _joined(
             yield replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 
-def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float) -> EdgeCandidates:
+def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct: bool) -> EdgeCandidates:
     """Return candidates without those that are quiet at some times of theirs."""
     assert found.spans is not None
     every, begin, end = found.spans
     times, which = begin + _SAMPLED[:, None] * (end - begin), np.tile(every, len(_SAMPLED))
-    levels = end_levels(finder.visibility(found), finder.query, which, times.ravel(), wave)
-    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > QUIET)
+    levels = end_levels(finder.visibility(found), finder.query, which, times.ravel(), wave, direct)
+    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > least_level(direct))
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 
 
@@ -326,16 +346,20 @@ def _received(finder: EdgeSearch, found: EdgeCandidates, times: Floats) -> Float
     """Compute when (n,) what is at the ends of candidates at times (n,), or at the last edges, is received, s."""
     edges, query, rows = finder.edges, finder.query, np.arange(len(times))
     seen = seen_frames(query.walls, edges, found.edge[:, 1], found.between)
-    along, _, (x, y, z_c) = off_edges(edges, found, seen, rows)
-    last, row, edge = found.end >= OF_LAST, found.receiver + 1, found.edge[:, 1]
-    r_c, z_c = np.where(last, 0.0, np.hypot(x, y)), np.where(last, along, z_c)
+    _, _, (x, y, z_c) = off_edges(edges, found, seen, rows)
+    (first, number), row, edge = end_numbers(found.end), found.receiver + 1, found.edge[:, 1]
+    last = number >= 0
+    r_c, z_c = np.where(last, 0.0, np.hypot(x, y)), np.where(last, number * edges.length[edge], z_c)
+    ends = [np.where((n == 1)[:, None], edges.stop[e], edges.start[e])
+            for n, e in ((first, found.edge[:, 0]), (number, edge))]  # fmt: skip
+    between = np.where(found.end >= TWO_ENDS, np.linalg.norm(ends[0] - ends[1], axis=1), 0.0)
     from_end = edges.start[edge] + z_c[:, None] * edges.along[edge]
     late = np.zeros(len(times))
     for _ in range(CONTRACTIONS):
         at = query.trajectory_tables.position(row, times + late) + PERTURBATIONS[1]
         at = query.trajectory_tables.lifted(row, at)
         r, _, z = edges.cylindrical(edge, imaged(query.walls, found.after, at))
-        later = query.medium.passage(np.hypot(r + r_c, z - z_c), at - from_end).time - late
+        later = query.medium.passage(between + np.hypot(r + r_c, z - z_c), at - from_end).time - late
         late = late + later
         if not np.any(np.abs(later) > CONTRACTED):
             break

@@ -2,32 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.acoustics.corner import CornerLeg, meeting_field
 from clsim.acoustics.diffraction import (
     ON_LINE,
     end_detour,
     end_transition,
+    lit_angles,
     path_over_edge,
     transition,
+    wedge_terms,
 )
 from clsim.arrays import Floats
 from clsim.paths.links import Pair
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import Triple
-from clsim.paths.vertices.gap_events import MEETING, OF_LAST, EdgeEndSolver, held_places
+from clsim.paths.vertices.edge_pair import EdgePairVertex
+from clsim.paths.vertices.gap_events import (
+    MEETING,
+    OF_LAST,
+    TWO_ENDS,
+    EdgeEndSolver,
+    at_meeting,
+    end_numbers,
+    held_places,
+)
 from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, LEAVING, GapPairVertex, product_of_terms, terms_of
+
+_GRAZING, _INSIDE = (1.2, 2.2), (-1.5, -0.5)  # roots of phases, between which one theory goes over into another
 
 
 def ends_of(number: int) -> list[tuple[int, int]]:
     """List edges, 0 for the first and 1 for the last, that end, and at which end, of a number of `over_end`."""
-    if number >= MEETING:
-        return [(0, number % 2), (1, number // 2 % 2)]
-    return [(number // OF_LAST, number % OF_LAST)]
+    return [(place, int(end)) for place, end in enumerate(end_numbers(number)) if end >= 0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +48,8 @@ class EdgeEndVertex(GapPairVertex):
 
     Where the shortest path over both edges runs off the end, the path over both goes over into this one. `over_end` is
     0 for the start of the first edge, 1 for its end, and 2 and 3 for those of the last edge; from 4 on both edges of a
-    face end at one corner. `shared` is 2 across air. The signs of `lit` count at edges that do not end, and where both
+    face end at one corner. From 8 on the path over one end runs off the other edge: this is a path over ends of both
+    edges of a face. `shared` is 2 across air. The signs of `lit` count at edges that do not end, and where both
     do; at the other ones their own angles do.
     """
 
@@ -52,24 +65,26 @@ class EdgeEndVertex(GapPairVertex):
     @property
     def of_last(self) -> NDArray[np.bool_]:
         """Mask (P,) of paths over an end of the last edge."""
-        return (self.over_end >= OF_LAST) & (self.over_end < MEETING)
+        return (self.over_end % MEETING >= OF_LAST) & ~self.meeting
 
     @property
     def meeting(self) -> NDArray[np.bool_]:
         """Mask (P,) of paths over a corner at which both edges end."""
-        return self.over_end >= MEETING
+        return np.asarray(at_meeting(self.over_end))
+
+    @property
+    def held(self) -> Floats:
+        """Where the other edges end (P, 1), of paths over ends of both, m; else NaN."""
+        length = self.lines.length[np.where(self.of_last, self.edge, self.last.edge)]
+        end = np.where(self.over_end >= TWO_ENDS + MEETING, length, 0.0)
+        return np.where(self.over_end >= TWO_ENDS, end, np.nan)[:, None]
 
     @property
     def objects(self) -> NDArray[np.int64]:
         """Numbers of the edge and the end among the names, (P, 2)."""
         first, last = self.edge, self.last.edge
-        ends = [len(self.lines) + 2 * edge + end for edge, end in zip((first, last), self._numbers(), strict=True)]
-        of_last = self.of_last | self.meeting
-        return np.stack([np.where(self.of_last, first, ends[0]), np.where(of_last, ends[1], last)], axis=1)
-
-    def _numbers(self) -> tuple[Any, Any]:
-        """Numbers (P,) of the ends, 0 or 1, of the first edges and of the last ones."""
-        return self.over_end % 2, np.where(self.meeting, self.over_end // 2, self.over_end) % 2
+        ends = zip((first, last), end_numbers(self.over_end), strict=True)
+        return np.stack([np.where(end < 0, edge, len(self.lines) + 2 * edge + end) for edge, end in ends], axis=1)
 
     def ended_at(self, frames: Pair | None = None) -> tuple[Floats, Floats, Floats, Floats]:
         """Where the ends are along their edges (P, 1), m, and (P, 3), and r and z (P, 1) about the other edges, m."""
@@ -90,10 +105,12 @@ class EdgeEndVertex(GapPairVertex):
         (along, _, r, z), of_last = self.ended_at(frames), self.of_last[:, None]
         (r_f, z_f), (r_n, z_n) = _swapped(of_last, source, receiver)
         route = path_over_edge(r, z, r_n, z_n)
-        end = np.broadcast_to(along, route.apex.shape)
-        places = np.where(of_last, route.apex, end), np.where(of_last, end, route.apex)
-        length, rows = np.hypot(r_f, along - z_f) + route.length, np.flatnonzero(self.meeting)
-        ends = zip(places, (self.edge, self.last.edge), self._numbers(), strict=True)
+        end, held = np.broadcast_to(along, route.apex.shape), self.held
+        over = np.where(np.isnan(held), route.apex, held)
+        places = np.where(of_last, over, end), np.where(of_last, end, over)
+        behind = np.where(np.isnan(held), route.length, np.hypot(r, over - z) + np.hypot(r_n, over - z_n))
+        length, rows = np.hypot(r_f, along - z_f) + behind, np.flatnonzero(self.meeting)
+        ends = zip(places, (self.edge, self.last.edge), end_numbers(self.over_end), strict=True)
         for place, edge, number in ends if len(rows) else ():
             place[rows] = np.where(number == 1, self.lines.length[edge], 0.0)[rows, None]
         legs = (np.hypot(r, place - z) for (r, z), place in zip((source, receiver), places, strict=True))
@@ -110,21 +127,30 @@ class EdgeEndVertex(GapPairVertex):
         middle = end if end.ndim == 3 else None
         field, count = np.zeros(wave.shape, dtype=np.complex128), max(1, wave.size // AT_ONCE)
         kinds = np.where(self.meeting, 4, 2 * (self.shared[:, 0] == ACROSS) + self.of_last)
-        for kind in range(5):
+        kinds = np.where(self.over_end >= TWO_ENDS, 6 + self.of_last, kinds)
+        for kind in range(8):
             rows = np.flatnonzero(kinds == kind)
             for some in np.array_split(rows, min(count, len(rows))) if len(rows) else ():
                 part: Any = self.part(some)
                 ends: Any = tuple(tuple(x[some] for x in end_at) for end_at in (source, receiver))
                 bend = None if middle is None else middle[some]
+                if bend is not None and kind >= 4:
+                    part, ends, bend = replace(part, seen=part.last.frame), part.from_starts(ends), None
                 if kind == 4:
-                    field[some] = _corner_field(part, ends, middle is not None, wave[some], at)
+                    field[some] = _corner_field(part, ends, wave[some], at)
                 else:
-                    field[some] = _end_field(part, ends, bend, kind % 2, kind >= 2, wave[some], at)
+                    field[some] = _end_field(part, ends, bend, kind % 2, kind in (2, 3), wave[some], at)
         if self.between.size and middle is None:
             towards = self._towards(source, receiver)
             field *= at.reflection(self.between)[:, None]
             at.apply_angular_walls(field, self.between, towards)
         return field
+
+    def from_starts(self, ends: tuple[Triple, Triple]) -> tuple[Triple, Triple]:
+        """Endpoints at z (P, T) from the starts of edges that both end, of those at z from the ends, m."""
+        places = held_places(self.over_end, self.lines.length[np.stack([self.edge, self.last.edge], axis=1)])
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
+        return (r_s, t_s, z_s + places[:, :1]), (r_r, t_r, z_r + places[:, 1:])
 
     def _towards(self, source: Triple, receiver: Triple) -> Floats:
         """Directions (P, T, 3) in which paths leave the first edges."""
@@ -179,13 +205,13 @@ def _end_field(
     bend = _bend_at_rest(pair, near, ended) if middle is None else _bend_in_motion(middle, near, ended)
     along, between, behind, length, slope, ahead, back, turn = bend
     beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * length, ON_LINE), along + slope * length
-    rolled = path_over_edge(r_f, z_f, *beyond)
-    leg = np.hypot(r_f, along - z_f)
+    rolled, leg = path_over_edge(r_f, z_f, *beyond), np.hypot(r_f, along - z_f)
     whole = leg + length
     inside = np.where(pair.over_end[:, None] % OF_LAST == 1, along - rolled.apex, rolled.apex)
     detour = end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
-    root: Any = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
-    scale = np.sqrt(wave)
+    own, scale = np.where(inside < 0.0, -1.0, 1.0), np.sqrt(wave)
+    side: Any = np.where(np.isnan(pair.held), pair.end_side[:, None], own)
+    root: Any = own * side * np.sqrt(detour)
 
     def share(term: Floats) -> Any:
         """Share (P, T, F) of a term that ends, by its root (P, T)."""
@@ -197,7 +223,9 @@ def _end_field(
     legs = leg * behind / ((leg + between) * (between + behind))
     if ended:
         slopes, breadths = slopes[::-1], breadths[::-1]
-    sides = -1.0 * pair.end_side[:, None, None]
+    sides: Any = -1.0 * side[..., None]
+    if pair.over_end[0] >= TWO_ENDS:
+        sides = sides * _off_end(pair, near, root, wave)
     if across_air:
         angles = (t_s, ahead), (back, t_r)
         given = zip((pair, pair.last), angles, slopes, breadths, (LEAVING, COMING), strict=True)
@@ -214,28 +242,91 @@ def _end_field(
     return pair.over_face(made, np.sqrt(legs), wave, rolled.length) * sides
 
 
-def _corner_field(
-    pair: EdgeEndVertex, ends: tuple[Triple, Triple], from_corner: bool, wave: Floats, at: SceneResponse
-) -> Any:
-    """Compute the field (P, T, F) of paths over corners at which both edges of a face end, z from there or from starts.
+def _off_end(pair: EdgeEndVertex, near: Pair, root: Floats, wave: Floats) -> Any:
+    """Share (P, T, F) of the field of paths over one end that paths over ends of both edges have.
+
+    Our own derivation: the double integral along both edges is one over ``exp(-j (x² + y²))``. Beyond both ends it is
+    half the sum of the integrals ``C`` along both borders, `root` from the shortest path, of `end_transition`.
+    """
+    (_, _, r_c, z_c), held, side = pair.ended_at(), pair.held, pair.end_side[:, None]
+    route = path_over_edge(r_c, z_c, *near)
+    inside = np.where(held == 0.0, route.apex, held - route.apex)
+    detour = end_detour(route, (r_c, z_c), near, np.broadcast_to(held, route.apex.shape))
+    end: Any = np.where(inside < 0.0, -1.0, 1.0) * side * np.sqrt(detour)
+    at_end, at_both = (x[..., None] * np.sqrt(wave) for x in (end, root))
+    return -1.0 * side[..., None] * end_transition(at_end, at_both) / transition(at_both)
+
+
+def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats, at: SceneResponse) -> Any:
+    """Compute the field (P, T, F) of paths over corners at which both edges of a face end.
 
     Our own derivation: where both edges meet, the double integral of `double_transition` with a tie of 1 is a
     convolution of two poles, ``E(a, b) = E(a + b)``. The corner takes away as much as an end of one edge of that root.
+    So it is where sound grazes the face. Elsewhere, up to where the shortest path over both edges is far from the
+    corner, the field is that of `meeting_field`, which has the path over both edges.
     """
     (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
-    if from_corner:
-        lengths = pair.lines.length[np.stack([pair.edge, pair.last.edge], axis=1)]
-        first, last = held_places(pair.over_end, lengths).T[..., None]
-        z_s, z_r = z_s + first, z_r + last
     edge_paths, beyond = pair.rolled_out((r_s, z_s), (r_r, z_r))
     along = np.where(pair.over_end % 2 == 1, pair.lines.length[pair.edge], 0.0)[:, None]
     inside = np.where(pair.over_end[:, None] % 2 == 1, along - edge_paths[0].apex, edge_paths[0].apex)
     detour = end_detour(edge_paths[0], (r_s, z_s), beyond, np.broadcast_to(along, inside.shape))
     root: Any = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
+    scale = np.sqrt(wave)
 
     def share(first: Floats, last: Floats, tie: Floats, wave: Floats) -> Any:
-        return end_transition(root[..., None] * np.sqrt(wave), (first + last)[..., None] * np.sqrt(wave))
+        return end_transition(root[..., None] * scale, (first + last)[..., None] * scale)
 
     made = pair.face_terms((t_s, t_r), (edge_paths[0].breadth, edge_paths[1].breadth), at)
-    field = pair.over_face(made, root, wave, edge_paths[0].length, share)
-    return -1.0 * pair.end_side[:, None, None] * field
+    field = -1.0 * pair.end_side[:, None, None] * pair.over_face(made, root, wave, edge_paths[0].length, share)
+    far = (np.sqrt(r / path.breadth) for r, path in zip((r_s, r_r), edge_paths, strict=True))
+    off = [np.abs(roots).min(axis=-1) * r for (roots, _, _), r in zip(made, far, strict=True)]
+    outer = (pair.n >= 1.0) & (pair.last.n >= 1.0)
+    mixed = _risen(np.minimum(*off)[..., None] * scale, *_GRAZING) * outer[:, None, None]
+    mixed = mixed * _risen((-root * pair.end_side[:, None])[..., None] * scale, *_INSIDE)
+    rows = np.flatnonzero(np.any(mixed > 0.0, axis=(1, 2)))
+    if len(rows):
+        part: Any = pair.part(rows)
+        some: Any = tuple(tuple(x[rows] for x in end) for end in ends)
+        field[rows] += mixed[rows] * (_by_corner(part, some, detour[rows], wave[rows], at) - field[rows])
+    return field
+
+
+def _risen(x: Floats, first: float, last: float) -> Floats:
+    """Share by which x has come from a first to a last value, smoothly."""
+    share = np.clip((x - first) / (last - first), 0.0, 1.0)
+    return np.asarray(share**2 * (3.0 - 2.0 * share))
+
+
+def _by_corner(
+    pair: EdgeEndVertex, ends: tuple[Triple, Triple], detour: Floats, wave: Floats, at: SceneResponse
+) -> Any:
+    """Compute `meeting_field` (P, T, F) less the paths over both edges where these are, shorter by a detour (P, T)."""
+    legs, cosine, factors = _corner_legs(pair, ends, at)
+    field = meeting_field(legs, cosine, wave) / pair.doubled(factors)
+    beside = np.flatnonzero(pair.end_side == 1)
+    if len(beside):
+        source, receiver = ((r[beside], t[beside], z[beside]) for r, t, z in ends)
+        turned = np.exp(1j * wave[beside] * detour[beside, :, None])
+        field[beside] -= turned * EdgePairVertex._field(pair.part(beside), source, receiver, detour, wave[beside], at)
+    return field
+
+
+def _corner_legs(
+    pair: EdgeEndVertex, ends: tuple[Triple, Triple], at: SceneResponse
+) -> tuple[tuple[CornerLeg, CornerLeg], Floats, list[Any]]:
+    """Legs of paths over corners, cosines (P, 1) between their edges, and factors of the last edges' faces."""
+    angles = ends[0][1], ends[1][1]
+    made, numbers = pair.face_terms(angles, (np.ones(angles[0].shape),) * 2, at), end_numbers(pair.over_end)
+    face = pair.shared * np.pi * np.stack([pair.n, pair.last.n], axis=1)
+    legs, inwards = [], []
+    for i, (edge, (r, _, z)) in enumerate(zip((pair, pair.last), ends, strict=True)):
+        came, went = (angles[0], face[:, :1]) if i == 0 else (face[:, 1:], angles[1])
+        weight, _ = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], came, went), edge.lit[:, None])
+        by_face = weight[..., 2:] if i == 0 else weight[..., :1:-1]
+        kept = np.where(edge.lit[:, None, :2] != 0, weight[..., :2], by_face)
+        kept = np.where(kept == 0.0, 1.0, kept)  # where a term vanishes
+        shares = [term / kept[..., k, None] for k, term in enumerate(made[i][1])]
+        inward, end = np.where(numbers[i] == 1, -1.0, 1.0), numbers[i] * pair.lines.length[edge.edge]
+        legs.append(CornerLeg(edge.n[:, None], r, inward[:, None] * (z - end[:, None]), went - came, shares))
+        inwards.append(inward[:, None] * edge.frame[:, 3])
+    return (legs[0], legs[1]), np.sum(inwards[0] * inwards[1], axis=1)[:, None], made[1][2]

@@ -165,11 +165,15 @@ class EdgePairVertex(EdgeVertex):
             for j, other in enumerate(after):
                 field += 0.25 * weight * other * law(first[..., i], last[..., j], tie, wave)
         field /= length[..., None]
-        factor: Any = np.where(self.shared[:, 1, None, None] == 1, last_factors[1], last_factors[0])
+        return field / self.doubled(last_factors)
+
+    def doubled(self, factors: list[Any]) -> Any:
+        """Ratio (P, T, F) of sound along the face to that from either side, by the factors of the last edges' faces."""
+        factor: Any = np.where(self.shared[:, 1, None, None] == 1, factors[1], factors[0])
         both: Any = 1.0 + factor
         twice = np.where((self.n < 1.0)[:, None], self.lit[:, :2], self.lit[:, 2:])
         both = np.where(np.any(twice, axis=1)[:, None, None], both, 1.0)
-        return field / np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
+        return np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
 
     @staticmethod
     def _terms(

@@ -112,15 +112,25 @@ class GapPairSolver(EdgePairSolver):
 
 OF_LAST = 2  # added to the numbers of the ends of last edges
 MEETING = 4  # number of the first end, and twice that of the second one, of edges that end at one corner
+TWO_ENDS = 8  # as of an end of one edge, and four times the end of the other, of two edges that both end
+
+
+def at_meeting(end: Any) -> Any:
+    """Mask (n,) of numbers of corners at which both edges end."""
+    return (end >= MEETING) & (end < TWO_ENDS)
+
+
+def end_numbers(end: Any) -> tuple[Any, Any]:
+    """Numbers (n,) of the ends of the first and of the last edges, 0 or 1, and -1 of those that do not end."""
+    other, meeting, of_last = np.where(end >= TWO_ENDS, end // 4 - 2, -1), at_meeting(end), end % 4 >= 2
+    last = np.where(meeting, end // 2 % 2, end % 2)
+    return np.where(of_last & ~meeting, other, end % 2), np.where(of_last | meeting, last, other)
 
 
 def held_places(number: NDArray[Any], lengths: Floats) -> Floats:
     """Places (P, 2) on both edges, of lengths (P, 2), of paths over ends, see `EdgeEndVertex`, m; NaN where any."""
-    meeting = number >= MEETING
-    of_last = (number >= OF_LAST) & ~meeting
-    stops = np.stack([number % 2, np.where(meeting, number // 2, number) % 2], axis=1) == 1
-    held = np.stack([~of_last, of_last | meeting], axis=1)
-    return np.where(held, np.where(stops, lengths, 0.0), np.nan)
+    ends = np.stack(end_numbers(number), axis=1)
+    return np.where(ends < 0, np.nan, np.where(ends == 1, lengths, 0.0))
 
 
 class EdgeEndSolver(GapPairSolver):

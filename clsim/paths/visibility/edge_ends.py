@@ -5,7 +5,7 @@ The end rests, so that only the place on the other edge slides, as if the path b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge, wedge_terms
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
 from clsim.arrays import Floats
-from clsim.paths.vertices.gap_events import MEETING, OF_LAST
+from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS
 from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
 from clsim.paths.visibility.edges import (
     FAR,
@@ -41,6 +41,7 @@ def off_edges(edges: Edges, candidates: EdgeCandidates, seen: Floats, which: Row
     seen: frames (n, 4, 3) of last edges as the first ones see them.
     """
     end, (one, other) = candidates.end[which], candidates.edge[which].T
+    end = np.where(end >= TWO_ENDS, end % MEETING, end)
     last, frames = (end >= OF_LAST)[:, None, None], (edges.frames[one], seen)
     mine, theirs = np.where(last, frames[1], frames[0]), np.where(last, frames[0], frames[1])
     number = np.where(end >= MEETING, end // 2, end) % 2
@@ -57,6 +58,7 @@ class EndVisibility(GapVisibility):
     along: Floats  # (n,) where it is along its edge, m
     beside: Floats  # (n,) and from the line of the other edge, m
     height: Floats  # (n,) and along that, m
+    held: Floats  # (n,) where the other edge ends, of paths over ends of both, m; else NaN
 
     @staticmethod
     def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> EndVisibility:
@@ -65,7 +67,10 @@ class EndVisibility(GapVisibility):
         seen = seen_frames(walls, edges, other, candidates.between)
         along, _, (x, y, z) = off_edges(edges, candidates, seen, np.arange(len(one)))
         gap = EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other]))
-        return EndVisibility(edges, candidates, gap, candidates.end >= OF_LAST, along, np.hypot(x, y), z)
+        last, length = candidates.end % MEETING >= OF_LAST, edges.length[candidates.edge]
+        held = np.where(candidates.end // 4 == 3, np.where(last, *length.T), 0.0)
+        held = np.where(candidates.end >= TWO_ENDS, held, np.nan)
+        return EndVisibility(edges, candidates, gap, last, along, np.hypot(x, y), z, held)
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
         """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
@@ -73,16 +78,15 @@ class EndVisibility(GapVisibility):
         far, near = ([np.where(last, a, b) for a, b in zip(*ends, strict=True)]
                      for ends in ((receiver, source), (source, receiver)))  # fmt: skip
         route, leg = path_over_edge(r_c, z_c, *near), np.hypot(far[0], along - far[1])
-        parts = np.hypot(r_c, route.apex - z_c), np.hypot(near[0], route.apex - near[1])
-        length, places = (
-            leg + parts[0] + parts[1],
-            (np.where(last, route.apex, along), np.where(last, along, route.apex)),
-        )
+        held = self.held[which]
+        over, loose = np.where(np.isnan(held), route.apex, held), np.where(np.isnan(held), r_c, np.nan)
+        parts = np.hypot(r_c, over - z_c), np.hypot(near[0], over - near[1])
+        length, places = leg + parts[0] + parts[1], (np.where(last, over, along), np.where(last, along, over))
         gap = self.gap(which)
         away = gap.first[:, 0] + places[0][:, None] * gap.first[:, 3]
         away = away - gap.last[:, 0] - places[1][:, None] * gap.last[:, 3]
         legs = np.where(last, parts[1], leg), np.maximum(parts[0], _LEAST), np.where(last, leg, parts[1])
-        crossing = Crossing(places, legs, away, (np.where(last, r_c, np.nan), np.where(last, np.nan, r_c)))
+        crossing = Crossing(places, legs, away, (np.where(last, loose, np.nan), np.where(last, np.nan, loose)))
         edge_paths = EdgePath(length, places[0], length), EdgePath(length, places[1], length)
         return Course(edge_paths, (r_c, r_c), crossing)
 
@@ -113,7 +117,8 @@ class EndVisibility(GapVisibility):
     ) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
         """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`.
 
-        Of the edge that ends the terms are 1; the side of the end is that of the path over both edges.
+        Of the edge that ends the terms are 1; the side of the end is that of the path over both edges, and where both
+        end that of the path over one end.
         """
         stance, (one, other) = self.stance(query, which, time, half), self.candidates.edge[which].T
         crossing, last, reach = stance.course.crossing, self.last[which], stance.reach
@@ -129,6 +134,9 @@ class EndVisibility(GapVisibility):
         beside, passed = beside_faces(self.edges.n[self.candidates.edge[which].T], np.stack(stance.angles))
         sure &= np.all(passed > np.stack(turns), axis=0)
         inside, turning = self._inside(stance, which, query.walls.size)
+        inner, sliding = self._over_both(stance, which)
+        both = ~np.isnan(self.held[which])
+        inside, turning = np.where(both, inner, inside), np.where(both, sliding, turning)
         sure &= np.abs(inside) > turning
         distances = np.minimum(*stance.distances)
         off = np.minimum(np.minimum(np.abs(angles).min(axis=1), passed.min(axis=0)), np.abs(inside)) * distances
@@ -138,6 +146,15 @@ class EndVisibility(GapVisibility):
             np.column_stack([first, np.where(inside >= 0.0, 1, -1), second, *beside]).astype(np.int8),
             sure, off, reach,
         )  # fmt: skip
+
+    def _over_both(self, stance: EdgeStance, which: Rows) -> tuple[Floats, Floats]:
+        """How far (n,) paths over one end are inside the other edge's end, m, and by how much this slides at most."""
+        last, r_c = self.last[which], self.beside[which]
+        near = [np.where(last, *x) for x in (stance.distances, stance.heights)]
+        route, reach = path_over_edge(r_c, self.height[which], near[0], near[1]), np.where(last, *stance.reaches)
+        across = r_c + near[0] - reach
+        sliding = np.where(across > 0.0, reach * r_c * (route.length + reach) / across**2, np.inf)
+        return np.where(self.held[which] == 0.0, route.apex, self.held[which] - route.apex), sliding
 
     def _inside(self, stance: EdgeStance, which: Rows, size: float) -> tuple[Floats, Floats]:
         """How far (n,) paths over both edges are inside the end, as a difference of cosines, and its change at most."""
@@ -154,12 +171,21 @@ class EndVisibility(GapVisibility):
         return np.where(self.candidates.end[which] % OF_LAST == 1, slope, -slope), change[0] + change[1]
 
 
-def end_levels(seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float) -> Floats:
-    """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m."""
-    still = np.zeros(len(which))
+def end_levels(
+    seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float, direct: bool
+) -> Floats:
+    """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m.
+
+    It is over that in free air: of the `direct` sound, or else as far away as the path is long.
+    """
+    still, longer = np.zeros(len(which)), np.full(len(which), np.nan)
+    if isinstance(seen, EndVisibility):  # over ends of both edges a share of what is over one
+        whole = seen.stance(query, which, time, still).course.edge_paths[0].length
+        longer = np.where(np.isnan(seen.held[which]), np.nan, whole)
+        seen = replace(seen, held=np.full_like(seen.held, np.nan))
     stance, edges = seen.stance(query, which, time, still), seen.candidates.edge[which].T
     (ahead, back), _ = seen.between(stance, which, (still, still))
-    crossing, last = stance.course.crossing, seen.candidates.end[which] >= OF_LAST
+    crossing, last = stance.course.crossing, seen.candidates.end[which] % MEETING >= OF_LAST
     heights = tuple(height - place for place, height in zip(stance.places, stance.heights, strict=True))
     between, slope = still, None
     if crossing is not None:
@@ -167,27 +193,30 @@ def end_levels(seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: 
         frames = np.where(last[:, None], gap.last[:, 3], gap.first[:, 3])
         slope = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / between
     angles = (stance.angles[0], ahead), (back, stance.angles[1])
-    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1)
-    ends = stance.distances, (heights[0], heights[1])
-    shortest = stance.course.edge_paths[0].length
-    n = seen.edges.n[edges[0]], seen.edges.n[edges[1]]
-    return np.asarray(levels_over_ends(n, angles, ends, (between, slope), shortest, last, wave) * apart)
+    apart = np.linalg.norm(stance.ends[0] - stance.ends[1], axis=1) if direct else None
+    ends, n = (stance.distances, (heights[0], heights[1])), (seen.edges.n[edges[0]], seen.edges.n[edges[1]])
+    lengths = stance.course.edge_paths[0].length, longer
+    return levels_over_ends(n, angles, ends, (between, slope), lengths, last, wave, apart)
 
 
 def levels_over_ends(
-    n: End, angles: tuple[End, End], ends: tuple[End, End], middle: tuple[Floats, Floats | None], shortest: Floats,
-    last: Bools, wave: float,
+    n: End, angles: tuple[End, End], ends: tuple[End, End], middle: tuple[Floats, Floats | None], lengths: End,
+    last: Bools, wave: float, apart: Floats | None,
 ) -> Floats:  # fmt: skip
-    """Estimate the pressure (n,) of paths over ends at a wave number, 1/m, of a source of 1 at 1 m.
+    """Estimate the pressure (n,) of paths over ends at a wave number, 1/m, over that in free air.
 
     Magnitudes of all terms add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
 
     ends: r and z of both endpoints from the places on the edges, m.
 
     middle: length of the way between both edges, m, and the cosine between the edge that ends and that way; None of
-    corners at which both edges end, over which the shortest paths are as long as they say.
+    corners at which both edges end.
+
+    lengths: of the shortest paths over both edges of corners, and of paths over ends of both edges, m; NaN of others.
+
+    apart: distance in free air, m; None: as far as the path is long.
     """
-    legs, (between, slope) = [np.hypot(r, z) for r, z in zip(*ends, strict=True)], middle
+    legs, (between, slope), (shortest, longer) = [np.hypot(*end) for end in zip(*ends, strict=True)], middle, lengths
     tie = np.ones(len(last))
     if slope is not None:
         beyond, far = between + np.where(last, *legs), [np.where(last, x[1], x[0]) for x in ends]
@@ -201,12 +230,17 @@ def levels_over_ends(
     end, total = np.sqrt(wave * np.maximum(whole - shortest, 0.0)), np.zeros(len(last))
     for i, j in np.ndindex(TERMS, TERMS):
         a, b = roots[0][:, i], roots[1][:, j]
-        of_end = a + b if slope is None else np.where(last, b, a)
-        near = of_end * (of_end + 0.6)
-        share = 0.5 * _fall(end) * near / (near + end**2 + 1e-9)
+        share = _end_share(end, a + b if slope is None else np.where(last, b, a))
         both = _fall(np.maximum(a, b)) * _fall(np.minimum(a, b) * np.sqrt(np.maximum(1.0 - tie**2, 0.0)))
         total += 0.25 * weights[0][:, i] * weights[1][:, j] * share * both
-    return np.asarray(total / shortest)
+    beyond_both = np.sqrt(wave * np.maximum(longer - whole, 0.0))
+    total *= np.where(np.isnan(longer), 1.0, _end_share(beyond_both, end))
+    return np.asarray(total * (whole if apart is None else apart) / shortest)
+
+
+def _end_share(end: Floats, root: Floats) -> Floats:
+    near = root * (root + 0.6)
+    return np.asarray(0.5 * _fall(end) * near / (near + end**2 + 1e-9))
 
 
 def _fall(root: Floats) -> Floats:

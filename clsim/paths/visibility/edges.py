@@ -31,7 +31,7 @@ from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_e
 from clsim.acoustics.edge_gap import Crossing
 from clsim.arrays import Floats
 from clsim.paths.trajectory_tables import PERTURBATIONS
-from clsim.paths.vertices.gap_events import MEETING
+from clsim.paths.vertices.gap_events import at_meeting
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.scene.room.edges import Edges
@@ -61,6 +61,7 @@ class EdgeCandidates:
     edge: Rows  # (n, 2) of the room, from the source's side; the same twice for paths over one edge
     face: Rows  # (n, 2) of each both share, 0 or 1, its n-face; -1 for paths over one edge, `ACROSS_AIR` where none
     # (n,) 0 for its start, 1 for its stop, -1 for the edge itself; of the second of two 2 and 3, of both `MEETING` on
+    # and `TWO_ENDS` on
     end: Rows
     receiver: Rows  # (n,) to which
     between: NDArray[np.int32]  # (n, B) walls between two edges with air between, from the first one's side
@@ -71,7 +72,7 @@ class EdgeCandidates:
     @property
     def over_meeting_edges(self) -> bool:
         """Whether these are paths over corners at which two edges of a face end."""
-        return bool(np.any(self.end >= MEETING))
+        return bool(np.any(at_meeting(self.end)))
 
     @property
     def over_ends_of_pairs(self) -> bool:
@@ -131,8 +132,8 @@ class EdgeVisibility:
         requested, tables, edges = self.candidates, query.trajectory_tables, self.edges
         row, source = requested.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
         (one, other), end = requested.edge[which].T, requested.end[which]
-        over_end = (end >= 0) & (one == other) | (end >= MEETING)
-        ends = end % 2 * edges.length[one], np.where(end >= MEETING, end // 2, end) % 2 * edges.length[other]
+        over_end = (end >= 0) & (one == other) | at_meeting(end)
+        ends = end % 2 * edges.length[one], np.where(at_meeting(end), end // 2, end) % 2 * edges.length[other]
         at = tables.lifted(row, tables.position(row, time) + PERTURBATIONS[1])
         r_r, t_r, z_r = edges.cylindrical(other, imaged(query.walls, requested.after[which], at))
         delay = np.zeros(len(which))
