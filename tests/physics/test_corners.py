@@ -203,7 +203,7 @@ def test_drawn_walks_of_both_ends_past_a_corner(count: int, rng: np.random.Gener
     """In a room of 40 m, half of them past the corner as the source sets out: 0.1 mm to 3 cm beside it."""
     middle, duration = np.full(3, 20.0), 0.12
     hall = clsim.Shoebox((40.0, 40.0, 40.0), SILENT)
-    tone = clsim.Signal.tone(40e3, 0.1, RATE, fade=0.003)
+    tone, changing = clsim.Signal.tone(40e3, 0.1, RATE, fade=0.003), 0
     for _ in range(count):
         thing, _ = solid(str(rng.choice(["plate", "plate 60.0", "plate 120.0"])))
         room = clsim.MeshRoom.joined([hall, clsim.MeshRoom(thing.vertices - OFFSET + middle, thing.triangles, HARD)])
@@ -218,7 +218,10 @@ def test_drawn_walks_of_both_ends_past_a_corner(count: int, rng: np.random.Gener
             [clsim.Source("s", tone, line(middle + at, 0.3 * source_pace, late - np.linalg.norm(place - at) / C, duration))],
             [clsim.Receiver("r", line(middle + place + beside, pace, late, duration))],
         )  # fmt: skip
-        assert loudest_jump(clsim.find_paths(scene, 1, diffraction=1)) < -60.0
+        paths = clsim.find_paths(scene, 1, diffraction=1)
+        changing += len(changes_of(paths)) > 0
+        assert len(changes_of(paths)) == 0 or loudest_jump(paths) < -60.0
+    assert changing > 0.9 * count
 
 
 def test_a_way_that_turns_back_just_beyond_the_end_of_an_edge() -> None:
@@ -246,10 +249,15 @@ def line(place: np.ndarray, velocity: np.ndarray, when: float, duration: float) 
     return clsim.Trajectory.line(place - velocity * when, place + velocity * (duration - when), duration)
 
 
+def changes_of(paths: PathSet) -> np.ndarray:
+    """Times at which paths begin or end, s."""
+    changes = np.unique(np.concatenate([x for family in paths.families for x in (family.start, family.end)]))
+    return changes[(changes > 0.0) & (changes < 1.0)]
+
+
 def loudest_jump(paths: PathSet) -> float:
     """Largest jump of the sum where paths begin and end, dB re the strongest path, within three microseconds."""
-    changes = np.unique(np.concatenate([x for family in paths.families for x in (family.start, family.end)]))
-    changes = changes[(changes > 0.0) & (changes < 1.0)]
+    changes = changes_of(paths)
     assert len(changes) > 0, "nothing begins or ends"
     return float(20.0 * np.log10(np.max(jumps(paths, changes, 40e3, step=1e-6), initial=1e-15)))
 
