@@ -180,7 +180,7 @@ TAPER_GAINS = (
     ("common/rounding.h", "common/vector.h", "common/polynomials.h", "common/taper.h", "render/taper_gains.cl"),
     {
         "functions": INT, "activity": taken("int", "blocks, slots"), "slots": INT, "first_block": INT, "blocks": INT,
-        "block_samples": INT, **TAPERS, "polynomials": changed("float", "blocks, slots, terms"),
+        "block_samples": INT, "ramp": FLOAT, **TAPERS, "polynomials": changed("float", "blocks, slots, terms"),
     },
     frozenset({"LANES", "DELAY_TERMS", "SPARSE", "TAPER_TERMS"}),
 )  # fmt: skip

@@ -21,7 +21,7 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                       int first,                         // samples of delay at the grid's beginning
                       float shift,                       // samples that are added to all delays
                       int points,                        // of a grid
-                      int reached,                       // of these, by paths: the others are and stay 0
+                      int reached,                       // of these, now or before: the others are 0
                       __global float* grids)             // [nodes][receivers][functions][points]
 {
     const int receiver = get_global_id(1), first_node = get_global_id(0) * TOGETHER, power = functions * BESIDE;

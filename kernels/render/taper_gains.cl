@@ -19,7 +19,7 @@ static void weigh(const float weight[4], int power, __global float* c)
 }
 
 __kernel void taper_gains(int functions, __global const int* activity, int slots, int first_block, int blocks,
-                          int block_samples,
+                          int block_samples, float ramp,                          // samples; of a transition
                           __global const float* rise, __global const float* fall,  // [slots], samples of the run
                           __global const float* terms, float per_half,            // as in taper.h
                           __global float* polynomials)
@@ -27,8 +27,8 @@ __kernel void taper_gains(int functions, __global const int* activity, int slots
     const int slot = get_global_id(0);
     const float per_block = 1.0f / (float)block_samples, length = 2.0f / per_half;
     const float begin = fall[slot] < FAR ? fall[slot] - length : rise[slot];
-    // A block more to either side: what is left of a path is heard for half of a transition beyond the taper.
-    const float from = begin * per_block - 1.0f, until = (begin + length) * per_block + 2.0f;
+    // What is left of a path is heard for half of a transition beyond the taper, and computed for whole blocks.
+    const float from = (begin - ramp) * per_block - 1.0f, until = (begin + length + ramp) * per_block + 2.0f;
     const int first = from < 0.0f ? 0 : from < (float)blocks ? (int)from : blocks;
     const int last = until < 0.0f ? 0 : until < (float)blocks ? (int)until : blocks;
     for (int block = first; block < last; block++) {

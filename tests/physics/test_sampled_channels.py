@@ -324,6 +324,43 @@ def test_only_what_changes_fast_is_summed(way: clsim.Trajectory, measured: Any) 
     assert measured("sampled channels", "the sum over paths", found, PROMISED_DB) <= PROMISED_DB
 
 
+def boxed(way: clsim.Trajectory, places: list[tuple[float, float, float]], order: int, rate: float) -> clsim.PathSet:
+    """Paths of a source in a shoebox to some places."""
+    source = clsim.Source("s", clsim.Signal.noise(way.end, rate, 1, (200.0, 0.375 * rate)), way)
+    ears = [clsim.Receiver(f"r{i}", clsim.Trajectory.fixed(place)) for i, place in enumerate(places)]
+    room = clsim.Shoebox((6.0, 6.0, 2.7), clsim.Material.from_reflection(0.9))
+    return clsim.find_paths(clsim.Scene(room, clsim.Air(absorption=False), [source], ears), order)
+
+
+EAR = (4.9, 1.1, 1.6)
+SLOW = clsim.Trajectory.line((1.0, 2.0, 1.2), (1.245, 2.245, 1.2), 3.5)
+PAST = clsim.Trajectory.line((1.7, 1.12, 1.2), (2.3, 1.12, 1.2), 1.0)
+TURN = clsim.Trajectory.waypoints([0.0, 0.3, 1.0], [(1, 5, 1.2), (1.3, 4.6, 1.3), (1.4, 4.4, 1.2)], smooth=False)
+
+
+@pytest.mark.parametrize(
+    ("paths", "options"),
+    [
+        pytest.param(lambda: boxed(SLOW, [EAR], 0, 48e3), {}, id="pieces whose longest delays differ"),
+        pytest.param(lambda: boxed(PAST, [(2.0, 1.1, 1.2), EAR], 1, RATE), {}, id="one of two receivers is passed"),
+        pytest.param(lambda: boxed(TURN, [EAR], 1, 48e3), {}, id="transitions over several short blocks"),
+        pytest.param(lambda: boxed(TURN, [EAR], 1, 48e3), {"transition": 0.05}, id="a long transition"),
+    ],
+)
+def test_every_receiver_gets_the_sum_over_paths_all_of_the_time(paths: Any, options: dict[str, Any]) -> None:
+    """In windows of 30 ms; in each of these cases something else than the paths was once added for a while."""
+    found = paths()
+    rate, duration = found.scene.sources[0].emitted.sampling_rate, found.scene.sources[0].emitted.duration
+    given = {"duration": duration, "narrowband": False} | options
+    taken, summed = (clsim.render(found, rate, channels=channels, **given).samples for channels in (True, False))
+    assert any("are sampled" in line for line in clsim.plan_render(found, rate, channels=True, **given).describe())
+    window = round(0.03 * rate)
+    for one, other in zip(taken.astype(np.float64), summed.astype(np.float64), strict=True):
+        count = len(other) // window * window
+        wrong, level = (np.sqrt(np.mean(x[:count].reshape(-1, window) ** 2, axis=1)) for x in (one - other, other))
+        assert wrong.max() <= 10 ** (PROMISED_DB / 20) * level.max()
+
+
 @pytest.mark.parametrize(
     "options",
     [{"interpolator": clsim.Lagrange(12)}, {"engine": "reference"}, {"channels": None}, {"channels": False}],

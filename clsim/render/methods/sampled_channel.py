@@ -281,6 +281,7 @@ class ChannelEngine(OpenclEngine):
         self.window = self._upload(window_table().astype(np.float32))
         self.branch_signals.last = -(2**62)  # there are none to prepare
         self._filters = [ChannelFilters.of(filters) for filters in plan.source_filters]
+        self.reached: dict[tuple[int, ...], int] = {}  # points of grids of a shape (1:) that were ever written
 
     def until(self, last: int) -> None:
         """Prepare nothing anyway."""
@@ -360,6 +361,7 @@ class _ChannelRun(Run):
         engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
         shape = len(some), len(rows), self._gains, frames.grid.points
         grids = engine._scratch.take(("grids", shape[1:]), 4 * math.prod(shape), zeros=True)
+        reached = engine.reached[shape[1:]] = max(frames.grid.reached, engine.reached.get(shape[1:], 0))
         bank = self._plan.source_filters[self._source].bank
         room = 1 if self._gains == 1 else -(-self._gains // 8) * 8
         constants = {
@@ -371,7 +373,7 @@ class _ChannelRun(Run):
             polynomials=nodes.polynomials, slots=self._batch.count, functions=self._gains, nodes=len(some), **where,
             first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
             window=engine.window, first=frames.grid.first - math.floor(bank.shift),
-            shift=bank.shift - math.floor(bank.shift), points=shape[3], reached=frames.grid.reached, grids=grids,
+            shift=bank.shift - math.floor(bank.shift), points=shape[3], reached=reached, grids=grids,
         )  # fmt: skip
         mapped: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         # Of each function the channels of a receiver come side by side.

@@ -11,7 +11,7 @@ from clsim.opencl.launch import work
 from clsim.render.opencl.batches import Fades, PathBatch
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.plan import Plan
-from clsim.tracks.tapers import TAPER_TERMS, taper_terms
+from clsim.tracks.tapers import TAPER_TERMS, Tapers, taper_terms
 
 TERMS = taper_terms().astype(np.float32)
 CONSTANTS = {"TAPER_TERMS": TAPER_TERMS}
@@ -24,14 +24,19 @@ class BatchTapers:
     def __init__(self, plan: Plan, batch: PathBatch) -> None:
         tapers = [plan.tracks.pairs[pair].tapers for pair in batch.pairs]
         rows = [batch.path[batch.of_pair(i)] for i in range(len(batch.pairs))]
-        found = [taper.part(some) for taper, some in zip(tapers, rows, strict=True) if taper is not None]
-        self.there = len(found) > 0
+        lengths = [taper.length for taper in tapers if taper is not None]
+        self.there = len(lengths) > 0
         if self.there:
             rate = plan.sampling_rate
+            always = Tapers(np.array([-np.inf]), np.array([np.inf]), lengths[0], rest=False)  # of pairs without tapers
+            found = [
+                always.part(np.zeros(len(some), np.int64)) if taper is None else taper.part(some)
+                for taper, some in zip(tapers, rows, strict=True)
+            ]
             self.rise, self.fall = (
                 np.concatenate([getattr(t, name) for t in found]) * rate for name in ("rise", "fall")
             )
-            self._per_half = 2.0 / (found[0].length * rate)
+            self._per_half = 2.0 / (lengths[0] * rate)
 
     def arguments(self, start: int) -> dict[str, Any]:
         """Return tapers as kernels take them, from a sample on."""
@@ -88,6 +93,7 @@ class _TaperedRun(Run):
         self._engine._compiler.kernel("taper_gains", constants)(
             self._engine._queue, work(self._batch.count), functions=self._gains, activity=nodes.activity,
             slots=self._batch.count, first_block=first_block, blocks=-(-(end - begin) // block), block_samples=block,
+            ramp=float(self._bounds.ramp),
             **self._tapers.arguments(self._start + begin), polynomials=nodes.polynomials,
         )  # fmt: skip
         super()._render(nodes, segment, end, block, first_block)
