@@ -20,14 +20,15 @@ right angles. V, w and m are those of the surface's tangent, so that to first or
 
 A point of a line at a fixed share moves by no more than both its ends do in these shares. It meets a mirror, over
 which heights along the line grow by H, at a share that moves by no more than its height does, h, over H, and there at a
-place that moves by ``r + h D / H``, D being the line's length. So each of what decides (which side, on the face or
+place that moves by ``r + h D / H``, D being the line's length. H shrinks, too, as paths come to graze a mirror: bounds
+are those of three quarters of it, and hold until it may be less. So each of what decides (which side, on the face or
 beside it, in the way or not) is a distance and a speed at which it can shrink, and their ratio a time for which it
 stays.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of tim
 _MOST_DILATION = 2.0  # of a second of emission to one of reception that is taken first, and checked
 _MOST_SLIDE = 0.5  # of the speed of sound, at which places on mirrors that turn move on, the same
 _ROUNDS = 2  # in which bounds are made narrower
-_MARGIN = 0.25  # of a path's length, by which where it is reflected may slide before bounds no longer hold
+_MARGIN = 0.25  # of a path's length or rise, by which it may slide or shrink before bounds no longer hold
 _LESS = 0.8  # of that margin: both length and share may change
 _TAME = 1e-4  # m, by which events may lie off the line for the bounds to hold of where mirrors are met
 
@@ -127,6 +128,7 @@ class Drift:
     share: Floats  # (n, N) of the shares at which mirrors are met, 1/s
     start: Floats  # (n, N) of the heights over mirrors of what they reflect, and of where to, m/s
     stop: Floats  # likewise
+    steady: Floats  # (n, N) for how long those of shares and of places on mirrors are bounds, s, as the rise shrinks
     holds: Floats  # (n,) for how long these are bounds, s; 0 where they are none
 
 
@@ -168,7 +170,11 @@ def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium:
     slides = np.maximum(slides, _MARGIN * (found.place[:, 1:-1] + _MOST_DILATION * moves.speed) / moves.spare)
     slides = np.where(turns, slides, 0.0).max(axis=1, initial=0.0)
     holds = np.where(ok, lasts(np.full(len(walls), _LESS * _MARGIN), slides), 0.0)
-    return Drift(found.dilation, found.place, found.share, found.start, found.stop, holds)
+    wider = np.where(turns, 1.0, 1.0 / (1.0 - _MARGIN))  # what turns slides farther before heights shrink as much
+    steady = np.where(turns, FAR, lasts(_MARGIN * line.rise, found.start + found.stop))
+    found.place[:, 1:-1] = np.minimum(found.place[:, 1:-1] * wider, FAR)
+    found.dilation[:, 1:-1] = 1.0 + (found.dilation[:, 1:-1] - 1.0) * wider
+    return replace(found, share=np.minimum(found.share * wider, FAR), steady=steady, holds=holds)
 
 
 def _motions(
@@ -252,7 +258,7 @@ def _drift(moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats
             out[:, k] = x + mach[:, k] * y + moves.speed[:, k] + apart * tilts
     places = np.column_stack([pace.source * dilation, np.minimum(place, FAR), pace.receiver])
     dilation = 1.0 + (np.pad(line.length[:, None] / c * share, ((0, 0), (1, 1))) + slower[:, None])
-    return Drift(dilation, places, share, start, stop, np.empty(0))
+    return Drift(dilation, places, share, start, stop, np.empty(0), np.empty(0))
 
 
 def absent(line: Line, change: Drift, holds: Bools, beside: Floats) -> Floats:
@@ -261,9 +267,10 @@ def absent(line: Line, change: Drift, holds: Bools, beside: Floats) -> Floats:
     one_side = (line.share <= 0.0) | (line.share >= 1.0)
     sure = np.where(one_side, np.minimum(lasts(far, change.start), lasts(near, change.stop)), 0.0)
     off = line.tame & ~holds & ~one_side
-    sure = np.maximum(sure, np.where(off, beside, 0.0)).max(axis=1, initial=0.0)
+    sure = np.maximum(sure, np.where(off, np.minimum(beside, change.steady), 0.0)).max(axis=1, initial=0.0)
     late = line.share[:, :-1] - line.share[:, 1:]
     wrong = np.where(late > 0.0, lasts(np.maximum(late, 0.0), change.share[:, :-1] + change.share[:, 1:]), 0.0)
+    wrong = np.minimum(wrong, np.minimum(change.steady[:, :-1], change.steady[:, 1:]))
     return np.asarray(np.maximum(sure, wrong.max(axis=1, initial=0.0)))
 
 

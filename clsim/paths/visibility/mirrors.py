@@ -81,7 +81,7 @@ class MirrorEvaluation:
             lengths = np.linalg.norm(np.diff(line.place[some], axis=1), axis=2)
             closing = change.place[some, 1:] + change.place[some, :-1]
             kept = np.minimum(lasts(apart, slide)[some].min(axis=1, initial=FAR), lasts(lengths, closing).min(axis=1))
-            kept = np.minimum(kept, change.holds[some])
+            kept = np.minimum(kept, np.minimum(change.holds, change.steady.min(axis=1, initial=FAR))[some])
             there[some], sure[some] = self._free(walls[some], line, change, pace, some, kept)
         certain = sure
         jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
