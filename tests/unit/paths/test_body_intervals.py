@@ -44,6 +44,28 @@ def test_a_pole_that_flies_through_the_line_of_sight_is_seen() -> None:
     assert [found.end[0], found.start[1]] == pytest.approx(edges.tolist(), abs=1.0 / RATE)
 
 
+def test_a_grazing_glint_of_a_box_at_rest_is_seen() -> None:
+    """A receiver passes at 2 m/s, 37 ms at 6 to 8 degrees: as it comes near, hits slide ever faster. As in the room."""
+    axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+    turned = FIXED((2.5, 2.5, 1.5), (*(np.sin(0.2) * axis), np.cos(0.2)))
+    box = clsim.Body.box("box", (0.3, 0.2, 0.4), WOOD, turned)
+    ends = FIXED((1.2, 2.37, 1.43)), LINE((3.4, 1.6, 1.3), (3.3, 3.5, 1.75), 1.0)
+    hall = clsim.Shoebox((6.0, 5.0, 3.0), WOOD)
+    built_in = clsim.MeshRoom(box.placed(box.mesh.vertices, np.array(0.0)), box.mesh.triangles, WOOD)
+    joined = clsim.MeshRoom.joined([hall, built_in])
+    mine, room = (
+        clsim.find_paths(scene_of(bodies, *ends, 0.99, of), 1, engine="reference").families
+        for bodies, of in (([box], hall), ([], joined))
+    )
+    glint, first = mine[-1], len(hall.faces)
+    wanted = np.flatnonzero(np.any(room[0].walls >= first, axis=1))
+    assert len(glint) == len(wanted) == 1
+    np.testing.assert_allclose(
+        [glint.start[0], glint.end[0]], [room[0].start[wanted[0]], room[0].end[wanted[0]]], atol=1e-5
+    )
+    assert 0.03 < glint.end[0] - glint.start[0] < 0.04
+
+
 def test_a_glint_of_a_facet_that_turns_is_seen() -> None:
     """A facet of 1.6 cm turns about its middle at 10 rad/s: both ends are near each other, so it must face them."""
     turn = SWING((3.0, 2.5, 1.5), (0, 0, 1), [-0.6, 0.0, 0.6], [0.0, 0.06, 0.12], origin=(0, 0, 0))
