@@ -86,7 +86,7 @@ class ChannelGrid:
     span: int  # samples from there to the end of the longest response
     spacing: int  # samples from node to node
     size: int  # samples of a transform; of the grid there are 5 / 4 as many points
-    reached: int  # points over which paths are spread; those beyond stay 0
+    reached: int  # points over which paths are spread; the others are 0
 
     @classmethod
     def between(cls, shortest: float, longest: float, ringing: int, spacing: int) -> ChannelGrid:

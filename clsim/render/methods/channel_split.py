@@ -155,16 +155,15 @@ def node_error_db(
     rate = emission.signal.sampling_rate
     rng, window = np.random.default_rng(emission.source), node_window(spacing)
     count = _EVALUATED_AT[2]
-    places = rng.integers(0, max(round(emission.until * rate), 1), count)
-    places[:2] = 0, round(emission.until * rate)
+    of_run = rng.integers(0, max(round(emission.until * rate), 1), count)
+    of_run[:2] = 0, round(emission.until * rate)
     wrong = loud = 0.0
     for pair in pairs[:: -(-len(pairs) // _EVALUATED_AT[0])]:
         rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _EVALUATED_AT[1] - 1)))
-        tapers = tracks.pairs[pair].tapers
+        places, tapers = of_run, tracks.pairs[pair].tapers
         if tapers is not None:
-            places = np.rint(tapers.part(np.resize(rows, count)).some_times(emission.until, rng) * rate).astype(
-                np.int64
-            )
+            times = tapers.part(np.resize(rows, count)).some_times(emission.until, rng)
+            places = np.rint(times * rate).astype(np.int64)
         whole, within = np.divmod(places, spacing)
         whole, within = whole[:, None] + np.arange(1 - NODES, NODES + 1), np.where(within == 0, spacing // 2, within)
         weights = window[within[:, None] + spacing * np.arange(2 * NODES - 1, -1, -1) - 1]
