@@ -308,7 +308,7 @@ def _check_bands(scene: Scene) -> None:
 
 _INSTANTS = 1001  # of a run at which lines of sight are looked at
 _PLACES = np.linspace(-1.0, 1.0, 33)[:, None]  # about the place nearest to a centre, in largest radii
-_PAIRS = 8  # that are told of one by one
+_PAIRS = 8  # that are reported one by one
 _SEEN_AT = 301  # of a signal at which several scatterers may stand in the line of sight at once
 
 

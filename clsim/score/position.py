@@ -386,7 +386,7 @@ def echo_bounds(paths: PathSet, wrt: Sequence[str], noise: float, sampling_rate:
 
     Notes
     -----
-    Echoes that overlap are told apart as far as the recording can: no separation of paths is assumed (Y. Shen and
+    Echoes that overlap are separated as far as the recording can: no separation of paths is assumed (Y. Shen and
     M. Z. Win, "Fundamental limits of wideband localization", IEEE Trans. Inf. Theory 56(10), 2010).
 
     Examples

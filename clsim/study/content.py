@@ -244,7 +244,7 @@ def _direct_sound(planned: PlannedScene) -> NDArray[Any]:
         return np.zeros((plan.row_count, plan.samples), plan.sample_type)
     duration = plan.samples / plan.sampling_rate
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ClsimWarning)  # the whole sound has told the same
+        warnings.simplefilter("ignore", ClsimWarning)  # the whole sound has warned of the same
         return record(plan_paths(paths, replace(plan.options, duration=duration, tail="off"))).samples
 
 

@@ -85,7 +85,7 @@ class Pieces:
 
     @classmethod
     def of(cls, start: Floats, end: Floats, cuts: Floats, until: float) -> Pieces:
-        """Return the pieces heard up to a time, s, of paths from start to end (paths,) that are cut (paths, Q), s."""
+        """Return the pieces active up to a time, s, of paths from start to end (paths,) that are cut (paths, Q), s."""
         ends = np.stack([start, end], axis=1)
         cut = np.clip(cuts, ends[:, :1], ends[:, 1:])
         edges = np.sort(np.concatenate([ends, cut], axis=1), axis=1)

@@ -27,7 +27,7 @@ __kernel void taper_gains(int functions, __global const int* activity, int slots
     const int slot = get_global_id(0);
     const float per_block = 1.0f / (float)block_samples, length = 2.0f / per_half;
     const float begin = fall[slot] < FAR ? fall[slot] - length : rise[slot];
-    // What is left of a path is heard for half of a transition beyond the taper, and computed for whole blocks.
+    // What is left of a path is active for half of a transition beyond the taper, and computed for whole blocks.
     const float from = (begin - ramp) * per_block - 1.0f, until = (begin + length + ramp) * per_block + 2.0f;
     const int first = from < 0.0f ? 0 : from < (float)blocks ? (int)from : blocks;
     const int last = until < 0.0f ? 0 : until < (float)blocks ? (int)until : blocks;

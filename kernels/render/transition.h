@@ -9,7 +9,7 @@ static float weight(float samples, float per_ramp)
     return x <= -0.5f ? 0.0f : x >= 0.5f ? 1.0f : 0.5f + 0.5f * sine;
 }
 
-// Whether a path is heard without a transition in all of a subblock, by its number.
+// Whether a path is active without a transition in all of a subblock, by its number.
 static int is_steady(int subblock, int samples, float start, float end, float per_ramp)
 {
     const float first = (float)(subblock * samples), last = first + (float)(samples - 1);

@@ -1,4 +1,4 @@
-// Leaves of a path's activity in a block what it is heard of without a transition: `fades.cl` adds all others. Work-item: one
+// Leaves of a path's activity in a block what has no transition: `fades.cl` adds all others. Work-item: one
 // slot and block.
 
 __kernel void trim_activity(int count, __global const int* slot_of, __global const int* block,

@@ -150,7 +150,7 @@ def node_error_db(
     """Measure the error of responses between nodes at the end of the band, relative to them, dB, from a sample.
 
     The sample is the first and some other paths of some pairs at some instants, the first and the last among them; of
-    paths with tapers those at which they are heard.
+    paths with tapers those at which they are active.
     """
     rate = emission.signal.sampling_rate
     rng, window = np.random.default_rng(emission.source), node_window(spacing)

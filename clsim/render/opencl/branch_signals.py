@@ -91,7 +91,7 @@ class Limits:
         check_buffers(self._info, needed | {"polynomials": _LEVELS * self.node_budget}, f"{segment} samples", advice)
 
 
-_CHOSEN_ANEW = 2  # segments for which the paths that are heard are chosen anew, where some begin or end
+_CHOSEN_ANEW = 2  # segments for which the active paths are chosen anew, where some begin or end
 _VECTORS = 8  # of samples that a work-item filters
 _MARGIN = 64  # samples of branch signal beyond the bounds of the delays
 

@@ -98,7 +98,7 @@ class OpenclEngine:
                 )
 
     def shares(self, other: OpenclEngine) -> None:
-        """Let what `warn` tells be that of this engine and of another, which renders other paths of the same plan."""
+        """Have `warn` report this engine and another, which renders other paths of the same plan."""
         self.residuals, self._coarse = other.residuals, other._coarse
 
     def note_coarse(self, source: int, wrong: float, time: float) -> None:

@@ -77,7 +77,7 @@ class _TaperedRun(Run):
         return self._sudden.fades(start, block, blocks)
 
     def _leave(self, nodes: Any, fades: Fades, slot: Any, at: Any, block: int) -> None:
-        """Leave what is heard without a transition of the blocks in which paths begin or end, where that is known."""
+        """Leave what is active without a transition of the blocks in which paths begin or end, where that is known."""
         if not self._is_sparse(nodes):
             return super()._leave(nodes, fades, slot, at, block)
         ramp, subblock = self._bounds.ramp, self._plan.subblock(self._source, block)
