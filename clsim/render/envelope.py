@@ -362,10 +362,10 @@ class Split:
         """Return the gain of all band-stops at evenly spaced frequencies (F,) up to half the sampling rate."""
         return np.asarray(np.prod([band.left(frequencies) for band in self.bands], axis=0))
 
-    def rest_of(self, sound: ShortTimeSpectra) -> ShortTimeSpectra:
+    def rest_of(self, sound: ShortTimeSpectra, silent: float = _SILENT) -> ShortTimeSpectra:
         """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""
         energy = sound.energy * self.left(sound.frequencies) ** 2
-        loud = energy.sum(axis=1) > _SILENT
+        loud = energy.sum(axis=1) > silent
         return ShortTimeSpectra(sound.frequencies, energy[loud], sound.weights[loud])
 
     def _band_pass(self, signal: Signal) -> NDArray[Any]:

@@ -46,7 +46,7 @@ class Costs:
 def measured_costs() -> Costs:
     """Return the costs of this installation."""
     content = tomllib.loads(FILE.read_text("utf-8"))
-    return Costs(**content["nanoseconds"], **content["times"])
+    return Costs(**content["nanoseconds"], **content["narrow"], **content["times"])
 
 
 def on_gpu(options: RenderOptions) -> bool:

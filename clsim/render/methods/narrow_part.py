@@ -31,6 +31,7 @@ from clsim.scene.signal.waveforms import Chirp
 from clsim.tracks.basis import flat_basis
 from clsim.tracks.tracks import SceneTracks, Tracks
 
+_PASSED_OVER = 1e-6  # of a window's energy, above what Hann's window adds: some windows pass over parts of a sweep
 # Processor time of filtering by the functions of a few paths by scatterers, ns in a sample of the sound (12 capsules).
 _STREAMS = 150.0
 _AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
@@ -249,9 +250,14 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         if costs[bands] >= min((offer.cost for offer in found), default=math.inf):
             break
         split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, steady)
-        loud = float(split.rest_of(some).weights.sum() / some.weights.sum())
+        loud = max(_share(split.rest_of(some), some), _share(split.rest_of(sound, _PASSED_OVER), sound))
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found
+
+
+def _share(part: ShortTimeSpectra, whole: ShortTimeSpectra) -> float:
+    """Share of the time of a sound in which a part of it is not silent."""
+    return float(part.weights.sum() / whole.weights.sum())
 
 
 def _envelope_cost(band: Baseband, rate: float) -> float:

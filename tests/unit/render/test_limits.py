@@ -32,7 +32,7 @@ def plan(receivers: int = 2, order: int = 1, duration: float = 0.3, **options) -
     ears = clsim.receiver_array("r", clsim.grid_positions((1.0, 5.0, receivers), 3.0, 2.0))
     room = clsim.Shoebox((6, 5, 3), clsim.Material.from_reflection(0.8))
     scene = clsim.Scene(room, clsim.Air(), [clsim.Source("s", TONE, way)], ears)
-    options = {"interpolator": clsim.Bandlimited(-60.0)} | options
+    options = {"interpolator": clsim.Bandlimited(-60.0), "narrowband": False} | options
     return plan_render(clsim.find_paths(scene, order), RATE, responses="centre", duration=duration, **options)
 
 
