@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.acoustics import silhouette
@@ -159,9 +160,7 @@ def _lobes(wave: Floats, aspects: Floats) -> Complexes:
 
 def _fresnel(x: Floats) -> Complexes:
     """Return E(x), see `_lobes`."""
-    from scipy.special import wofz
-
-    return np.asarray(wofz(_TURN * x))
+    return np.asarray(scipy.special.wofz(_TURN * x))
 
 
 def _fewer(roots: Floats) -> tuple[Floats, Complexes | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 
 from clsim.arrays import Floats
 
@@ -224,13 +225,11 @@ def interaural_correlation(left: Floats, right: Floats, sampling_rate: float) ->
 
     ISO 3382-1:2009, annex B: the largest magnitude of the normalised correlation within 1 ms.
     """
-    from scipy.fft import irfft, next_fast_len, rfft
-
     scale = math.sqrt(float(np.sum(np.square(left))) * float(np.sum(np.square(right))))
     if scale == 0.0:
         return math.nan
-    size, most = next_fast_len(2 * len(left), real=True), int(_EARS * sampling_rate)
-    correlation = irfft(np.conj(rfft(left, size)) * rfft(right, size), size)
+    size, most = scipy.fft.next_fast_len(2 * len(left), real=True), int(_EARS * sampling_rate)
+    correlation = scipy.fft.irfft(np.conj(scipy.fft.rfft(left, size)) * scipy.fft.rfft(right, size), size)
     return float(np.abs(np.append(correlation[: most + 1], correlation[size - most :])).max()) / scale
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
@@ -210,19 +211,19 @@ def _channels(number: int, words: list[str]) -> list[str]:
 
 def _posed(bones: list[_Bone], rows: Floats) -> Floats:
     """Return positions of joints (joints, T, 3), each turned about its own axes in the order of its channels."""
-    from scipy.spatial.transform import Rotation
-
-    turns: list[Rotation] = []
+    turns: list[scipy.spatial.transform.Rotation] = []
     places, first = np.empty((len(bones), len(rows), 3)), 0
     for i, bone in enumerate(bones):
         own = rows[:, first : first + len(bone.channels)]
         first += len(bone.channels)
-        offset, turn = np.tile(bone.offset, (len(rows), 1)), Rotation.identity(len(rows))
+        offset, turn = np.tile(bone.offset, (len(rows), 1)), scipy.spatial.transform.Rotation.identity(len(rows))
         for channel, values in zip(bone.channels, own.T, strict=True):
             if channel.endswith("position"):
                 offset[:, _AXES[channel[0]]] = values if bone.parent < 0 else offset[:, _AXES[channel[0]]] + values
             else:
-                turn = turn * Rotation.from_rotvec(np.radians(values)[:, None] * np.eye(3)[_AXES[channel[0]]])
+                turn = turn * scipy.spatial.transform.Rotation.from_rotvec(
+                    np.radians(values)[:, None] * np.eye(3)[_AXES[channel[0]]]
+                )
         if bone.parent < 0:
             places[i], turned = offset, turn
         else:

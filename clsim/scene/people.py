@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from clsim.arrays import Floats, as_floats, as_number, read_only
@@ -59,8 +60,6 @@ def quaternions_along(along: Floats, aside: Floats | None = None) -> Floats:
     >>> quaternions_along(np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 1.0, 0.5]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
-    from scipy.spatial.transform import Rotation
-
     z = along / np.linalg.norm(along, axis=1, keepdims=True)
     if aside is None:
         y = np.empty_like(z)
@@ -72,7 +71,7 @@ def quaternions_along(along: Floats, aside: Floats | None = None) -> Floats:
     else:
         y = aside - z * np.sum(aside * z, axis=1, keepdims=True)
         y = y / np.linalg.norm(y, axis=1, keepdims=True)
-    return np.asarray(Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2)).as_quat())
+    return np.asarray(scipy.spatial.transform.Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2)).as_quat())
 
 
 SLOWEST, FASTEST = 0.1, 3.0  # leg lengths a second
@@ -143,11 +142,9 @@ def _joint(name: str, phase: Floats, speed: Floats) -> Floats:
 
 def _cubics(points: list[tuple[float, float]], phase: Floats) -> Floats:
     """Return the values of monotone cubics of period 1 through points."""
-    from scipy.interpolate import PchipInterpolator
-
     once = np.array(sorted(points))
     every = np.concatenate([once + np.array([shift, 0.0]) for shift in (-2.0, -1.0, 0.0, 1.0, 2.0)])
-    return np.asarray(PchipInterpolator(*every.T)(phase))
+    return np.asarray(scipy.interpolate.PchipInterpolator(*every.T)(phase))
 
 
 def _control_points(name: str, v: float) -> list[tuple[float, float]]:

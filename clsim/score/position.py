@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+import scipy
 
 from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, check_packages, check_pictures
@@ -319,8 +320,6 @@ def _by_receivers(scores: list[RangingScore]) -> _Given:
 
 def _located(anchors: Floats, ranges: Floats, method: str, room: Room) -> Floats:
     """Return the place (3,) within a room that fits ranges (n,) to anchors (n, 3) best, m."""
-    from scipy.optimize import least_squares
-
     low, high = room.extent
     middle = 0.5 * (low + high)
     free = method == "tdoa"  # what all ranges have in common
@@ -337,7 +336,9 @@ def _located(anchors: Floats, ranges: Floats, method: str, room: Room) -> Floats
 
     count = 4 if free else 3
     bounds = np.append(low, -reach)[:count], np.append(high, reach)[:count]
-    found: Any = least_squares(errors, start[:count], slopes, bounds, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    found: Any = scipy.optimize.least_squares(
+        errors, start[:count], slopes, bounds, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12
+    )
     return np.asarray(found.x[:3])
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, as_choice, as_index, as_number, read_only, short_repr, texts
@@ -382,18 +383,16 @@ class MatchedFilter:
 
         Its magnitude is the envelope, its real part the correlation itself, over the pulse's energy.
         """
-        from scipy.fft import fft, ifft, next_fast_len
-
         length = rows.shape[1]
-        size = next_fast_len(length + len(self.pulse) - 1)
-        filtered = np.conj(fft(self.pulse, size))
+        size = scipy.fft.next_fast_len(length + len(self.pulse) - 1)
+        filtered = np.conj(scipy.fft.fft(self.pulse, size))
         filtered[size // 2 + 1 :] = 0.0  # what is left is the analytic signal
         filtered[1 : (size + 1) // 2] *= 2.0
         out = np.empty((len(rows), max(length - len(self.pulse) + 1, 0)), dtype=np.complex128)
         scale = 1.0 / (self.energy * self.sampling_rate)
         step = max(1, _BATCH // size)
         for i in range(0, len(rows), step):
-            made = ifft(fft(rows[i : i + step].astype(np.float64), size) * filtered)
+            made = scipy.fft.ifft(scipy.fft.fft(rows[i : i + step].astype(np.float64), size) * filtered)
             out[i : i + step] = made[:, : out.shape[1]] * scale
         return out
 

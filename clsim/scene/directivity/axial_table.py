@@ -9,6 +9,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import fit_delay
@@ -45,11 +46,9 @@ def within_half_turn(angles: Floats, values: NDArray[Any], unit: str) -> tuple[F
 
     Where no angle lies on the axis, or opposite, its values are those of a cubic spline through all angles.
     """
-    from scipy.interpolate import CubicSpline
-
     made = [a for a in (0.0, 180.0) if angles[0] < a < angles[-1] and np.abs(angles - a).min() > _SAME_ANGLE]
     if made and len(angles) > 1:
-        joined = CubicSpline(angles, values)(made)
+        joined = scipy.interpolate.CubicSpline(angles, values)(made)
         order = np.argsort(np.concatenate([angles, made]), kind="stable")
         angles, values = np.concatenate([angles, made])[order], np.concatenate([values, joined])[order]
     kept = (angles >= -_SAME_ANGLE) & (angles <= 180.0 + _SAME_ANGLE)
@@ -385,18 +384,18 @@ def _scale_of(values: Any, scale: str | None) -> str:
 @lru_cache(maxsize=32)
 def _pieces(table: AxialDirectivity, frequencies: bytes) -> NDArray[Any]:
     """Return cubics between the table's angles (4, a - 1, u) at frequencies (u,) given as bytes."""
-    from scipy.interpolate import CubicSpline, PchipInterpolator
-
     at = np.frombuffer(frequencies)
     knots = np.radians(table.angles_degrees)
     if table.scale == "db":
         rows = joined_over_frequency(table.frequencies, table.values, at, monotone=True)
         # A mirrored angle on either side makes both ends level.
         angles = np.concatenate([[-knots[1]], knots, [2.0 * knots[-1] - knots[-2]]])
-        return np.asarray(PchipInterpolator(angles, np.concatenate([rows[1:2], rows, rows[-2:-1]])).c[:, 1:-1])
+        return np.asarray(
+            scipy.interpolate.PchipInterpolator(angles, np.concatenate([rows[1:2], rows, rows[-2:-1]])).c[:, 1:-1]
+        )
     turn = 2j * np.pi * (table.delay[0] + table.delay[1] * np.cos(knots))[:, None]
     rest = table.values * np.exp(turn * table.frequencies) if table.is_complex else table.values
     rows = joined_over_frequency(table.frequencies, rest, at)
     # What the delay adds to the slope at the last angle is taken from the rest, so that the whole is level there.
     slope = -2j * np.pi * at * table.delay[1] * math.sin(knots[-1]) * rows[-1] if table.is_complex else 0.0 * rows[-1]
-    return np.asarray(CubicSpline(knots, rows, bc_type=((1, 0.0 * rows[0]), (1, slope))).c)
+    return np.asarray(scipy.interpolate.CubicSpline(knots, rows, bc_type=((1, 0.0 * rows[0]), (1, slope))).c)

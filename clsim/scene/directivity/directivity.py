@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_choice, as_floats
@@ -98,13 +99,13 @@ def joined_over_frequency(frequencies: Floats, values: NDArray[Any], at: Floats,
     """Return values (n, f) at other frequencies (u,), those beyond the ends as at the ends, (n, u)."""
     # Sound has no phase at 0 Hz: below half of the lowest frequency, imaginary parts fall to nothing as a raised
     # cosine.
-    from scipy.interpolate import CubicSpline, PchipInterpolator
-
     within = np.clip(at, frequencies[0], frequencies[-1])
     if len(frequencies) == 1:
         joined: Any = np.repeat(values, len(at), axis=1)
     else:
-        joined = (PchipInterpolator if monotone else CubicSpline)(frequencies, values, axis=1)(within)
+        joined = (scipy.interpolate.PchipInterpolator if monotone else scipy.interpolate.CubicSpline)(
+            frequencies, values, axis=1
+        )(within)
     if np.iscomplexobj(joined) and frequencies[0] > 0.0:
         joined.imag *= np.sin(0.5 * math.pi * np.minimum(at / (0.5 * frequencies[0]), 1.0)) ** 2
     return joined

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.sphere import sphere_surface_field
@@ -238,8 +239,6 @@ class SphericalHead(ChannelDirectivity):
 @lru_cache(maxsize=32)
 def _aligned_terms(radius: float, frequencies: bytes, speed_of_sound: float) -> Complexes:
     """Chebyshev coefficients (N, F) over the cosine of incidence of a sphere's gains, their lateness taken out."""
-    from scipy.fft import dct
-
     f = np.frombuffer(frequencies)
     ka = 2.0 * np.pi * f * radius / speed_of_sound
     # The field and the phase of the lateness turn by up to 2.6 ka over the cosine.
@@ -247,7 +246,7 @@ def _aligned_terms(radius: float, frequencies: bytes, speed_of_sound: float) -> 
     cosine = np.cos(math.pi * (np.arange(count) + 0.5) / count)
     late = radius / speed_of_sound * np.polynomial.polynomial.polyval(cosine, _WOODWORTH)
     values = sphere_surface_field(ka, cosine) * np.exp(2j * np.pi * late[:, None] * f)
-    terms: Any = dct(values, type=2, axis=0) / count
+    terms: Any = scipy.fft.dct(values, type=2, axis=0) / count
     terms[0] *= 0.5
     loud = np.abs(terms).max(axis=1)
     return np.ascontiguousarray(terms[: int(np.flatnonzero(loud > _KEPT * loud.max())[-1]) + 1])
@@ -281,9 +280,7 @@ def _weights(head: HeadRelated) -> Any:
 
 def _gaps(directions: Floats) -> Floats:
     """Return directions (k, 3) in gaps among others (n, 3), where these are farther than they are from each other."""
-    from scipy.spatial import KDTree
-
-    tree, even = KDTree(directions), fibonacci_sphere(_IN_GAPS)
+    tree, even = scipy.spatial.KDTree(directions), fibonacci_sphere(_IN_GAPS)
     apart = float(np.median(np.asarray(tree.query(directions, k=2)[0])[:, 1]))
     return even[tree.query(even)[0] > max(_GAP * apart, _LEAST_GAP)]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import fit_delay
@@ -224,16 +225,14 @@ def _of(data: Any, measurement: int) -> Floats:
 
 def _transformed(sofa: Any, measurement: int) -> tuple[Floats, NDArray[np.complex128]]:
     """Return frequencies and the spectrum of impulse responses, delays included."""
-    from scipy.fft import next_fast_len, rfft, rfftfreq
-
     samples = _of(sofa.Data_IR, measurement)
     rate = sampling_rate_of(sofa)
-    size = next_fast_len(_PADDING * samples.shape[1], real=True)
-    frequencies = np.asarray(rfftfreq(size, 1.0 / rate), dtype=np.float64)
+    size = scipy.fft.next_fast_len(_PADDING * samples.shape[1], real=True)
+    frequencies = np.asarray(scipy.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
     delay = np.atleast_2d(np.asarray(sofa.Data_Delay, dtype=np.float64))
     delay = delay[measurement if len(delay) > 1 else 0] / rate
     turn = -2j * np.pi * frequencies * np.broadcast_to(delay, samples.shape[:1])[:, None]
-    return frequencies, np.asarray(rfft(samples, size, axis=1) * np.exp(turn), dtype=np.complex128)
+    return frequencies, np.asarray(scipy.fft.rfft(samples, size, axis=1) * np.exp(turn), dtype=np.complex128)
 
 
 def _directions(sofa: Any, measurement: int) -> Floats:

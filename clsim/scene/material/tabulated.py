@@ -10,6 +10,7 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import reflection_from_absorption, reflection_from_impedance
@@ -82,17 +83,15 @@ def check_clear_phase(frequencies: Floats, factors: NDArray[Any]) -> None:
 
 def check_passive_echo(samples: Floats, sampling_rate: float, band: tuple[float, float], tolerance: float) -> None:
     """Raise an InputError if an impulse response is too long, or reflects too much energy within a band."""
-    from scipy.fft import next_fast_len, rfft
-
     if len(samples) > _LONGEST:
         raise InputError("samples", f"must be at most {_LONGEST}, the wall's echo alone, but are {len(samples)}")
     if not np.any(samples):
         raise InputError("samples", "must not all be 0")
-    size = next_fast_len(max(8 * len(samples), 4096))
+    size = scipy.fft.next_fast_len(max(8 * len(samples), 4096))
     frequencies = np.arange(size // 2 + 1) * (sampling_rate / size)
     step = sampling_rate / size  # a narrow band still holds a point
     inside = (frequencies > band[0] - step) & (frequencies < band[1] + step)
-    magnitude = np.abs(rfft(samples, size)) * inside
+    magnitude = np.abs(scipy.fft.rfft(samples, size)) * inside
     k = int(magnitude.argmax())
     if magnitude[k] > 1.0 + tolerance:
         raise InputError(
@@ -290,12 +289,10 @@ def curve_of(table: Tabulated) -> Callable[[Floats], NDArray[Any]]:
 
 def _smooth(x: Floats, y: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
     """Return monotone cubics through points, which overshoot none of them; held at the ends."""
-    from scipy.interpolate import PchipInterpolator
-
     if len(x) < 2:
         return lambda at: np.full(np.shape(at), y[0])
     with np.errstate(over="ignore"):  # of next to nothing over nothing
-        through = PchipInterpolator(x, y)
+        through = scipy.interpolate.PchipInterpolator(x, y)
     return lambda at: np.asarray(through(np.clip(at, x[0], x[-1])))
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_number, unique_rows
@@ -33,10 +34,8 @@ class CleanMesh:
 
 def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     """Weld vertices (V, 3), m, by position, and drop triangles (T, 3) without area and copies of others."""
-    from scipy.spatial import cKDTree
-
     unique, _, which = unique_rows(vertices)
-    count, vertex = clusters(len(unique), cKDTree(unique).query_pairs(WELD, output_type="ndarray"))
+    count, vertex = clusters(len(unique), scipy.spatial.cKDTree(unique).query_pairs(WELD, output_type="ndarray"))
     welded = np.empty((count, 3))
     welded[vertex[::-1]] = unique[::-1]
     corners = vertex[which][triangles]
@@ -255,10 +254,8 @@ def _joined(vertices: Floats, triangles: Ints, tolerance: float, thinner: float)
 
 def _welded(vertices: Floats, tolerance: float) -> tuple[Ints, Floats, Floats]:
     """Index (V,) of the place that each vertex goes to, the places (n, 3), and how far each vertex moves (V,), m."""
-    from scipy.spatial import cKDTree
-
     vertex = np.full(len(vertices), -1)
-    near: Any = cKDTree(vertices).query_ball_point(vertices, tolerance)
+    near: Any = scipy.spatial.cKDTree(vertices).query_ball_point(vertices, tolerance)
     firsts: list[int] = []
     for i, around in enumerate(near):
         if vertex[i] < 0:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, unique_rows
@@ -119,11 +120,8 @@ def cross_products(corners: Floats) -> Floats:
 
 def clusters(count: int, pairs: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
     """Return number of clusters that pairs (n, 2) form among `count` items, and the cluster of each item."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    found, cluster = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    found, cluster = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return int(found), cluster.astype(np.int64)
 
 

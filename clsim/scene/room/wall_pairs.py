@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, spread, unique_rows
@@ -37,15 +38,13 @@ def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, 
     # between the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle
     # of all walls differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each
     # other.
-    from scipy.spatial import cKDTree
-
     tolerance = SAME_PLANE * size
     middle = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
     far = float(np.linalg.norm(hull - middle, axis=1).max())
     sine = np.minimum(1.0, 2.0 * tolerance / np.maximum(_widths(normal, hull, first_hull), 1e-300))
     place = np.column_stack([far * normal, offset - normal @ middle])
     near = 1.01 * np.hypot(1.5 * far * sine, 1.5 * far * sine + tolerance) + 1e-12 * size
-    tree = cKDTree(place)
+    tree = scipy.spatial.cKDTree(place)
     pairs = [np.empty((0, 2), dtype=np.int64)]
     for sign in (1.0, -1.0):
         found = tree.query_ball_point(sign * place, near, return_sorted=False)

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_count, read_only, short_repr
@@ -311,11 +312,11 @@ def _white_block(seed: int, k: int) -> Floats:
 @lru_cache(maxsize=512)  # 16 MiB: planning looks at what rendering reads again
 def _noise_block(seed: int, band: tuple[float, float], sampling_rate: float, k: int) -> Floats:
     """Return block k of endless noise through a band's filter, by overlap-save: the same however it is read."""
-    from scipy.fft import irfft, rfft
-
     white = white_noise(seed, k * _NOISE_BLOCK - _NOISE_HALF, (k + 1) * _NOISE_BLOCK + _NOISE_HALF)
     length = _NOISE_BLOCK + 2 * _NOISE_HALF
-    return np.asarray(irfft(rfft(white) * _band_response(*band, sampling_rate), length)[2 * _NOISE_HALF :])
+    return np.asarray(
+        scipy.fft.irfft(scipy.fft.rfft(white) * _band_response(*band, sampling_rate), length)[2 * _NOISE_HALF :]
+    )
 
 
 @lru_cache(maxsize=16)
@@ -329,11 +330,9 @@ def _block_angles(frequency: float, sampling_rate: float) -> tuple[Floats, Float
 @lru_cache(maxsize=16)
 def _band_response(low: float, high: float, sampling_rate: float) -> NDArray[np.complex128]:
     """Return the spectrum, over one block, of a linear-phase band filter of unit noise gain."""
-    from scipy.fft import rfft
-
     half_rate = 0.5 * sampling_rate
     taps = band_pass(max(low, 0.0) / half_rate, high / half_rate, 2 * _NOISE_HALF + 1, _NOISE_SHAPE)
-    return np.asarray(rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
+    return np.asarray(scipy.fft.rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
 
 
 def _taper(out: Floats, first: int, sampling_rate: float, duration: float, fade: float) -> None:
@@ -365,17 +364,15 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
     code: for "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by k.
     For "mls" the number of chips by which it is rotated.
     """
-    from scipy.signal import max_len_seq
-
     bits = as_count("bits", bits, at_least=2, at_most=16)
     length = 2**bits - 1
     if kind == "mls":
         code = as_count("code", code, at_least=0, at_most=length - 1)
-        return np.asarray(np.roll(1.0 - 2.0 * max_len_seq(bits)[0], code))
+        return np.asarray(np.roll(1.0 - 2.0 * scipy.signal.max_len_seq(bits)[0], code))
     if bits not in _PREFERRED:
         raise InputError("bits", f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits}")
     code = as_count("code", code, at_least=0, at_most=length + 1)
-    first, second = (1.0 - 2.0 * max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
+    first, second = (1.0 - 2.0 * scipy.signal.max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
     if code < 2:
         return np.asarray((first, second)[code])
     return np.asarray(first * np.roll(second, code - 2))

@@ -10,6 +10,7 @@ from os import PathLike
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.air import absorption_iso9613
@@ -74,20 +75,18 @@ class StreamFilter:
     # `ringing` (n - 1,) is what it remembers: the part of its output so far that is still to come. The rounding is the
     # same whatever the length of the pieces that it is given.
     def __init__(self, taps: Floats, block: int) -> None:
-        from scipy.fft import next_fast_len, rfft
-
-        self._block, self._size = block, next_fast_len(block + len(taps) - 1, real=True)
-        self._spectrum = rfft(taps, self._size)
+        self._block, self._size = block, scipy.fft.next_fast_len(block + len(taps) - 1, real=True)
+        self._spectrum = scipy.fft.rfft(taps, self._size)
         self.ringing = np.zeros(len(taps) - 1)
 
     def __call__(self, samples: Floats) -> Floats:
         """Return filtered samples (n,); n is a whole number of blocks but for the last piece."""
-        from scipy.fft import irfft, rfft
-
         out = np.empty_like(samples)
         for first in range(0, len(samples), self._block):
             part = samples[first : first + self._block]
-            whole = irfft(rfft(part, self._size) * self._spectrum, self._size)[: self._block + len(self.ringing)]
+            whole = scipy.fft.irfft(scipy.fft.rfft(part, self._size) * self._spectrum, self._size)[
+                : self._block + len(self.ringing)
+            ]
             whole[: len(self.ringing)] += self.ringing
             self.ringing = whole[self._block :].copy()
             out[first : first + self._block] = whole[: len(part)]
@@ -97,17 +96,15 @@ class StreamFilter:
 @lru_cache(maxsize=_CACHED)
 def _filtered_block(filtered: Filtered, k: int, sampling_rate: float) -> Floats:
     """Return the k-th block of a filtered waveform: overlap-save with everything that reaches into it."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
     taps = filtered.response.impulse_response(sampling_rate)
     before, count = len(taps) - 1, filtered.waveform.count(sampling_rate)
-    size = next_fast_len(_BLOCK + before, real=True)
+    size = scipy.fft.next_fast_len(_BLOCK + before, real=True)
     emitted = np.zeros(size)
     start = k * _BLOCK - before
     first, last = max(start, 0), min((k + 1) * _BLOCK, count)
     if first < last:
         emitted[first - start : last - start] = filtered.waveform.read(first, last, sampling_rate)
-    made = irfft(rfft(emitted) * rfft(taps, size), size)
+    made = scipy.fft.irfft(scipy.fft.rfft(emitted) * scipy.fft.rfft(taps, size), size)
     return np.asarray(made[before : before + _BLOCK], dtype=np.float64)
 
 
@@ -190,9 +187,7 @@ class ResponseTable:
 
         def transformed(f: Floats) -> Floats:
             """Return the impulse response that magnitude and phase at frequencies (Hz) give."""
-            from scipy.fft import irfft
-
-            return np.asarray(irfft(self.magnitude_at(f) * np.exp(1j * self.phase_at(f))), dtype=np.float64)
+            return np.asarray(scipy.fft.irfft(self.magnitude_at(f) * np.exp(1j * self.phase_at(f))), dtype=np.float64)
 
         taps = _converged(transformed, sampling_rate, acausal=True)
         return _causal(taps, "values", "delay them by what the measurement took away, or give magnitudes only")
