@@ -210,13 +210,7 @@ class Air:
         return np.stack([at_heights(name, value, where, height) for name, value in given.items()])
 
     def between(self, lowest: float, highest: float) -> Air:
-        """Return the air from `lowest` to `highest`, m: with layers if it depends on the height, else itself.
-
-        Raises
-        ------
-        InputError
-            If temperature or humidity is out of bounds at some height.
-        """
+        """Return the air from `lowest` to `highest`, m: with layers if it depends on the height, else itself."""
         if isinstance(self.temperature_celsius, float) and isinstance(self.relative_humidity, float):
             return self
         return replace(self, extent=(lowest, highest))
@@ -286,18 +280,7 @@ class Air:
         return absorption_iso9613(f, *self.state)
 
     def wavenumber_at(self, frequency: ArrayLike) -> Complexes:
-        """Return the complex wavenumber k of pure tones, with ``exp(j 2 pi f t - j k x)``, 1/m.
-
-        Parameters
-        ----------
-        frequency : array_like
-            Frequencies of any shape, as for `absorption_at`, Hz.
-
-        Returns
-        -------
-        ndarray
-            Wavenumbers in the shape of `frequency`; the imaginary part is minus the absorption of the amplitude.
-        """
+        """Return the complex wavenumber k (...) of tones of a `frequency` (...), Hz: ``exp(j 2 pi f t - j k x)``, 1/m."""
         f = np.asarray(frequency, dtype=np.float64)
         k = 2.0 * np.pi / self.speed_of_sound * f - 1j * np.log(10.0) / 20.0 * self.absorption_at(f)
         return np.asarray(k - lead_iso9613(f, *self.state) if self.dispersion else k)

@@ -279,11 +279,6 @@ def captured_person(
     time_offset : float
         Time of the file's first row, 0 or before, s.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read or breaks a rule of its format, a joint is missing, or a value is out of bounds.
-
     Notes
     -----
     Joints go on C2 splines through the rows, so that the noise of markers appears as motion: smooth them before.

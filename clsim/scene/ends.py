@@ -310,11 +310,6 @@ class Receiver:
             rigid sphere when left out.
         **options : Any
             Others of `Receiver`, without `directivity`.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind, or the file cannot be read.
         """
         ears = SphericalHead() if hrtf is None else hrtf
         if isinstance(ears, str | PathLike):

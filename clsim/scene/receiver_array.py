@@ -48,11 +48,6 @@ def receiver_array(
     **arguments : Any
         Arguments of `Receiver`, the same for all: directivity, aim, transducer, electronics.
 
-    Raises
-    ------
-    InputError
-        If positions are not n by 3 finite numbers, or are too many, or directivities or aims are not one for each.
-
     Notes
     -----
     Each element has its own delays, directions and shadows: nothing is taken from the array's middle. `find_paths`
@@ -145,12 +140,6 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
     path : path-like
         Three numbers a line, parted by commas, semicolons or spaces; lines that begin with ``#`` and a first line of
         words are passed over. Or a microphone geometry of Acoular (XML): a ``<pos x="" y="" z=""/>`` for each.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, holds no positions, or a line (an element) has not three finite numbers; the message
-        names it.
     """
     try:
         content = read_file(path, LARGEST_TEXT)

@@ -93,11 +93,6 @@ def gdop(anchors: Floats, place: Floats, method: str = "toa") -> float:
     float
         Standard deviation of the position over that of every range, a ratio; inf where the anchors leave it open.
 
-    Raises
-    ------
-    InputError
-        If a value is not finite, or the method is none.
-
     Notes
     -----
     The root of the trace, over the three coordinates, of ``(H' H)^-1``, with a row of H for each anchor: the unit
@@ -129,11 +124,6 @@ def gdop_map(anchors: Floats, x: Floats, y: Floats, z: float, method: str = "toa
         m.
     z : float
         Height, m.
-
-    Raises
-    ------
-    InputError
-        If a value is not finite, or the method is none.
     """
     places = as_floats("x", x, (None,)), as_floats("y", y, (None,))
     height, anchors = as_number("z", z, unit="m"), as_floats("anchors", anchors, (None, 3))
@@ -261,11 +251,6 @@ def position(scores: RangingScore | Sequence[RangingScore], method: str = "toa")
     -------
     PositionScore
         Estimates within the room's extent, NaN where fewer than 3 (of differences, 4) ranges were found.
-
-    Raises
-    ------
-    InputError
-        If the scores are none, of several recordings, or give too few anchors.
 
     Notes
     -----

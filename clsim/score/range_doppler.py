@@ -186,11 +186,6 @@ def range_doppler(
     RangeDopplerMap
         With as many speeds as emissions. They are known but for multiples of the whole span.
 
-    Raises
-    ------
-    InputError
-        If a value is out of bounds, the emissions are not evenly spaced, or the recording is a complex envelope.
-
     Notes
     -----
     The matched filter's output of each pulse, Fourier transformed over the pulses under a Hann window. A range that
@@ -225,11 +220,6 @@ def echoes(
     ----------
     recording, pulse, receiver, source, two_way, max_range
         As of `range_doppler`.
-
-    Raises
-    ------
-    InputError
-        If a value is out of bounds, the recording has no paths, or it is a complex envelope.
 
     Examples
     --------

@@ -202,12 +202,6 @@ def ranging(
     motion : {"retarded", "quasi-static"}
         As the recording was rendered.
 
-    Raises
-    ------
-    InputError
-        If a value is out of bounds, the recording has no paths or is a complex envelope, or it ends before the first
-        pulse does.
-
     Notes
     -----
     The true time of flight is that of the sound that left when the pulse began. Of a chirp from ``f_c - B / 2`` up to

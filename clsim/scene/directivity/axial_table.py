@@ -264,11 +264,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
             Scale of the first file's values.
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
-
-        Raises
-        ------
-        InputError
-            If a file cannot be read or is laid out otherwise, or a value breaks a rule.
         """
         as_choice("scale", scale, ("linear", "db"))
         angles, frequencies, values = read_csv_table("path", path)
@@ -308,11 +303,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
             That of the angles. Radians are rounded to a ten-thousandth of a degree.
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read or lacks an array, or a value breaks a rule.
         """
         found = as_table(read_npz_arrays(path, (angle, frequency, values)), angle_unit)
         return cls(*found, scale=_scale_of(found[2], scale), **options)
@@ -334,15 +324,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
         Parameters
         ----------
         path, scale, angle, frequency, values, angle_unit, **options
-            As in `from_npz`.
+            As in `from_npz`. A file of version 7.3 must be saved with ``-v7``.
         variable : str, optional
             Name of the struct; `angle`, `frequency` and `values` are its fields then.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read (a file of version 7.3 must be saved with ``-v7``) or lacks a variable or field,
-            or a value breaks a rule.
         """
         found = as_table(read_mat_arrays(path, (angle, frequency, values), variable), angle_unit)
         return cls(*found, scale=_scale_of(found[2], scale), **options)

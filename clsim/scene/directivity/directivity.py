@@ -189,11 +189,6 @@ class Directivity(ABC):
         outside : {None, "hold"}
             Rule for other frequencies than those of a table (T4010A1): refused (None), or the same gain.
 
-        Raises
-        ------
-        InputError
-            If the name is unknown.
-
         Examples
         --------
         >>> Directivity.named("MA40S4S")
@@ -292,11 +287,6 @@ class AxisymmetricDirectivity(Directivity):
             Frequency, Hz; broadcasts against `cosine`.
         speed_of_sound : float
             Speed of sound, m/s.
-
-        Raises
-        ------
-        InputError
-            If a frequency lies outside `band`.
         """
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:

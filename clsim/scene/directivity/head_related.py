@@ -153,11 +153,6 @@ class HeadRelated(ChannelDirectivity):
             With the ending ``.sofa``, of the convention SimpleFreeFieldHRIR, FreeFieldHRIR or FreeFieldHRTF.
         **options : Any
             `outside` and `name` of the constructor.
-
-        Raises
-        ------
-        InputError
-            If the package is missing, the file cannot be read or is of another kind, or a value breaks a rule.
         """
         try:
             return cls(*read_hrtf(Path(path)), **options)

@@ -153,11 +153,6 @@ class SphericalDirectivity(Directivity):
         **options : Any
             `outside`, `relative_to_axis` and `name` of the constructor.
 
-        Raises
-        ------
-        InputError
-            If the package is missing, the file cannot be read or is of another kind, or a value breaks a rule.
-
         Notes
         -----
         SourceView becomes our axis +x and SourceUp our +z. Impulse responses are padded to four times their length and

@@ -382,11 +382,6 @@ class Material(ReflectingSurface):
             Value of full scale: 1 where the file holds the factor's own impulse response.
         reference, band, outside, tolerance, name
             See `from_impulse_response`.
-
-        Raises
-        ------
-        InputError
-            If the file is missing or no sound file, has no such channel, or holds no passive response.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel, truncated)
@@ -478,11 +473,6 @@ class Material(ReflectingSurface):
             on are published coefficients from 125 Hz to 4 kHz, held above with a warning. Those that begin with
             ``"estimated-"`` are calculated for ultrasound from assumed properties: no measurements. ``clsim
             materials`` lists all with source and uncertainty.
-
-        Raises
-        ------
-        InputError
-            If there is no such name; the message lists them.
 
         Examples
         --------

@@ -302,11 +302,6 @@ class ReflectingSurface:
             Factors of the shape to which frequency and cosine broadcast, of magnitude 1 at most: float64, or complex128
             where `is_complex`.
 
-        Raises
-        ------
-        InputError
-            If a value is out of bounds, or the material does not cover a frequency.
-
         Warns
         -----
         ClsimWarning

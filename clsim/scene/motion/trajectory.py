@@ -141,12 +141,7 @@ class Trajectory(Motion):
         phase : float
             Angle at time 0, rad, from e1: the +x direction turned into the circle's plane (its projection),
             or +y where the axis lies along x. With the axis +z, phase 0 begins
-            at ``center + (radius, 0, 0)``.
-
-        Warns
-        -----
-        ClsimWarning
-            If the phase is beyond two turns: degrees, more often than radians.
+            at ``center + (radius, 0, 0)``. More than two turns, more often degrees, give a warning.
 
         Examples
         --------
@@ -181,17 +176,13 @@ class Trajectory(Motion):
         axis : array_like (3,)
             Its direction, of any length and without a unit; angles follow the right-hand rule.
         angles : array_like (n,)
-            rad; the cubic spline through them is the motion, so that no velocity jumps.
+            rad; the cubic spline through them is the motion, so that no velocity jumps. More than two turns, more often
+            degrees, give a warning.
         times : array_like (n,)
             Strictly increasing, s, at least two.
         origin : array_like (3,), optional
             Position of the swinging thing at angle 0, m; the axis point where left out. For a body it is the origin of
             its mesh. With 0, 0, 0 a mesh has coordinates of the room, as it is at angle 0.
-
-        Warns
-        -----
-        ClsimWarning
-            If angles are beyond two turns: degrees, more often than radians.
 
         Examples
         --------
@@ -357,11 +348,6 @@ class Trajectory(Motion):
             Speed from row to row above which it is a jump, m/s.
         max_gap : float, optional
             Step of time above which it is a gap, s; five median steps where left out.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read or a row breaks a rule; the message gives line and value.
 
         Warns
         -----

@@ -78,12 +78,6 @@ class MeshRoom:
     notes : tuple of str
         Repairs, one sentence each.
 
-    Raises
-    ------
-    InputError
-        If there is no triangle with an area, an index is out of range, a material is missing, there is not one label
-        per triangle, or a value is out of bounds.
-
     Examples
     --------
     >>> corners = [(0, 0, 0), (2, 0, 0), (2, 0, 1), (0, 0, 1)]
@@ -158,20 +152,14 @@ class MeshRoom:
         up : {"x", "y", "z"}
             Axis of the file that points up.
         materials : Material or mapping
-            One for all walls, or materials by the file's own names (``usemtl`` groups of OBJ files), where
-            ``"default"`` stands for those not named.
+            One for all walls, or materials by the file's own names (``usemtl`` groups of OBJ files, which messages
+            list), where ``"default"`` stands for those not named.
         flatness : float
             As in `MeshRoom`, m; raise it for files with rounded coordinates.
         heal : {"auto", "off"} or float
             Largest distance by which corners are moved to meet others, m. Triangles are cut at corners that lie on
             them. With "auto" they are moved as far as closing the mesh takes, at most 12 mm and 2 per mille of its
             size. A mesh that is closed, or that gains nothing, keeps every bit. The notes state the changes.
-
-        Raises
-        ------
-        InputError
-            If the file is no mesh, has no faces or NaN, a group has no material (the message lists the groups), or a
-            value is out of bounds.
         """
         from clsim.scene.room.mesh_files import read_mesh
 
@@ -216,12 +204,6 @@ class MeshRoom:
             As in `MeshRoom`, m.
         labels : sequence of str, optional
             Names of the polygons; numbered when left out.
-
-        Raises
-        ------
-        InputError
-            If a polygon crosses itself, names no corner, or has less than three; if a material, a label or a sheet's
-            number is missing or out of range.
 
         Examples
         --------
@@ -348,13 +330,7 @@ class MeshRoom:
         )  # fmt: skip
 
     def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
-        """Return name and thickness, m, of panels below `thinner_than`, m, of which `with_sheets` makes sheets.
-
-        Returns
-        -------
-        list of (str, float)
-            Their names and thicknesses, m.
-        """
+        """Return name and thickness, m, of panels below `thinner_than`, m, of which `with_sheets` makes sheets."""
         return panels_below(self.vertices, self.triangles, self.labels or (), thinner_than)
 
     @property

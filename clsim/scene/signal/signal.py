@@ -48,11 +48,6 @@ class Signal:
         Source of the samples.
     sampling_rate : float
         Hz.
-
-    Raises
-    ------
-    InputError
-        If it is given samples, which `from_array` takes.
     """
 
     waveform: Waveform
@@ -306,16 +301,11 @@ class Signal:
         Parameters
         ----------
         pulse : Signal
-            The repeated signal.
+            The repeated signal, no train itself.
         period : float
             From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
         count : int
             At least 1; the train lasts 1e7 s at most.
-
-        Raises
-        ------
-        InputError
-            If the pulse is a train itself or the period does not fit; the message names the nearest that do.
 
         Examples
         --------
@@ -401,7 +391,7 @@ class Signal:
         Parameters
         ----------
         carrier, chip_rate, sampling_rate : float
-            Hz; the band is ``carrier`` plus and minus ``chip_rate (1 + rolloff) / 2``.
+            Hz; the band, ``carrier`` plus and minus ``chip_rate (1 + rolloff) / 2``, fits below half the last.
         kind : {"mls", "gold"}
             Maximum-length or Gold sequence of ``2**bits - 1`` chips.
         bits : int
@@ -414,11 +404,6 @@ class Signal:
             From 0.05 to 1.
         amplitude : float
             Level of a chip at its centre, Pa; between chips it overshoots, to 1.5 times at a rolloff of 0.5.
-
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds, or the band leaves 0 to half the sampling rate.
 
         Examples
         --------
@@ -446,12 +431,6 @@ class Signal:
         scale : float, optional
             Amplitude of a sample of 1, Pa, or V for a transducer; 1 if left out. Integers need it: they are steps of a
             converter, whose full scale is rarely 32767 Pa.
-
-        Raises
-        ------
-        InputError
-            If the samples are no finite numbers, louder than any sound, or not (n,), integers have no scale, or the
-            rate is out of bounds.
 
         Examples
         --------
@@ -491,11 +470,6 @@ class Signal:
             Amplitude of a sample of 1, Pa, or V for a transducer.
         truncated : bool
             Whether a file that ends before its header says is taken as far as it goes; else it is refused.
-
-        Raises
-        ------
-        InputError
-            If the file is missing or no sound file, has no such channel, is too long, or holds what is no finite sound.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel, truncated)

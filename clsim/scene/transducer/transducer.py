@@ -402,11 +402,6 @@ class Transducer:
             Taps at `sampling_rate`: their spectrum ``sum h[n] exp(-2j pi f n / sampling_rate)`` is the response.
         sampling_rate : float
             Hz. At another rate the taps are resampled, flat to 0.9 of the lower Nyquist frequency.
-
-        Raises
-        ------
-        InputError
-            If the samples are all zero or not finite.
         """
         rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
         taps = as_floats("samples", samples, (None,), within=LOUDEST)
@@ -426,11 +421,6 @@ class Transducer:
             As of `Signal.from_wav`.
         scale : float
             Response of a sample of 1: Pa at 1 m per V, or V per Pa.
-
-        Raises
-        ------
-        InputError
-            If the file is missing or no sound file, has no such channel, or holds NaN or silence.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel, truncated)
@@ -447,11 +437,6 @@ class Transducer:
             a resonance at 40 kHz, 2.4 kHz wide at -6 dB. MA40S4S makes 120 dB re 20 µPa at 0.3 m from 10 V rms, MA40S4R
             has -63 dB re 10 V/Pa. Frequency, level and sensitivity are the catalogue's (Murata, "Ultrasonic Sensor
             Application Manual", Cat. No. S15E), each within 3 dB; the width is a round typical value.
-
-        Raises
-        ------
-        InputError
-            If the name is unknown.
 
         Examples
         --------
