@@ -41,8 +41,6 @@ def first_order_gain(cosine: ArrayLike, weight: float) -> Floats:
     ``w + (1 - w) cos θ``: J. Eargle, "The Microphone Book", 2nd ed. 2005, chapter 5, "First-order directional
     microphones". For plane waves on capsules much smaller than the wavelength.
 
-    Examples
-    --------
     >>> first_order_gain([1.0, 0.0, -1.0], 0.5).tolist()
     [1.0, 0.5, 0.0]
     """

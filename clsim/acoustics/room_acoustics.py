@@ -69,8 +69,6 @@ def before_noise(samples: Floats, sampling_rate: float) -> tuple[int, float, flo
     Acustica 81, 1995, section 3. The last tenth is taken for noise unless it lies below a fifth of the response
     earlier by 3/4 of such a decay's fall.
 
-    Examples
-    --------
     >>> decay = 10.0 ** (-3.0 * np.arange(2000) / 1e3)  # 60 dB in a second
     >>> before_noise(decay, 1e3), before_noise(decay + 0.01, 1e3)[0] < 900
     ((2000, 0.0, 0.0), True)

@@ -206,8 +206,6 @@ class BandKernels:
     N. Trefethen, J. A. C. Weideman, "The exponentially convergent trapezoidal rule", SIAM Rev. 56(3), 2014, theorem
     3.2), and cubic through four steps: within 2e-7 of the impulse of a whole band.
 
-    Examples
-    --------
     >>> out = np.zeros((1, 200), dtype=complex)
     >>> BandKernels(0.5).add(out, np.array([100.25]), np.array([[1.0 + 0j]]))
     >>> tone = np.exp(2j * np.pi * 0.2 * np.arange(200))

@@ -31,13 +31,9 @@ _LAWSON = 12  # times that weights on the edge of complex delays are evened out
 def lagrange_taps(order: int, delay: Floats) -> Floats:
     """Return the taps of the Lagrange interpolator of an order, for delays in samples; delay (n,) samples.
 
-    References
-    ----------
     T. I. Laakso, V. Välimäki, M. Karjalainen, U. K. Laine, "Splitting the unit delay", IEEE Signal
     Processing Magazine 13(1), 1996, eq. 42.
 
-    Examples
-    --------
     >>> lagrange_taps(1, np.array([0.25]))
     array([[0.75, 0.25]])
     """

@@ -48,8 +48,6 @@ def low_pass_between(passed: float, stopped: float, rate: float, ripple_db: floa
 def low_pass(cutoff: float, length: int, ripple_db: float) -> Floats:
     """Return a low-pass of `length` taps about their middle, whose gain at 0 Hz is 1.
 
-    References
-    ----------
     A. V. Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed., 2010, section 7.5.3.
     """
     return band_pass(0.0, cutoff, length, shape_of(ripple_db))

@@ -280,7 +280,7 @@ class Air:
         return absorption_iso9613(f, *self.state)
 
     def wavenumber_at(self, frequency: ArrayLike) -> Complexes:
-        """Return the complex wavenumber k (...) of tones of a `frequency` (...), Hz: ``exp(j 2 pi f t - j k x)``, 1/m."""
+        """Return the complex wavenumber k (...) at a `frequency` (...), Hz: ``exp(j 2 pi f t - j k x)``, 1/m."""
         f = np.asarray(frequency, dtype=np.float64)
         k = 2.0 * np.pi / self.speed_of_sound * f - 1j * np.log(10.0) / 20.0 * self.absorption_at(f)
         return np.asarray(k - lead_iso9613(f, *self.state) if self.dispersion else k)

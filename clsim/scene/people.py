@@ -32,8 +32,6 @@ _TURNS, _EVERY = 1000.0, 4  # Hz of orientations; positions are splines through 
 def pose_times(start: float, end: float) -> Floats:
     """Return instants (n,) of poses, s: one per millisecond, at least 17.
 
-    Examples
-    --------
     >>> len(pose_times(0.0, 2.0))
     2001
     """
@@ -55,8 +53,6 @@ def quaternions_along(along: Floats, aside: Floats | None = None) -> Floats:
 
     aside: what is not along it counts. Left out for what is round: it then turns about itself as little as it can.
 
-    Examples
-    --------
     >>> quaternions_along(np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 1.0, 0.5]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """

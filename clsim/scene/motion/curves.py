@@ -323,8 +323,6 @@ def speed_noise(times: Floats, positions: Floats) -> float:
     The k-th difference of white noise of variance σ² has the variance ``σ² binom(2k, k)``, while that of a smooth
     motion vanishes as the step to the power k; k = 5 here. The spline turns σ into ``1.573 σ / step`` of speed.
 
-    Examples
-    --------
     >>> t = np.linspace(0.0, 10.0, 1001)
     >>> noise = np.random.default_rng(1).normal(scale=1e-4, size=(1001, 3))
     >>> round(speed_noise(t, noise + np.sin(t)[:, None]), 3)  # 1.573 * 1e-4 / 0.01
