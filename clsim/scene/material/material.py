@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,25 +18,25 @@ from clsim.acoustics.reflection import (
     boundary_layer_admittance,
     mismatch_reflection,
     porous_medium,
+    reflection_from_absorption,
     reflection_from_impedance,
 )
 from clsim.arrays import LOUDEST, Floats, as_choice, as_count, as_floats, as_number
 from clsim.errors import InputError, check_kind
 from clsim.files.sound import as_scale, read_sound_file
-from clsim.scene.material.reflecting_surface import ReflectingSurface
-from clsim.scene.material.tabulated import (
+from clsim.scene.material.reflecting_surface import (
+    EVERYWHERE,
     ROUNDING,
-    AbsorptionTable,
-    ConstantFactor,
-    FactorTable,
-    ImpedanceTable,
-    MeasuredEcho,
+    Curve,
+    ReflectingSurface,
+    SurfaceModel,
     as_column,
     as_complexes,
     as_factor,
     check_clear_phase,
     check_passive_echo,
     checked_frequencies,
+    of_table,
     warn_of_noise,
 )
 
@@ -44,67 +45,55 @@ _CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": 
 _RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
 _DENSEST, _STIFFEST = 1e7, 1e7  # kg/m³ and m/s, beyond all solids
 _HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
+_FEW = 512  # samples of an impulse response that are summed at once
 
 
-@dataclass(frozen=True, slots=True)
-class SolidWall:
-    """A thick smooth solid: density in kg/m³, sound speed in m/s, and whether the air's boundary layer takes its part.
-
-    The mismatch of impedances at normal incidence is taken at all angles. Beyond some 10 degrees nothing at all can
-    be transmitted into a hard solid, so this takes away too much there: less than 2e-4 of the pressure for concrete.
-    """
-
-    density: float
-    sound_speed: float
-    boundary_layer: bool
-
-    band = (0.0, math.inf)
-    beyond = ""
-
-    @property
-    def is_complex(self) -> bool:
-        return self.boundary_layer
-
-    @property
-    def depends_on_angle(self) -> bool:
-        return self.boundary_layer
-
-    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        mismatch = mismatch_reflection(self.density, self.sound_speed, speed_of_sound)
-        if not self.boundary_layer:
-            return np.full(frequency.shape, mismatch)
-        beta = boundary_layer_admittance(frequency, cosine, speed_of_sound)
-        return mismatch * reflection_from_impedance(1.0 / beta, cosine)
-
-    def describe(self) -> str:
-        return f"solid of {self.density:g} kg/m³ and {self.sound_speed:g} m/s"
+def _constant(value: complex, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return np.full(frequency.shape, value)
 
 
-@dataclass(frozen=True, slots=True)
-class PorousLayer:
-    """A fibrous absorber on a rigid wall, by Miki: flow resistivity in Pa s/m², thickness in m."""
+def _given(factors: Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return factors(frequency)
 
-    flow_resistivity: float
-    thickness: float
-    outside: str | None
 
-    beyond = ""
-    is_complex = True
-    depends_on_angle = True
+def _absorbing(coefficients: Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return reflection_from_absorption(coefficients.share(frequency))
 
-    @property
-    def band(self) -> tuple[float, float]:
-        """Where the formula was fitted, or everywhere by name."""
-        if self.outside == "extend":
-            return 0.0, math.inf
-        return MIKI_RANGE[0] * self.flow_resistivity, MIKI_RANGE[1] * self.flow_resistivity
 
-    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        phase = 2.0 * math.pi * frequency / speed_of_sound * self.thickness
-        return backed_layer_reflection(*porous_medium(frequency, self.flow_resistivity), phase, cosine)
+def _reacting(impedances: Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return reflection_from_impedance(impedances(frequency), cosine)
 
-    def describe(self) -> str:
-        return f"porous layer of {1e3 * self.thickness:g} mm and {self.flow_resistivity:g} Pa s/m²"
+
+def _solid(of: tuple[float, float], layer: bool, frequency: Floats, cosine: Floats, speed_of_sound: float) -> Any:
+    """Return the factor of a thick smooth solid of a density, kg/m³, and a sound speed, m/s."""
+    # The mismatch of impedances at normal incidence is taken at all angles. Beyond some 10 degrees nothing at all can
+    # be transmitted into a hard solid, so this takes away too much there: less than 2e-4 of the pressure for concrete.
+    mismatch = mismatch_reflection(*of, speed_of_sound)
+    if not layer:
+        return np.full(frequency.shape, mismatch)
+    beta = boundary_layer_admittance(frequency, cosine, speed_of_sound)
+    return mismatch * reflection_from_impedance(1.0 / beta, cosine)
+
+
+def _porous(resistivity: float, thickness: float, frequency: Floats, cosine: Floats, speed_of_sound: float) -> Any:
+    """Return the factor of a fibrous absorber on a rigid wall, by Miki."""
+    phase = 2.0 * math.pi * frequency / speed_of_sound * thickness
+    return backed_layer_reflection(*porous_medium(frequency, resistivity), phase, cosine)
+
+
+def _echoed(
+    samples: Floats, rate: float, reference: float, band: tuple[float, float], frequency: Floats, *_: Any
+) -> NDArray[Any]:
+    """Return the spectrum ``sum h[n] exp(-2j π f (n - reference) / rate)``, at frequencies held within a band, Hz."""
+    f, back = np.unique(np.clip(frequency, *band), return_inverse=True)
+    turn = -2j * np.pi * f / rate  # per sample
+    # A long sum as a short sum of short ones: few exponentials, and a product of matrices.
+    rows = np.pad(samples, (0, -len(samples) % _FEW)).reshape(-1, _FEW)
+    spectrum = np.zeros(len(f), dtype=np.complex128)
+    for part in np.array_split(np.arange(len(f)), max(1, len(f) // 512)):
+        short = np.exp(turn[part, None] * np.arange(_FEW)) @ rows.T
+        spectrum[part] = (short * np.exp(turn[part, None] * _FEW * np.arange(len(rows)))).sum(axis=1)
+    return np.asarray((spectrum * np.exp(-turn * reference))[back].reshape(frequency.shape))
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +155,7 @@ class Material(ReflectingSurface):
         Root mean square of the wall's heights, m: see `rough`.
     scattering : float or (frequencies, values), optional
         Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-    transmission : TransmissionModel, optional
+    transmission : SurfaceModel, optional
         Model of the transmission factor of the pressure: see `transmitting`.
 
     Examples
@@ -184,7 +173,9 @@ class Material(ReflectingSurface):
         factor : float or complex
             From -1 (pressure release) to 1 (rigid), or complex with a magnitude of 1 at most.
         """
-        return cls(ConstantFactor(as_factor("factor", factor)), name, scattering=scattering)
+        value = as_factor("factor", factor)
+        model = SurfaceModel(partial(_constant, value), f"reflection {value:g}", isinstance(value, complex))
+        return cls(model, name, scattering=scattering)
 
     @classmethod
     def from_absorption(
@@ -206,8 +197,10 @@ class Material(ReflectingSurface):
         [1.0, 0.8]
         """
         f = checked_frequencies(frequencies)
-        alpha = as_column("coefficients", coefficients, f, 1.0)
-        return cls(AbsorptionTable(f, alpha), name, scattering=scattering)
+        alpha = Curve(f, as_column("coefficients", coefficients, f, 1.0))
+        beyond = "outside, the absorption at the nearest end is taken"
+        model = of_table(f, partial(_absorbing, alpha), "absorption table", beyond=beyond)
+        return cls(model, name, scattering=scattering)
 
     @classmethod
     def from_table(
@@ -252,7 +245,10 @@ class Material(ReflectingSurface):
         for i in np.flatnonzero(np.abs(given) > 1.0 + ROUNDING)[:1]:
             raise InputError(f"factors[{i}]", f"must have a magnitude of at most 1, but is {given[i]:g}")
         check_clear_phase(f, given)
-        return cls(FactorTable(f, given, _outside(outside, "hold")), name, scattering=scattering)
+        turns = given.dtype.kind == "c"
+        law, what = partial(_given, Curve(f, given, True)), "complex table" if turns else "table of factors"
+        model = of_table(f, law, what, held=_goes_on(outside, "hold"), is_complex=turns)
+        return cls(model, name, scattering=scattering)
 
     @classmethod
     def from_impedance(
@@ -294,7 +290,9 @@ class Material(ReflectingSurface):
             raise InputError(f"impedances[{i}]", f"must have a real part of at least 0 (passive), but is {given[i]:g}")
         for i in np.flatnonzero(np.abs(given) > _RIGID)[:1]:
             raise InputError(f"impedances[{i}]", f"must have a magnitude of at most {_RIGID:g}, but is {given[i]:g}")
-        return cls(ImpedanceTable(f, given, _outside(outside, "hold")), name, scattering=scattering)
+        law, kind = partial(_reacting, Curve(f, given)), {"is_complex": True, "depends_on_angle": True}
+        model = of_table(f, law, "locally reacting impedance", held=_goes_on(outside, "hold"), **kind)
+        return cls(model, name, scattering=scattering)
 
     @classmethod
     def from_impulse_response(
@@ -354,8 +352,9 @@ class Material(ReflectingSurface):
             )
         check_passive_echo(taps, rate, (low, high), tolerance)
         warn_of_noise(taps, name)
-        echo = MeasuredEcho(taps, rate, reference, (low, high), _outside(outside, "hold"))
-        return cls(echo, name, scattering=scattering)
+        covered = EVERYWHERE if _goes_on(outside, "hold") else (low, high)
+        law, what = partial(_echoed, taps, rate, reference, (low, high)), f"impulse response of {len(taps)} samples"
+        return cls(SurfaceModel(law, what, True, band=covered), name, scattering=scattering)
 
     @classmethod
     def from_wav(
@@ -424,7 +423,9 @@ class Material(ReflectingSurface):
                 f"{density * sound_speed:g} Pa s/m; give its impedance",
             )
         check_kind("boundary_layer", boundary_layer, bool, "true or false")
-        return cls(SolidWall(density, sound_speed, boundary_layer), name, scattering=scattering)
+        law = partial(_solid, (density, sound_speed), boundary_layer)
+        what = f"solid of {density:g} kg/m³ and {sound_speed:g} m/s"
+        return cls(SurfaceModel(law, what, boundary_layer, boundary_layer), name, scattering=scattering)
 
     @classmethod
     def from_porous(
@@ -460,7 +461,13 @@ class Material(ReflectingSurface):
         """
         resistivity = as_number("flow_resistivity", flow_resistivity, at_least=100.0, at_most=1e7, unit="Pa s/m²")
         thickness = as_number("thickness", thickness, above=0.0, at_most=10.0, unit="m")
-        return cls(PorousLayer(resistivity, thickness, _outside(outside, "extend")), name, scattering=scattering)
+        low, high = (share * resistivity for share in MIKI_RANGE)
+        law, covered = (
+            partial(_porous, resistivity, thickness),
+            EVERYWHERE if _goes_on(outside, "extend") else (low, high),
+        )
+        what = f"porous layer of {1e3 * thickness:g} mm and {resistivity:g} Pa s/m²"
+        return cls(SurfaceModel(law, what, True, True, covered), name, scattering=scattering)
 
     @classmethod
     def named(cls, name: str, *, scattering: Any = None) -> Material:
@@ -483,10 +490,10 @@ class Material(ReflectingSurface):
         made: Material = getattr(cls, f"from_{entry.constructor}")(
             **entry.arguments, name=name, scattering=entry.scattering if scattering is None else scattering
         )
-        if isinstance(made.model, AbsorptionTable) and entry.beyond:
+        if made.model.beyond:
             made = replace(made, model=replace(made.model, beyond=entry.beyond))
         return made.rough(entry.roughness) if entry.roughness else made
 
 
-def _outside(value: str | None, extended: str) -> str | None:
-    return None if value is None else as_choice("outside", value, (extended,))
+def _goes_on(outside: str | None, extended: str) -> bool:
+    return outside is not None and bool(as_choice("outside", outside, (extended,)))
