@@ -461,11 +461,9 @@ class Material(ReflectingSurface):
         """
         resistivity = as_number("flow_resistivity", flow_resistivity, at_least=100.0, at_most=1e7, unit="Pa s/m²")
         thickness = as_number("thickness", thickness, above=0.0, at_most=10.0, unit="m")
-        low, high = (share * resistivity for share in MIKI_RANGE)
-        law, covered = (
-            partial(_porous, resistivity, thickness),
-            EVERYWHERE if _goes_on(outside, "extend") else (low, high),
-        )
+        fitted = MIKI_RANGE[0] * resistivity, MIKI_RANGE[1] * resistivity
+        covered = EVERYWHERE if _goes_on(outside, "extend") else fitted
+        law = partial(_porous, resistivity, thickness)
         what = f"porous layer of {1e3 * thickness:g} mm and {resistivity:g} Pa s/m²"
         return cls(SurfaceModel(law, what, True, True, covered), name, scattering=scattering)
 

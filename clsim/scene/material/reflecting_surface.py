@@ -175,7 +175,7 @@ class SurfaceModel:
     Attributes
     ----------
     law : callable
-        Takes frequencies (...) within the band, Hz, cosines (...) of the angle of incidence and the speed of sound, m/s.
+        Takes frequencies (...) within the band, Hz, cosines (...) of the angle of incidence, the speed of sound, m/s.
         Factors, float64 or complex128, have the shape to which both broadcast; that of the frequencies where nothing
         depends on the angle.
     description : str
@@ -209,7 +209,7 @@ _MEMBERS = ("is_complex", "depends_on_angle", "band", "beyond", "factor", "descr
 
 
 def of_table(f: Floats, law: Law, description: str, *, held: bool = False, **fields: Any) -> SurfaceModel:
-    """Return the model of a table at frequencies (n,), Hz; beyond, its ends are held in silence or not."""
+    """Return the model of a table at frequencies (n,), Hz; held: whether its ends count beyond, without a note."""
     band = EVERYWHERE if held else (float(f[0]), float(f[-1]))
     return SurfaceModel(law, description, band=band, frequencies=f, **fields)
 
