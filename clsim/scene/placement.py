@@ -15,8 +15,8 @@ from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.motion import Indices, Instants, Motion
-from clsim.scene.room.enclosed import held_by_rooms
 from clsim.scene.room.faces import Mount
+from clsim.scene.room.mesh_cleaning import held_by_rooms
 from clsim.scene.room.protocol import Room
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.transducer.transducer import TRANSDUCER_NAMES, Transducer

@@ -16,15 +16,15 @@ from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_nu
 from clsim.errors import InputError, check_kind, meant, settle
 from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges, find_edges, numbered
-from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.healing import HEAL, clean_mesh, heal_mesh, healing_tolerance
 from clsim.scene.room.mesh_cleaning import (
     MeshShape,
     cross_products,
     describe_mesh,
+    enclosed_volume,
     mesh_shape,
-    panels_below,
+    panels,
     thin_panels,
 )
 from clsim.scene.room.polygons import checked_polygons, extruded_plan, triangulated
@@ -331,7 +331,9 @@ class MeshRoom:
 
     def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
         """Return name and thickness, m, of panels below `thinner_than`, m, of which `with_sheets` makes sheets."""
-        return panels_below(self.vertices, self.triangles, self.labels or (), thinner_than)
+        found = panels(self.vertices, self.triangles)
+        of = self.labels or ()
+        return [(of[mine[0]] or "a panel", thick) for mine, _, _, thick in found if 0.0 < thick < thinner_than]
 
     @property
     def extent(self) -> tuple[Floats, Floats]:

@@ -60,7 +60,8 @@ def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
         counts["flat"] += 1
         return np.zeros((0, 3), dtype=np.int64)
     cut = triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
-    signed = _areas(flat, cut)
+    a, b, c = (flat[cut[:, k]] for k in range(3))
+    signed = 0.5 * _cross(b - a, c - a)
     if np.sum(signed) < 0.0:
         cut = cut[:, ::-1]
     covered = float(np.sum(np.abs(signed)))
@@ -76,11 +77,6 @@ def cut_polygon(corners: Floats, counts: dict[str, int]) -> Ints:
 
 def _cross(a: Floats, b: Floats) -> Floats:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def _areas(flat: Floats, cut: Ints) -> Floats:
-    a, b, c = (flat[cut[:, k]] for k in range(3))
-    return np.asarray(0.5 * _cross(b - a, c - a))
 
 
 def checked_polygons(value: Any, count: int) -> list[Ints]:

@@ -15,6 +15,7 @@ from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.mesh_cleaning import cross_products
 from clsim.scene.room.protocol import Room
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
@@ -191,9 +192,7 @@ def enclosure_of(room: Room) -> tuple[float | None, Floats, tuple[Material, ...]
         x, y, z = room.size.tolist()
         return x * y * z, np.array([y * z, y * z, x * z, x * z, x * y, x * y]), room.faces.materials
     mesh = room.as_mesh()
-    corners = mesh.vertices[mesh.triangles]
-    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    triangles = 0.5 * np.linalg.norm(sides, axis=1)
+    triangles = 0.5 * np.linalg.norm(cross_products(mesh.vertices[mesh.triangles]), axis=1)
     materials = mesh.faces.materials
     areas: Floats = np.bincount(mesh.walls.of_triangle, triangles, minlength=len(materials)).astype(np.float64)
     return mesh.volume, areas, materials

@@ -25,13 +25,6 @@ _BITS = 10  # of a place in each direction
 _PAIRS = 400_000  # of things and boxes looked at at a time
 
 
-def touching_pairs(tree: WallTree, low: Floats, high: Floats, slack: float) -> Ints:
-    """Return pairs (n, 2) of walls whose boxes, from `low` to `high` (W, 3) m, touch; the lower index first, sorted."""
-    one, other = tree.meeting_boxes(low - slack, high + slack)
-    pairs = np.stack([one, other], axis=1)[one < other]
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-
-
 def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, size: float) -> Ints:
     """Return numbers that are equal for walls in one plane, (W,)."""
     # If all corners of each of two walls lie within a distance t of the plane of the other, the sine of the angle
