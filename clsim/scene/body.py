@@ -16,7 +16,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import in_face
 from clsim.scene.material.material import Material
-from clsim.scene.motion.motion import Instants, even_lengths, seen_by
+from clsim.scene.motion.motion import Instants, Moved, even_lengths, seen_by
 from clsim.scene.motion.orientation import as_places
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.placement import Placed, check_lasts, first_refused
@@ -38,7 +38,7 @@ _FRAME = np.concatenate([np.zeros((1, 3)), np.eye(3)])  # origin and axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class Body(Moved):
     """A rigid, moving object of flat faces. It reflects sound, and blocks paths behind it.
 
     Parameters
@@ -125,11 +125,6 @@ class Body:
         """Names of its faces, with its own before them; its own alone where it has one face."""
         names = self.mesh.faces.names
         return (self.name,) if len(names) == 1 else tuple(f"{self.name} {name}" for name in names)
-
-    @property
-    def time_range(self) -> tuple[float, float]:
-        """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
-        return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
 
     @property
     def is_static(self) -> bool:

@@ -20,7 +20,7 @@ from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.convolution import advanced, arrival_times
 from clsim.numerics.sphere import RadialOnSphere, fibonacci_sphere, largest_hole, merged, real_harmonics
 from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage, unit_directions
-from clsim.scene.directivity.text_files import read_hrtf
+from clsim.scene.directivity.text_files import HEAD_CONVENTIONS, opened_sofa, read_responses, read_sofa
 
 EARS = ("left", "right")
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
@@ -35,8 +35,20 @@ _COARSE, _STIFF = 4, 1e-3  # order of the harmonics that fill gaps, and their st
 _NEAR = 0.1  # least cosine between a direction and an ear's axis at which its time of arrival is taken as it is
 
 
+class _Ears(ChannelDirectivity):
+    """Base class of directivities of two ears."""
+
+    __slots__ = ()
+    is_complex: ClassVar[bool] = True
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, ``"left"`` and ``"right"``."""
+        return EARS
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class HeadRelated(ChannelDirectivity):
+class HeadRelated(_Ears):
     """Head-related impulse responses of two ears, interpolated over the sphere with their times of arrival apart.
 
     Parameters
@@ -73,8 +85,6 @@ class HeadRelated(ChannelDirectivity):
     parts: tuple[Floats, Floats] = field(init=False, repr=False)  # (n + k, R) weights, (R, 2, N) components
     times: Floats = field(init=False, repr=False)  # (2, 2) of each ear: lateness at the middle, and of a radius, s
 
-    is_complex: ClassVar[bool] = True
-
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
@@ -101,11 +111,6 @@ class HeadRelated(ChannelDirectivity):
         kept = {"directions": directions, "responses": responses, "beside": beside, "times": times}
         settle(self, sampling_rate=rate, **{name: read_only(array) for name, array in kept.items()})
         settle(self, parts=(read_only(weights), read_only(components.reshape(len(components), 2, -1))))
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels, ``"left"`` and ``"right"``."""
-        return EARS
 
     @property
     def band(self) -> tuple[float, float]:
@@ -155,13 +160,13 @@ class HeadRelated(ChannelDirectivity):
             `outside` and `name` of the constructor.
         """
         try:
-            return cls(*read_hrtf(Path(path)), **options)
+            return cls(*read_sofa(opened_sofa(Path(path)), HEAD_CONVENTIONS, read_responses), **options)
         except InputError as error:
             raise InputError("path", f"{error.problem} ({error.field}): {path}") from error
 
 
 @dataclass(frozen=True, slots=True)
-class SphericalHead(ChannelDirectivity):
+class SphericalHead(_Ears):
     """Two ears on a rigid sphere: sources are far away.
 
     Parameters
@@ -183,7 +188,6 @@ class SphericalHead(ChannelDirectivity):
     [5.9, -15.7]
     """
 
-    is_complex: ClassVar[bool] = True
     band: ClassVar[tuple[float, float]] = (0.0, math.inf)
     radius: float = 0.0875
     ear_azimuth: float = 100.0
@@ -191,11 +195,6 @@ class SphericalHead(ChannelDirectivity):
     def __post_init__(self) -> None:
         settle(self, radius=as_number("radius", self.radius, at_least=1e-4, at_most=1.0, unit="m"))
         settle(self, ear_azimuth=as_number("ear_azimuth", self.ear_azimuth, at_least=0.0, at_most=180.0))
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels, ``"left"`` and ``"right"``."""
-        return EARS
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain of each ear; see `Directivity.gain_towards`."""

@@ -28,7 +28,7 @@ from clsim.scene.directivity.directivity import (
     table_band,
     unit_directions,
 )
-from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, sampling_rate_of
+from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, read_sofa, sampling_rate_of
 
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
 _MOST_SCATTERED = 4000  # directions off a grid, whose equations take 0.2 GB and two seconds
@@ -158,7 +158,12 @@ class SphericalDirectivity(Directivity):
         SourceView becomes our axis +x and SourceUp our +z. Impulse responses are padded to four times their length and
         transformed.
         """
-        return cls(*_read_sofa_table(path, measurement), **options)
+        sofa = opened_sofa(Path(path))
+        try:
+            read = read_sofa(sofa, _CONVENTIONS, lambda sofa, _: _read(sofa, measurement))
+        except InputError as error:
+            raise InputError(error.field, f"{error.problem}: {path}") from error
+        return cls(*read, **options)
 
 
 @lru_cache(maxsize=32)
@@ -178,21 +183,8 @@ _ROUND = 0.02  # by which distances to the receivers may differ
 _PADDING = 4  # lengths of an impulse response over which it is transformed
 
 
-def _read_sofa_table(path: str | PathLike[str], measurement: int) -> tuple[Floats, Floats, NDArray[np.complex128]]:
-    """Return directions (n, 3) in the source's frame, frequencies (f,) in Hz and responses (n, f)."""
-    sofa = opened_sofa(Path(path))
-    try:
-        return _read(sofa, measurement)
-    except InputError as error:
-        raise InputError(error.field, f"{error.problem}: {path}") from error
-    except (AttributeError, ValueError, TypeError, IndexError) as error:
-        raise InputError("path", f"must be a whole SOFA file, but {error}: {path}") from error
-
-
 def _read(sofa: Any, measurement: int) -> tuple[Floats, Floats, NDArray[np.complex128]]:
-    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
-    if convention not in _CONVENTIONS:
-        raise InputError("path", f"must be of the convention {', '.join(_CONVENTIONS)}, but is of {convention!r:.80}")
+    """Return directions (n, 3) in the source's frame, frequencies (f,) in Hz and responses (n, f)."""
     if sofa.GLOBAL_DataType not in ("TF", "FIR"):
         raise InputError("path", f"must hold TF or FIR data, but holds {sofa.GLOBAL_DataType!r:.80}")
     if sofa.GLOBAL_DataType == "TF":

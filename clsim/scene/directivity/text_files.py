@@ -7,12 +7,12 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from clsim.errors import InputError, check_packages, not_one_of
 from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, check_file, open_file, read_file
 from clsim.scene.directivity.mat_process import VERSION_73
 
+T = TypeVar("T")
 _ANGLE_UNITS = ("degree", "radian")
 _DECIMALS = 4  # of degrees that were radians: rounding of single precision is less
 _PATIENCE = 60.0  # s, for a MATLAB file to be read
@@ -156,28 +157,27 @@ def _picked(
     return angles, frequencies, values
 
 
-_HEAD_CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "SimpleFreeFieldHRTF", "FreeFieldHRTF")
+HEAD_CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "SimpleFreeFieldHRTF", "FreeFieldHRTF")
 _EVEN = 1e-6  # by which steps between frequencies may differ
 _MOST_DELAY = 1.0  # s
 
 
-def read_hrtf(path: Path) -> tuple[Floats, Floats, float]:
-    """Return directions (n, 3) in the head's frame, responses (n, 2, m) of both ears and their rate, Hz."""
-    sofa = opened_sofa(path)
+def read_sofa(sofa: SofaFields, conventions: tuple[str, ...], read: Callable[[Any, str], T]) -> T:
+    """Read the fields of a SOFA file of one of some conventions by a function."""
     try:
-        return _read_responses(sofa)
+        convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
+        if convention not in conventions:
+            wanted = ", ".join(conventions)
+            raise InputError("path", f"must be of the convention {wanted}, but is of {convention!r:.80}")
+        return read(sofa, convention)
+    except InputError:
+        raise
     except (AttributeError, ValueError, TypeError, IndexError, KeyError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError("path", f"must be a whole SOFA file, but {error}") from error
 
 
-def _read_responses(sofa: Any) -> tuple[Floats, Floats, float]:
-    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
-    if convention not in _HEAD_CONVENTIONS:
-        raise InputError(
-            "path", f"must be of the convention {', '.join(_HEAD_CONVENTIONS)}, but is of {convention!r:.80}"
-        )
+def read_responses(sofa: Any, convention: str) -> tuple[Floats, Floats, float]:
+    """Return directions (n, 3) in the head's frame, responses (n, 2, m) of both ears and their rate, Hz."""
     responses, rate = _impulses(sofa) if "IR" in convention else _transformed(sofa)  # (M, 2, n, E)
     measurements, emitters = responses.shape[0], responses.shape[3]
     # A single emitter is what its source is, whatever type the convention gives by default.
