@@ -148,20 +148,11 @@ class Air:
     _requested_speed: float | str | None = field(repr=False)  # so that `dataclasses.replace` keeps what was asked for
 
     def __init__(
-        self,
-        temperature_celsius: ByHeight = 20.0,
-        relative_humidity: ByHeight = 0.5,
-        pressure: float = 101_325.0,
-        speed_of_sound: float | str | None = None,
-        absorption: bool = True,
-        dispersion: bool = False,
-        wind: ArrayLike | None = None,
-        heights: ArrayLike | None = None,
-        fluctuation: Fluctuation | None = None,
-        *,
-        extent: tuple[float, float] | None = None,
-        _requested_speed: float | str | None = None,
-    ) -> None:
+        self, temperature_celsius: ByHeight = 20.0, relative_humidity: ByHeight = 0.5, pressure: float = 101_325.0,
+        speed_of_sound: float | str | None = None, absorption: bool = True, dispersion: bool = False,
+        wind: ArrayLike | None = None, heights: ArrayLike | None = None, fluctuation: Fluctuation | None = None, *,
+        extent: tuple[float, float] | None = None, _requested_speed: float | str | None = None,
+    ) -> None:  # fmt: skip
         warm = height_profile(
             "temperature_celsius", temperature_celsius, at_least=_COLDEST, at_most=_HOTTEST, unit="°C"
         )

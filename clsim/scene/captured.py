@@ -245,17 +245,10 @@ class _Part:
 
 
 def captured_person(
-    name: str,
-    path: str | PathLike[str],
-    *,
-    segments: Segments | None = None,
-    shape: str = "ellipsoid",
-    scale: float = 1.0,
-    up: str | None = None,
-    rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-    translate: ArrayLike = (0.0, 0.0, 0.0),
-    time_offset: float = 0.0,
-) -> list[Scatterer]:
+    name: str, path: str | PathLike[str], *, segments: Segments | None = None, shape: str = "ellipsoid",
+    scale: float = 1.0, up: str | None = None, rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    translate: ArrayLike = (0.0, 0.0, 0.0), time_offset: float = 0.0,
+) -> list[Scatterer]:  # fmt: skip
     r"""Return the scatterers of a person from a motion-capture file: one for each part between two joints.
 
     Parameters

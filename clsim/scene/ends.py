@@ -264,14 +264,9 @@ class Receiver(_End):
 
     @staticmethod
     def ambisonic(
-        name: str,
-        trajectory: Trajectory,
-        order: int = 1,
-        normalization: str = "SN3D",
-        *,
-        fixed: bool = False,
+        name: str, trajectory: Trajectory, order: int = 1, normalization: str = "SN3D", *, fixed: bool = False,
         **options: Any,
-    ) -> Receiver:
+    ) -> Receiver:  # fmt: skip
         """Return an ideal ambisonic microphone.
 
         Parameters

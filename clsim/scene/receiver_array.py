@@ -21,14 +21,9 @@ _MOST = 100_000  # receivers of an array
 
 
 def receiver_array(
-    name: str,
-    positions: ArrayLike,
-    trajectory: Trajectory | None = None,
-    *,
-    directivities: Sequence[Directivity] | None = None,
-    aims: ArrayLike | None = None,
-    **arguments: Any,
-) -> list[Receiver]:
+    name: str, positions: ArrayLike, trajectory: Trajectory | None = None, *,
+    directivities: Sequence[Directivity] | None = None, aims: ArrayLike | None = None, **arguments: Any,
+) -> list[Receiver]:  # fmt: skip
     """Return receivers at positions: fixed in the room, or the elements of an array that moves and turns as one.
 
     Parameters

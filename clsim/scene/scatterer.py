@@ -328,12 +328,9 @@ class Scatterer(Moved):
 
     @staticmethod
     def sphere(
-        name: str,
-        radius: float,
-        trajectory: Trajectory,
-        model: str = "series",
+        name: str, radius: float, trajectory: Trajectory, model: str = "series",
         fluctuation: TargetFluctuation | None = None,
-    ) -> Scatterer:
+    ) -> Scatterer:  # fmt: skip
         """Return a rigid sphere.
 
         Parameters
@@ -359,12 +356,9 @@ class Scatterer(Moved):
 
     @staticmethod
     def ellipsoid(
-        name: str,
-        semi_axes: ArrayLike,
-        trajectory: Trajectory,
-        fluctuation: TargetFluctuation | None = None,
+        name: str, semi_axes: ArrayLike, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None,
         shadow: bool = False,
-    ) -> Scatterer:
+    ) -> Scatterer:  # fmt: skip
         """Return a rigid ellipsoid, by geometrical optics: the echo of its specular point.
 
         Parameters
@@ -396,13 +390,9 @@ class Scatterer(Moved):
 
     @staticmethod
     def capsule(
-        name: str,
-        radius: float,
-        length: float,
-        trajectory: Trajectory,
-        fluctuation: TargetFluctuation | None = None,
+        name: str, radius: float, length: float, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None,
         shadow: bool = False,
-    ) -> Scatterer:
+    ) -> Scatterer:  # fmt: skip
         """Return a rigid capsule, a cylinder with round ends, by Fresnel integrals along it.
 
         Parameters

@@ -121,15 +121,9 @@ class _Train:
 
     @classmethod
     def of(
-        cls,
-        recording: Recording,
-        pulse: Signal,
-        receiver: int | str,
-        source: int | str,
-        part: tuple[int, int | None, int],
-        passes: float,
-        max_range: float | None,
-    ) -> _Train:
+        cls, recording: Recording, pulse: Signal, receiver: int | str, source: int | str,
+        part: tuple[int, int | None, int], passes: float, max_range: float | None,
+    ) -> _Train:  # fmt: skip
         """Filter the part (first, count, least) of a train."""
         paths = scored_paths(recording, "echoes")
         row = as_index("receiver", receiver, recording.receiver_names)
@@ -150,16 +144,9 @@ class _Train:
 
 
 def range_doppler(
-    recording: Recording,
-    pulse: Signal,
-    receiver: int | str = 0,
-    *,
-    source: int | str = 0,
-    first: int = 0,
-    count: int | None = None,
-    two_way: bool = True,
-    max_range: float | None = None,
-) -> RangeDopplerMap:
+    recording: Recording, pulse: Signal, receiver: int | str = 0, *, source: int | str = 0, first: int = 0,
+    count: int | None = None, two_way: bool = True, max_range: float | None = None,
+) -> RangeDopplerMap:  # fmt: skip
     """Return the range-Doppler map of a train of pulses.
 
     Parameters
@@ -206,14 +193,9 @@ def range_doppler(
 
 
 def echoes(
-    recording: Recording,
-    pulse: Signal,
-    receiver: int | str = 0,
-    *,
-    source: int | str = 0,
-    two_way: bool = True,
+    recording: Recording, pulse: Signal, receiver: int | str = 0, *, source: int | str = 0, two_way: bool = True,
     max_range: float | None = None,
-) -> EchoMap:
+) -> EchoMap:  # fmt: skip
     """Compute the matched filter's output over range and number of the pulse, as a sonar's display shows it.
 
     Parameters

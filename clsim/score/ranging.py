@@ -166,17 +166,10 @@ class RangingScore:
 
 
 def ranging(
-    recording: Recording,
-    pulse: Signal,
-    method: str = "matched-filter",
-    *,
-    source: int | str = 0,
-    max_range: float | None = None,
-    detection_db: float = 14.0,
-    first_peak_db: float = -10.0,
-    outlier: float = 0.5,
+    recording: Recording, pulse: Signal, method: str = "matched-filter", *, source: int | str = 0,
+    max_range: float | None = None, detection_db: float = 14.0, first_peak_db: float = -10.0, outlier: float = 0.5,
     motion: str = "retarded",
-) -> RangingScore:
+) -> RangingScore:  # fmt: skip
     """Return the ranges that a receiver would measure by pulses of a source, and their errors.
 
     Parameters

@@ -208,13 +208,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
 
     @classmethod
     def from_db(
-        cls,
-        angles_degrees: ArrayLike,
-        frequencies: ArrayLike,
-        magnitudes_db: ArrayLike,
-        phases_degrees: ArrayLike | None = None,
-        **options: Any,
-    ) -> AxialDirectivity:
+        cls, angles_degrees: ArrayLike, frequencies: ArrayLike, magnitudes_db: ArrayLike,
+        phases_degrees: ArrayLike | None = None, **options: Any,
+    ) -> AxialDirectivity:  # fmt: skip
         """Return the table of magnitudes (a, f) in dB and, if given, phases (a, f) in degrees.
 
         Parameters
@@ -244,12 +240,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
 
     @classmethod
     def from_csv(
-        cls,
-        path: str | PathLike[str],
-        phases_path: str | PathLike[str] | None = None,
-        scale: str = "db",
+        cls, path: str | PathLike[str], phases_path: str | PathLike[str] | None = None, scale: str = "db",
         **options: Any,
-    ) -> AxialDirectivity:
+    ) -> AxialDirectivity:  # fmt: skip
         """Return the table of a text file: frequencies in its first row, angles in its first column.
 
         Parameters
@@ -280,15 +273,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
 
     @classmethod
     def from_npz(
-        cls,
-        path: str | PathLike[str],
-        scale: str | None = None,
-        angle: str = "angles",
-        frequency: str = "frequencies",
-        values: str = "values",
-        angle_unit: str = "degree",
-        **options: Any,
-    ) -> AxialDirectivity:
+        cls, path: str | PathLike[str], scale: str | None = None, angle: str = "angles", frequency: str = "frequencies",
+        values: str = "values", angle_unit: str = "degree", **options: Any,
+    ) -> AxialDirectivity:  # fmt: skip
         """Return the table of a NumPy file with three arrays.
 
         Parameters
@@ -309,16 +296,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
 
     @classmethod
     def from_mat(
-        cls,
-        path: str | PathLike[str],
-        scale: str | None = None,
-        angle: str = "angles",
-        frequency: str = "frequencies",
-        values: str = "values",
-        angle_unit: str = "degree",
-        variable: str | None = None,
-        **options: Any,
-    ) -> AxialDirectivity:
+        cls, path: str | PathLike[str], scale: str | None = None, angle: str = "angles", frequency: str = "frequencies",
+        values: str = "values", angle_unit: str = "degree", variable: str | None = None, **options: Any,
+    ) -> AxialDirectivity:  # fmt: skip
         """Return the table of a MATLAB file with three variables, or a struct of three fields; see `from_npz`.
 
         Parameters

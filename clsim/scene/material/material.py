@@ -204,14 +204,9 @@ class Material(ReflectingSurface):
 
     @classmethod
     def from_table(
-        cls,
-        frequencies: ArrayLike,
-        factors: ArrayLike,
-        outside: str | None = None,
-        name: str = "",
-        *,
+        cls, frequencies: ArrayLike, factors: ArrayLike, outside: str | None = None, name: str = "", *,
         scattering: Any = None,
-    ) -> Material:
+    ) -> Material:  # fmt: skip
         """Return a material of reflection factors by frequency, at all angles.
 
         Parameters
@@ -252,14 +247,9 @@ class Material(ReflectingSurface):
 
     @classmethod
     def from_impedance(
-        cls,
-        frequencies: ArrayLike,
-        impedances: ArrayLike,
-        outside: str | None = None,
-        name: str = "",
-        *,
+        cls, frequencies: ArrayLike, impedances: ArrayLike, outside: str | None = None, name: str = "", *,
         scattering: Any = None,
-    ) -> Material:
+    ) -> Material:  # fmt: skip
         """Return a locally reacting wall: sound moves it here and there, but not along it.
 
         Parameters
@@ -296,17 +286,9 @@ class Material(ReflectingSurface):
 
     @classmethod
     def from_impulse_response(
-        cls,
-        samples: ArrayLike,
-        sampling_rate: float,
-        reference: float = 0.0,
-        band: tuple[float, float] | None = None,
-        outside: str | None = None,
-        tolerance: float = 0.05,
-        name: str = "",
-        *,
-        scattering: Any = None,
-    ) -> Material:
+        cls, samples: ArrayLike, sampling_rate: float, reference: float = 0.0, band: tuple[float, float] | None = None,
+        outside: str | None = None, tolerance: float = 0.05, name: str = "", *, scattering: Any = None,
+    ) -> Material:  # fmt: skip
         """Return the material whose reflection was measured as an impulse response; it holds at all angles.
 
         Parameters
@@ -358,19 +340,10 @@ class Material(ReflectingSurface):
 
     @classmethod
     def from_wav(
-        cls,
-        path: str | PathLike[str],
-        channel: int = 0,
-        scale: float = 1.0,
-        reference: float = 0.0,
-        band: tuple[float, float] | None = None,
-        outside: str | None = None,
-        tolerance: float = 0.05,
-        name: str = "",
-        *,
-        scattering: Any = None,
-        truncated: bool = False,
-    ) -> Material:
+        cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0, reference: float = 0.0,
+        band: tuple[float, float] | None = None, outside: str | None = None, tolerance: float = 0.05, name: str = "", *,
+        scattering: Any = None, truncated: bool = False,
+    ) -> Material:  # fmt: skip
         """Return the material whose impulse response is one channel of a sound file.
 
         Parameters
@@ -429,14 +402,9 @@ class Material(ReflectingSurface):
 
     @classmethod
     def from_porous(
-        cls,
-        flow_resistivity: float,
-        thickness: float,
-        outside: str | None = None,
-        name: str = "",
-        *,
+        cls, flow_resistivity: float, thickness: float, outside: str | None = None, name: str = "", *,
         scattering: Any = None,
-    ) -> Material:
+    ) -> Material:  # fmt: skip
         """Return a fibrous absorber on a rigid wall, by Miki's formula.
 
         Parameters

@@ -321,12 +321,9 @@ class ReflectingSurface:
         return replace(self, roughness=math.hypot(self.roughness, rms))
 
     def transmitting(
-        self,
-        *,
-        surface_mass: float | None = None,
-        frequencies: ArrayLike | None = None,
+        self, *, surface_mass: float | None = None, frequencies: ArrayLike | None = None,
         losses_db: ArrayLike | None = None,
-    ) -> Self:
+    ) -> Self:  # fmt: skip
         """Return the material as a thin panel through which sound passes straight on.
 
         Parameters

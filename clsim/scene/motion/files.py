@@ -73,17 +73,9 @@ class Poses:
 
 
 def read_poses(
-    path: Any,
-    form: str,
-    *,
-    topic: str | None,
-    columns: Mapping[str, str] | None,
-    time_scale: float,
-    scale: float,
-    repair: tuple[str, ...],
-    max_speed: float,
-    max_gap: float | None,
-) -> Poses:
+    path: Any, form: str, *, topic: str | None, columns: Mapping[str, str] | None, time_scale: float, scale: float,
+    repair: tuple[str, ...], max_speed: float, max_gap: float | None,
+) -> Poses:  # fmt: skip
     """Read a file and check its rows.
 
     form: TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the quaternion

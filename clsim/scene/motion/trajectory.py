@@ -117,13 +117,9 @@ class Trajectory(Motion):
 
     @staticmethod
     def circle(
-        center: ArrayLike,
-        radius: float,
-        period: float,
-        duration: float,
-        axis: ArrayLike = (0.0, 0.0, 1.0),
+        center: ArrayLike, radius: float, period: float, duration: float, axis: ArrayLike = (0.0, 0.0, 1.0),
         phase: float = 0.0,
-    ) -> Trajectory:
+    ) -> Trajectory:  # fmt: skip
         """Return a circle at constant speed, counterclockwise about its axis, from time 0 to `duration`.
 
         Parameters
@@ -300,21 +296,12 @@ class Trajectory(Motion):
 
     @staticmethod
     def from_file(
-        path: str | PathLike[str],
-        format: str = "tum",
-        *,
-        topic: str | None = None,
-        columns: Mapping[str, str] | None = None,
-        time_scale: float = 1.0,
-        smooth: bool | float = True,
-        time_offset: float = 0.0,
-        rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        scale: float = 1.0,
-        translate: ArrayLike = (0.0, 0.0, 0.0),
-        repair: Sequence[str] = (),
-        max_speed: float = 20.0,
+        path: str | PathLike[str], format: str = "tum", *, topic: str | None = None,
+        columns: Mapping[str, str] | None = None, time_scale: float = 1.0, smooth: bool | float = True,
+        time_offset: float = 0.0, rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0), scale: float = 1.0,
+        translate: ArrayLike = (0.0, 0.0, 0.0), repair: Sequence[str] = (), max_speed: float = 20.0,
         max_gap: float | None = None,
-    ) -> Trajectory:
+    ) -> Trajectory:  # fmt: skip
         r"""Return a measured motion, placed into the room by ``x' = rotate(scale x) + translate``.
 
         Parameters

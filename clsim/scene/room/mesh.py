@@ -133,14 +133,10 @@ class MeshRoom:
 
     @staticmethod
     def from_file(
-        path: str | os.PathLike[str],
-        scale: float = 1.0,
-        up: str = "z",
-        materials: Material | Mapping[str, Material] | None = None,
-        *,
-        flatness: float = FLATNESS,
+        path: str | os.PathLike[str], scale: float = 1.0, up: str = "z",
+        materials: Material | Mapping[str, Material] | None = None, *, flatness: float = FLATNESS,
         heal: str | float = HEAL,
-    ) -> MeshRoom:
+    ) -> MeshRoom:  # fmt: skip
         """Return a room from an AC3D file or one that trimesh reads: OBJ, STL, PLY, GLB, OFF and more.
 
         Parameters
@@ -176,15 +172,10 @@ class MeshRoom:
 
     @staticmethod
     def from_polygons(
-        corners: ArrayLike,
-        polygons: Sequence[Sequence[int]],
-        materials: Material | Sequence[Material],
-        *,
-        double_sided: Sequence[int] = (),
-        heal: str | float = HEAL,
-        flatness: float = FLATNESS,
+        corners: ArrayLike, polygons: Sequence[Sequence[int]], materials: Material | Sequence[Material], *,
+        double_sided: Sequence[int] = (), heal: str | float = HEAL, flatness: float = FLATNESS,
         labels: Sequence[str] | None = None,
-    ) -> MeshRoom:
+    ) -> MeshRoom:  # fmt: skip
         """Make a room of polygons, as round robins of room acoustics publish theirs.
 
         Parameters

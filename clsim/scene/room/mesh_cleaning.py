@@ -177,12 +177,9 @@ def _surrounded(points: Floats, corners: Floats) -> NDArray[np.bool_]:
 
 
 def describe_mesh(
-    vertices: Floats,
-    triangles: NDArray[np.int64],
-    plane_of_wall: NDArray[np.int64],
-    shape: MeshShape,
+    vertices: Floats, triangles: NDArray[np.int64], plane_of_wall: NDArray[np.int64], shape: MeshShape,
     notes: tuple[str, ...],
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """Return description of a mesh, a line per fact; see `MeshRoom.describe`."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low

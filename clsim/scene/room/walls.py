@@ -87,15 +87,9 @@ def boundaries(vertices: Floats, triangles: Ints, of_triangle: Ints, normal: Flo
 
 
 def pieces(
-    corners: Floats,
-    of_triangle: Ints,
-    normal: Floats,
-    hull: Floats,
-    first_hull: Ints,
-    edge: Floats,
-    first_edge: Ints,
+    corners: Floats, of_triangle: Ints, normal: Floats, hull: Floats, first_hull: Ints, edge: Floats, first_edge: Ints,
     size: float,
-) -> tuple[Floats, Ints, Ints]:
+) -> tuple[Floats, Ints, Ints]:  # fmt: skip
     """Return walls as convex pieces: their hulls where these fill them, else their triangles; result (L, 4)."""
     sides = np.diff(first_hull)
     lines = _lines(hull, first_hull, np.repeat(normal, sides, axis=0))

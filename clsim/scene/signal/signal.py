@@ -204,14 +204,9 @@ class Signal:
 
     @classmethod
     def tone(
-        cls,
-        frequency: float,
-        duration: float,
-        sampling_rate: float,
-        amplitude: float = 1.0,
-        phase: float = 0.0,
+        cls, frequency: float, duration: float, sampling_rate: float, amplitude: float = 1.0, phase: float = 0.0,
         fade: float = 0.0,
-    ) -> Signal:
+    ) -> Signal:  # fmt: skip
         """Return ``amplitude sin(2 pi frequency t + phase)``.
 
         Parameters
@@ -242,16 +237,9 @@ class Signal:
 
     @classmethod
     def chirp(
-        cls,
-        start: float,
-        stop: float,
-        duration: float,
-        sampling_rate: float,
-        method: str = "linear",
-        window: str = "none",
-        amplitude: float = 1.0,
-        fade: float = 0.0,
-    ) -> Signal:
+        cls, start: float, stop: float, duration: float, sampling_rate: float, method: str = "linear",
+        window: str = "none", amplitude: float = 1.0, fade: float = 0.0,
+    ) -> Signal:  # fmt: skip
         """Return a sweep from one frequency to another.
 
         Parameters
@@ -322,14 +310,9 @@ class Signal:
 
     @classmethod
     def noise(
-        cls,
-        duration: float,
-        sampling_rate: float,
-        seed: int,
-        band: tuple[float, float] | None = None,
-        rms: float = 1.0,
-        fade: float = 0.0,
-    ) -> Signal:
+        cls, duration: float, sampling_rate: float, seed: int, band: tuple[float, float] | None = None,
+        rms: float = 1.0, fade: float = 0.0,
+    ) -> Signal:  # fmt: skip
         """Return Gaussian noise, the same for the same seed.
 
         Parameters
@@ -374,18 +357,9 @@ class Signal:
 
     @classmethod
     def sequence(
-        cls,
-        *,
-        carrier: float,
-        chip_rate: float,
-        sampling_rate: float,
-        kind: str = "mls",
-        bits: int = 10,
-        code: int = 0,
-        repeats: int = 1,
-        rolloff: float = 0.5,
-        amplitude: float = 1.0,
-    ) -> Signal:
+        cls, *, carrier: float, chip_rate: float, sampling_rate: float, kind: str = "mls", bits: int = 10,
+        code: int = 0, repeats: int = 1, rolloff: float = 0.5, amplitude: float = 1.0,
+    ) -> Signal:  # fmt: skip
         """Return a binary sequence on a carrier (BPSK), its chips shaped by a raised cosine.
 
         Parameters
