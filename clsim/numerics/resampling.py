@@ -86,9 +86,8 @@ class Resampler:
         """Return the filter from the rate `old` to the rate `new`, Hz."""
         ratio = Fraction(new / old).limit_denominator(_LARGEST_FACTOR)
         if not 0 < ratio.numerator <= _LARGEST_FACTOR or abs(float(ratio) * old - new) > 1e-9 * new:
-            raise InputError(
-                "sampling_rate", f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz"
-            )
+            problem = f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz"
+            raise InputError("sampling_rate", problem)
         return cls(ratio.numerator, ratio.denominator)
 
     def count(self, samples: int) -> int:

@@ -50,9 +50,8 @@ def at_heights(field: str, given: ByHeight, where: tuple[float, float], heights:
         return np.full(len(heights), given)
     found = np.asarray(given(heights), dtype=np.float64)
     if found.shape not in ((), heights.shape) or not np.all(np.isfinite(found)):
-        raise InputError(
-            field, f"must return a finite number for each of {len(heights)} heights, but returns {found!r:.80}"
-        )
+        problem = f"must return a finite number for each of {len(heights)} heights, but returns {found!r:.80}"
+        raise InputError(field, problem)
     return np.broadcast_to(found, heights.shape)
 
 

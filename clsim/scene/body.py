@@ -107,9 +107,8 @@ class Body(Moved):
         thin = np.flatnonzero(lengths == 0.0)
         if np.any((lengths < _SHORTEST) & (lengths != 0.0)) or len(thin) > 1:
             given = ", ".join(f"{x:g}" for x in lengths)
-            raise InputError(
-                "size", f"must be at least {_SHORTEST:g} m, or 0 along one axis for a sheet, but is {given} m"
-            )
+            problem = f"must be at least {_SHORTEST:g} m, or 0 along one axis for a sheet, but is {given} m"
+            raise InputError("size", problem)
         corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * lengths
         number = np.arange(8).reshape(2, 2, 2)
         triangles, labels = [], []

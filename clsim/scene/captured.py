@@ -103,9 +103,8 @@ def _table(text: str) -> Joints:
         raise InputError(f"line {number}", f"must name t and NAME x, NAME y, NAME z of every joint, but {what}")
     rows = np.array([_numbers(i, line, len(columns)) for i, line in lines[1:]]).reshape(-1, len(columns))
     if len(rows) < _FEWEST_FRAMES:
-        raise InputError(
-            f"line {lines[-1][0]}", f"must be the last of {_FEWEST_FRAMES} rows at least, not of {len(rows)}"
-        )
+        problem = f"must be the last of {_FEWEST_FRAMES} rows at least, not of {len(rows)}"
+        raise InputError(f"line {lines[-1][0]}", problem)
     try:
         times = as_increasing(rows[:, clock[0]])
     except InputError as error:
@@ -156,9 +155,8 @@ def _bvh(text: str) -> Joints:
         ):
             raise ValueError
     except (ValueError, IndexError):
-        raise InputError(
-            f"line {begin + 2}", "must be Frames: N and Frame Time: seconds, one below the other"
-        ) from None
+        problem = "must be Frames: N and Frame Time: seconds, one below the other"
+        raise InputError(f"line {begin + 2}", problem) from None
     width = sum(len(bone.channels) for bone in bones)
     rows = np.array([_numbers(i, " ".join(words), width) for i, words in head[2:]]).reshape(-1, width)
     if len(rows) != count or count < _FEWEST_FRAMES:
@@ -203,9 +201,8 @@ def _channels(number: int, words: list[str]) -> list[str]:
     found = [word.capitalize() for word in words[1:]]
     known = all(word[:1] in _AXES and word[1:] in ("position", "rotation") for word in found)
     if not known or words[:1] != [str(len(found))]:
-        raise InputError(
-            f"line {number}", f"must be CHANNELS, their number and their names, but has {' '.join(words)!r:.60}"
-        )
+        problem = f"must be CHANNELS, their number and their names, but has {' '.join(words)!r:.60}"
+        raise InputError(f"line {number}", problem)
     return found
 
 
@@ -325,9 +322,8 @@ def _between(known: dict[str, Floats], segments: Any) -> list[_Part]:
         radius = as_number(f"segments[{i}].radius", segment[2], above=0.0, unit="m")
         part = _limb(f"{segment[0]} to {segment[1]}", known[segment[0]], known[segment[1]], radius)
         if part is None:
-            raise InputError(
-                f"segments[{i}]", f"must have a length, but {segment[0]!r} and {segment[1]!r} are at one place"
-            )
+            problem = f"must have a length, but {segment[0]!r} and {segment[1]!r} are at one place"
+            raise InputError(f"segments[{i}]", problem)
         parts.append(part)
     return parts
 

@@ -192,9 +192,8 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     if not inside.any():
         warn(f"{field}.trajectory: no source or receiver is inside the room: {where}")
     elif closed:
-        raise InputError(
-            f"{field}.trajectory", f"must lie in the same air as the other sources and receivers, but {where}"
-        )
+        problem = f"must lie in the same air as the other sources and receivers, but {where}"
+        raise InputError(f"{field}.trajectory", problem)
     else:
         warn(f"{field}.trajectory: {where}")
 

@@ -291,9 +291,8 @@ def _check_rows(receivers: Sequence[Receiver]) -> None:
             raise InputError(f"receivers[{i}].name", f"must be unique, but an array is {receiver.name!r} too")
         for name in map(row_name, receiver.rows):
             if seen.setdefault(name, i) != i:
-                raise InputError(
-                    f"receivers[{i}].name", f"must be unique with its channel, but [{seen[name]}] has {name!r} too"
-                )
+                problem = f"must be unique with its channel, but [{seen[name]}] has {name!r} too"
+                raise InputError(f"receivers[{i}].name", problem)
 
 
 def _check_bands(scene: Scene) -> None:

@@ -145,9 +145,8 @@ class AxialDirectivity(AxisymmetricDirectivity):
         check_rising("angles_degrees", angles, np.diff(angles) > _SAME_ANGLE, "°")
         overhanging = overhangs(angles)
         if not overhanging and (angles[0] < -180.0 - _SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE):
-            raise InputError(
-                "angles_degrees", f"must lie from -180° to 180°, but go from {angles[0]:g}° to {angles[-1]:g}°"
-            )
+            problem = f"must lie from -180° to 180°, but go from {angles[0]:g}° to {angles[-1]:g}°"
+            raise InputError("angles_degrees", problem)
         values = as_gains(self.values, (len(angles), len(frequencies)), "angles by frequencies")
         if self.scale == "db" and np.iscomplexobj(values):
             raise InputError("values", 'must be real with scale="db", but are complex; from_db takes phases')
@@ -155,9 +154,8 @@ class AxialDirectivity(AxisymmetricDirectivity):
         check_level(values, unit)
         angles, values = within_half_turn(angles, values, unit) if overhanging else self._one_side(angles, values)
         if len(angles) < 2 or abs(angles[0]) > _SAME_ANGLE:
-            raise InputError(
-                "angles_degrees", f"must begin on the axis, 0°, and go on, but are {angles.tolist()!s:.80}"
-            )
+            problem = f"must begin on the axis, 0°, and go on, but are {angles.tolist()!s:.80}"
+            raise InputError("angles_degrees", problem)
         last = float(angles[-1])
         if last < 180.0 - _SAME_ANGLE and self.rear is None:
             advice = 'give rear="hold", "mirror" or "zero" for what lies beyond'
@@ -264,9 +262,8 @@ class AxialDirectivity(AxisymmetricDirectivity):
             return cls(angles, frequencies, values, scale=scale, **options)
         same, also, turned = read_csv_table("phases_path", phases_path)
         if not (np.array_equal(same, angles) and np.array_equal(also, frequencies)):
-            raise InputError(
-                "phases_path", f"must have the angles and frequencies of {path}, but has others: {phases_path}"
-            )
+            problem = f"must have the angles and frequencies of {path}, but has others: {phases_path}"
+            raise InputError("phases_path", problem)
         if scale == "db":
             return cls.from_db(angles, frequencies, values, turned, **options)
         return cls(angles, frequencies, values * np.exp(1j * np.radians(turned)), **options)

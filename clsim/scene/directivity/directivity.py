@@ -72,9 +72,8 @@ def check_level(values: NDArray[Any], unit: str) -> None:
 def over_axis(values: NDArray[Any], axis: NDArray[Any], frequencies: Floats) -> NDArray[Any]:
     """Return values (n, f) divided by those on the axis (f,)."""
     for i in np.flatnonzero(np.abs(axis) <= _SILENT * np.abs(values).max(axis=0))[:1]:
-        raise InputError(
-            "relative_to_axis", f"must be false where the axis is silent, but it is at {frequencies[i]:g} Hz"
-        )
+        problem = f"must be false where the axis is silent, but it is at {frequencies[i]:g} Hz"
+        raise InputError("relative_to_axis", problem)
     return np.asarray(values / axis)
 
 

@@ -42,9 +42,8 @@ def read_csv_table(field: str, path: str | PathLike[str]) -> tuple[Floats, Float
     lines = [(n, line.strip()) for n, line in enumerate(text.splitlines(), start=1)]
     lines = [(n, line) for n, line in lines if line and not line.startswith("#")]
     if len(lines) < 2:
-        raise InputError(
-            field, f"must hold a row of frequencies and rows of values, but holds {len(lines)} rows: {path}"
-        )
+        problem = f"must hold a row of frequencies and rows of values, but holds {len(lines)} rows: {path}"
+        raise InputError(field, problem)
     separator = next((s for s in _SEPARATORS if s in lines[0][1]), ",")
     rows: list[list[float]] = []
     for n, line in lines:
@@ -283,9 +282,8 @@ def _read_fields(path: Path, file: Any) -> SofaFields:
     """Read attributes and variables within a bound; NaN for what is no real number, where netCDF can crash."""
     size = 8 * sum(math.prod(map(float, variable.shape)) for variable in file.variables.values())
     if size > _MOST_UNPACKED:
-        raise InputError(
-            "path", f"must unpack to at most {_MOST_UNPACKED / 2**20:g} MiB, but to {size / 2**20:.4g} MiB: {path}"
-        )
+        problem = f"must unpack to at most {_MOST_UNPACKED / 2**20:g} MiB, but to {size / 2**20:.4g} MiB: {path}"
+        raise InputError("path", problem)
     fields = SofaFields(**{f"GLOBAL_{name}": file.getncattr(name) for name in file.ncattrs()})
     for name, variable in file.variables.items():
         field = name.replace(".", "_")
@@ -330,9 +328,8 @@ def cartesian(sofa: SofaFields, name: str, measurement: int) -> Floats:
     if 0 not in given.shape and name not in ("ReceiverPosition", "EmitterPosition"):
         given = given[[measurement if len(given) > 1 else 0]]
     if given.shape[1:] != (3,) or 0 in given.shape or not np.isfinite(given).all():
-        raise InputError(
-            "path", f"must have three finite numbers in each row of {name}, but has {given.tolist()!s:.80}"
-        )
+        problem = f"must have three finite numbers in each row of {name}, but has {given.tolist()!s:.80}"
+        raise InputError("path", problem)
     # An Up vector is of its View's type.
     kind = getattr(sofa, f"{name}_Type", getattr(sofa, f"{name.removesuffix('Up')}View_Type", "cartesian"))
     if kind == "cartesian":

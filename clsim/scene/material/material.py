@@ -329,9 +329,8 @@ class Material(ReflectingSurface):
         tolerance = as_number("tolerance", tolerance, at_least=0.0, at_most=1.0)
         low, high = (0.0, 0.5 * rate) if band is None else as_floats("band", band, (2,)).tolist()
         if not 0.0 <= low < high <= 0.5 * rate:
-            raise InputError(
-                "band", f"must rise from 0 Hz or more to {0.5 * rate:g} Hz or less, but is {low:g}, {high:g}"
-            )
+            problem = f"must rise from 0 Hz or more to {0.5 * rate:g} Hz or less, but is {low:g}, {high:g}"
+            raise InputError("band", problem)
         check_passive_echo(taps, rate, (low, high), tolerance)
         warn_of_noise(taps, name)
         covered = EVERYWHERE if _goes_on(outside, "hold") else (low, high)

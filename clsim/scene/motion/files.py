@@ -251,9 +251,8 @@ def _scaled(poses: Poses, scale: float) -> Floats:
     far = np.flatnonzero(np.any(np.abs(poses.positions) > FARTHEST / scale, axis=1))
     if len(far):
         value = np.abs(poses.positions[far[0]]).max()
-        raise InputError(
-            "path", f"{poses.where(far[0])}: positions must be within {FARTHEST:g} m, but one is {value:g}"
-        )
+        problem = f"{poses.where(far[0])}: positions must be within {FARTHEST:g} m, but one is {value:g}"
+        raise InputError("path", problem)
     return poses.positions * scale
 
 
@@ -263,9 +262,8 @@ def _with_unit_quaternions(poses: Poses) -> Poses:
     norm = np.linalg.norm(np.clip(poses.orientations, -1e100, 1e100), axis=1)
     off = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
     if len(off):
-        raise InputError(
-            "path", f"{poses.where(off[0])}: must have a unit quaternion, but its norm is {norm[off[0]]:.6g}"
-        )
+        problem = f"{poses.where(off[0])}: must have a unit quaternion, but its norm is {norm[off[0]]:.6g}"
+        raise InputError("path", problem)
     return replace(poses, orientations=poses.orientations / norm[:, None])
 
 

@@ -495,9 +495,8 @@ def by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str,
     listed = ", ".join(repr(g) for g in groups)
     for key, material in materials.items():
         if key != "default" and key not in groups:
-            raise InputError(
-                f"materials.{key}", f"is no group of {name}, whose groups are {listed}{meant(key, groups)}"
-            )
+            problem = f"is no group of {name}, whose groups are {listed}{meant(key, groups)}"
+            raise InputError(f"materials.{key}", problem)
         check_kind(f"materials.{key}", material, Material, "a Material")
     missing = [g for g in groups if g not in materials]
     if missing and "default" not in materials:

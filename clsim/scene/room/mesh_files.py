@@ -81,9 +81,8 @@ def _check_nodes(file: Path, header: dict[str, Any]) -> None:
     for node in reached:  # which grows meanwhile
         reached += [child for child in children[node] if parents[child] == 1]
     if len(reached) != len(children):
-        raise InputError(
-            str(file), "must hold nodes that form trees, but one has two parents, or is its own descendant"
-        )
+        problem = "must hold nodes that form trees, but one has two parents, or is its own descendant"
+        raise InputError(str(file), problem)
 
 
 def _beside(file: Path) -> Any:
@@ -318,9 +317,8 @@ def _check_corners(file: Path, vertices: Floats, corners: Ints, where: Callable[
     """Refuse corners beyond the vertices, and vertices that are not finite; `first` is the file's first index."""
     for i in np.flatnonzero((corners < 0) | (corners >= len(vertices)))[:1]:
         last = len(vertices) - 1 + first
-        raise InputError(
-            str(file), f"{where(i)} must use vertices from {first} to {last}, but uses {corners[i] + first}"
-        )
+        problem = f"{where(i)} must use vertices from {first} to {last}, but uses {corners[i] + first}"
+        raise InputError(str(file), problem)
     near = np.all(np.abs(vertices) <= _FARTHEST, axis=1)
     for i in np.flatnonzero(~near[corners])[:1]:
         k = corners[i]

@@ -168,9 +168,8 @@ def _checked_walls(walls: object) -> tuple[Material, ...]:
     if isinstance(walls, Mapping):
         for name in walls:
             if name not in (*WALLS, "default"):
-                raise InputError(
-                    f"walls.{name}", f"is no wall; the walls are {', '.join(WALLS)} and default{meant(name, WALLS)}"
-                )
+                problem = f"is no wall; the walls are {', '.join(WALLS)} and default{meant(name, WALLS)}"
+                raise InputError(f"walls.{name}", problem)
         missing = [name for name in WALLS if name not in walls]
         if missing and "default" not in walls:
             raise InputError(f"walls.{missing[0]}", "is missing, and there is no default")

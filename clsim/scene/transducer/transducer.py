@@ -241,9 +241,8 @@ def _causal(taps: Floats, field: str, advice: str, before: int | None = None) ->
     energy = np.square(taps)
     share = float(energy[len(taps) - size :].sum() / energy.sum())
     if share > _BEFORE:
-        raise InputError(
-            field, f"must respond after 0 s, but {10 * math.log10(share):.0f} dB of the energy come before; {advice}"
-        )
+        problem = f"must respond after 0 s, but {10 * math.log10(share):.0f} dB of the energy come before; {advice}"
+        raise InputError(field, problem)
     return _cut(taps[: len(taps) - size])
 
 
@@ -377,9 +376,8 @@ class Transducer:
         """
         f = as_floats("frequencies", frequencies, (None,))
         if len(f) < 2 or f[0] < 0.0 or np.any(np.diff(f) <= 0.0):
-            raise InputError(
-                "frequencies", f"must be two or more from 0 Hz that increase strictly, but are {f.tolist()!s:.80}"
-            )
+            problem = f"must be two or more from 0 Hz that increase strictly, but are {f.tolist()!s:.80}"
+            raise InputError("frequencies", problem)
         if outside is not None:
             as_choice("outside", outside, ("zero", "hold"))
         given = np.asarray(values)
