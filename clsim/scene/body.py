@@ -203,11 +203,9 @@ def _check_motion(field_name: str, body: Body, last: float, slowest: float) -> N
     if body.peak_speed >= slowest:
         times = np.linspace(*body.time_range, 10_001)
         speed = body.speed(times)
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must keep every point below the speed of sound, {slowest:.6g} m/s, but {body.name!r} may move at "
-            f"{body.peak_speed:.6g} m/s, about {times[np.argmax(speed)]:.6g} s",
-        )
+        problem = f"must keep every point below the speed of sound, {slowest:.6g} m/s, but {body.name!r} may move at "
+        problem += f"{body.peak_speed:.6g} m/s, about {times[np.argmax(speed)]:.6g} s"
+        raise InputError(f"{field_name}.trajectory", problem)
 
 
 def _evaluations(bodies: Sequence[Body]) -> Floats:

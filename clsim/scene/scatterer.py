@@ -203,11 +203,8 @@ class SphereShape:
     def _check(self, wave: Floats) -> None:
         most = self.radius * float(wave.max())
         if most > _LARGEST_KA:
-            raise InputError(
-                "radius",
-                f"must be at most {_LARGEST_KA:g} / wave number for a series, but ka is {most:.6g} for "
-                f'{self.radius:g} m; say model="geometrical"',
-            )
+            problem = f"must be at most {_LARGEST_KA:g} / wave number for a series, but ka is {most:.6g} for "
+            raise InputError("radius", f'{problem}{self.radius:g} m; say model="geometrical"')
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
         self._check(wave)

@@ -314,11 +314,8 @@ class AxialDirectivity(AxisymmetricDirectivity):
             return angles, values
         right, left = angles >= -_SAME_ANGLE, angles <= _SAME_ANGLE
         if right.sum() != left.sum() or np.any(np.abs(angles[right] + angles[left][::-1]) > _SAME_ANGLE):
-            raise InputError(
-                "angles_degrees",
-                f"must be the same on both sides of 0°, but go from {angles[0]:g}° to {angles[-1]:g}° with "
-                f"{left.sum()} and {right.sum()} angles",
-            )
+            problem = f"must be the same on both sides of 0°, but go from {angles[0]:g}° to {angles[-1]:g}° with "
+            raise InputError("angles_degrees", f"{problem}{left.sum()} and {right.sum()} angles")
         one, other = values[right], values[left][::-1]
         if self.side is None:
             scale = 20.0 / math.log(10.0) if self.scale == "db" else float(np.abs(values).max())
@@ -326,11 +323,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
             worst = int(np.argmax(apart))
             if apart[worst] > _SAME_SIDES * scale:
                 unit = " dB" if self.scale == "db" else ""
-                raise InputError(
-                    "values",
-                    f"must be the same on both sides of 0°, but differ at ±{angles[right][worst]:g}° by up to "
-                    f'{apart[worst]:.3g}{unit}; give side="positive", "negative" or "mean"',
-                )
+                problem = f"must be the same on both sides of 0°, but differ at ±{angles[right][worst]:g}° by up to "
+                problem += f'{apart[worst]:.3g}{unit}; give side="positive", "negative" or "mean"'
+                raise InputError("values", problem)
         return angles[right], {"negative": other, "mean": 0.5 * (one + other)}.get(self.side or "", one)
 
 

@@ -87,11 +87,8 @@ def check_coverage(f: Floats, band: tuple[float, float]) -> None:
     low, high = band[0] * (1.0 - _SAME_FREQUENCY), band[1] * (1.0 + _SAME_FREQUENCY)
     beyond = f[(f < low) | (f > high)]
     if beyond.size:
-        raise InputError(
-            "directivity",
-            f"must cover {beyond.ravel()[0]:.6g} Hz, but covers {band[0]:.6g} to {band[1]:.6g} Hz; "
-            'measure more of it or give outside="hold"',
-        )
+        problem = f"must cover {beyond.ravel()[0]:.6g} Hz, but covers {band[0]:.6g} to {band[1]:.6g} Hz; "
+        raise InputError("directivity", f'{problem}measure more of it or give outside="hold"')
 
 
 def joined_over_frequency(frequencies: Floats, values: NDArray[Any], at: Floats, *, monotone: bool = False) -> Any:

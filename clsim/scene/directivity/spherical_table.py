@@ -95,11 +95,9 @@ class SphericalDirectivity(Directivity):
         directions, values = merged(directions, values)
         hole = largest_hole(directions)
         if hole > _LARGEST_HOLE:
-            raise InputError(
-                "directions",
-                f"must surround the transducer with no gap wider than {_LARGEST_HOLE:g}° from its middle, but "
-                f"{'all lie on one side' if hole >= 90.0 else f'there is one of {hole:.0f}°'}",
-            )
+            problem = f"must surround the transducer with no gap wider than {_LARGEST_HOLE:g}° from its middle, but "
+            problem += f"{'all lie on one side' if hole >= 90.0 else f'there is one of {hole:.0f}°'}"
+            raise InputError("directions", problem)
         if len(directions) > _MOST_SCATTERED and GridOnSphere.of(directions) is None:
             raise InputError(
                 "directions",
@@ -194,11 +192,8 @@ def _read(sofa: Any, measurement: int) -> tuple[Floats, Floats, NDArray[np.compl
         frequencies, values = _transformed(sofa, measurement)
     directions = _directions(sofa, measurement)
     if values.shape != (len(directions), len(frequencies)):
-        raise InputError(
-            "path",
-            f"must hold values for {len(directions)} receivers and {len(frequencies)} frequencies, but holds "
-            f"{values.shape[0]} x {values.shape[1]}",
-        )
+        problem = f"must hold values for {len(directions)} receivers and {len(frequencies)} frequencies, but holds "
+        raise InputError("path", f"{problem}{values.shape[0]} x {values.shape[1]}")
     return directions, frequencies, values
 
 

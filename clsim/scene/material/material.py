@@ -389,11 +389,8 @@ class Material(ReflectingSurface):
         density = as_number("density", density, above=0.0, at_most=_DENSEST, unit="kg/m³")
         sound_speed = as_number("sound_speed", sound_speed, above=0.0, at_most=_STIFFEST, unit="m/s")
         if density * sound_speed < _HARD:
-            raise InputError(
-                "density",
-                f"must be that of a hard solid, density times sound_speed at least {_HARD:g} Pa s/m, but that is "
-                f"{density * sound_speed:g} Pa s/m; give its impedance",
-            )
+            problem = f"must be that of a hard solid, density times sound_speed at least {_HARD:g} Pa s/m, but that is "
+            raise InputError("density", f"{problem}{density * sound_speed:g} Pa s/m; give its impedance")
         check_kind("boundary_layer", boundary_layer, bool, "true or false")
         law = partial(_solid, (density, sound_speed), boundary_layer)
         what = f"solid of {density:g} kg/m³ and {sound_speed:g} m/s"

@@ -367,11 +367,9 @@ class ReflectingSurface:
         sent_back = np.abs(self._smooth_factor(np.clip(frequencies, *self.model.band), _COSINES, 343.2)) ** 2
         total = np.max(sent_back + transmission.factor(frequencies, _COSINES, 343.2) ** 2, axis=1)
         for i in np.flatnonzero(total > 1.0 + ROUNDING)[:1]:
-            raise InputError(
-                "transmission",
-                "must leave reflected, absorbed and transmitted energy 1 together, but what is reflected and "
-                f"transmitted at {frequencies[i, 0]:.6g} Hz is {total[i]:.4g}; lower one of both",
-            )
+            problem = "must leave reflected, absorbed and transmitted energy 1 together, but what is reflected and "
+            problem += f"transmitted at {frequencies[i, 0]:.6g} Hz is {total[i]:.4g}; lower one of both"
+            raise InputError("transmission", problem)
 
     def reflection_at(
         self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2
@@ -482,11 +480,9 @@ class ReflectingSurface:
             return
         called = repr(self.name) if self.name else f"({self.describe()})"
         if not self.model.beyond:
-            raise InputError(
-                "frequency",
-                f"must be from {low:.6g} to {high:.6g} Hz, which the material {called} covers, but is "
-                f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it",
-            )
+            problem = f"must be from {low:.6g} to {high:.6g} Hz, which the material {called} covers, but is "
+            problem += f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it"
+            raise InputError("frequency", problem)
         warn(f"the material {called} covers {low:.6g} to {high:.6g} Hz; {self.model.beyond}")
 
 

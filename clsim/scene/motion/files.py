@@ -284,11 +284,8 @@ def _check_times(poses: Poses, repair: bool) -> Poses:
         poses = poses.without(bad, "time does not increase")
         return replace(poses, times=poses.times - poses.times[0])
     i = int(np.argmax(bad))
-    raise InputError(
-        "path",
-        f"{poses.where(i)}: time must increase strictly (by {max(least, 0.5e-9):.3g} s at least), "
-        f"but {poses.stamps[i]} follows {poses.stamps[i - 1]}",
-    )
+    problem = f"{poses.where(i)}: time must increase strictly (by {max(least, 0.5e-9):.3g} s at least), "
+    raise InputError("path", f"{problem}but {poses.stamps[i]} follows {poses.stamps[i - 1]}")
 
 
 def _check_jumps(poses: Poses, repair: bool, max_speed: float) -> Poses:
@@ -300,12 +297,9 @@ def _check_jumps(poses: Poses, repair: bool, max_speed: float) -> Poses:
         return poses
     i = int(np.argmax(speed > max_speed)) + 1
     if not repair:
-        raise InputError(
-            "path",
-            f"{poses.where(i)}: must not be faster than {max_speed:g} m/s (max_speed), but is "
-            f"{distance[i - 1]:.4g} m away from {poses.row} {poses.lines[i - 1]} after {t[i] - t[i - 1]:.4g} s, "
-            f"{speed[i - 1]:.4g} m/s",
-        )
+        problem = f"{poses.where(i)}: must not be faster than {max_speed:g} m/s (max_speed), but is "
+        problem += f"{distance[i - 1]:.4g} m away from {poses.row} {poses.lines[i - 1]} after {t[i] - t[i - 1]:.4g} s, "
+        raise InputError("path", f"{problem}{speed[i - 1]:.4g} m/s")
     bad, good = np.zeros(len(t), dtype=np.bool_), i - 1
     for row in range(i, len(t)):
         bad[row] = np.linalg.norm(x[row] - x[good]) > max_speed * (t[row] - t[good])
@@ -323,11 +317,9 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
     i = int(wide[0]) + 1
     if not repair:
         rule = f"{_LONGEST_STEP:g} median steps" if max_gap is None else "max_gap"
-        raise InputError(
-            "path",
-            f"{poses.where(i)}: must follow within {longest:.4g} s ({rule}), but {poses.stamps[i]} is "
-            f"{steps[i - 1]:.4g} s after {poses.stamps[i - 1]}; bridge it by max_gap= or repair=('gaps',)",
-        )
+        problem = f"{poses.where(i)}: must follow within {longest:.4g} s ({rule}), but {poses.stamps[i]} is "
+        problem += f"{steps[i - 1]:.4g} s after {poses.stamps[i - 1]}; bridge it by max_gap= or repair=('gaps',)"
+        raise InputError("path", problem)
     made_up = float(steps[wide].sum())
     if made_up > _LONGEST_INVENTED:
         warn(

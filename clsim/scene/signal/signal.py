@@ -58,11 +58,8 @@ class Signal:
     def __post_init__(self) -> None:
         given: object = self.waveform
         if isinstance(given, Signal) or not hasattr(given, "read"):
-            raise InputError(
-                "waveform",
-                f"must be a waveform, but is {type(self.waveform).__name__}; "
-                "samples are taken by Signal.from_array(samples, sampling_rate)",
-            )
+            problem = f"must be a waveform, but is {type(self.waveform).__name__}; "
+            raise InputError("waveform", f"{problem}samples are taken by Signal.from_array(samples, sampling_rate)")
 
     @property
     def count(self) -> int:

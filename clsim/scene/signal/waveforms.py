@@ -185,11 +185,8 @@ class Pulses:
         samples = self.period * sampling_rate
         if abs(samples - round(samples)) > 1e-6 * max(1.0, samples * 1e-6):
             low, high = math.floor(samples) / sampling_rate, math.ceil(samples) / sampling_rate
-            raise InputError(
-                "period",
-                f"must be a whole number of samples at {sampling_rate:g} Hz, such as {low!r} or {high!r} s, "
-                f"but is {self.period!r} s",
-            )
+            problem = f"must be a whole number of samples at {sampling_rate:g} Hz, such as {low!r} or {high!r} s, "
+            raise InputError("period", f"{problem}but is {self.period!r} s")
         return self
 
     def _step(self, sampling_rate: float) -> int:
@@ -352,10 +349,8 @@ def _count(duration: float, sampling_rate: float) -> int:
 
 def _fits(field: str, frequency: float, sampling_rate: float) -> None:
     if frequency >= 0.5 * sampling_rate:
-        raise InputError(
-            "sampling_rate",
-            f"must be above {2.0 * frequency:g} Hz, twice the signal's {field}, but is {sampling_rate:g} Hz",
-        )
+        problem = f"must be above {2.0 * frequency:g} Hz, twice the signal's {field}, but is {sampling_rate:g} Hz"
+        raise InputError("sampling_rate", problem)
 
 
 def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
@@ -386,11 +381,8 @@ def shaped_count(chips: int, chip_rate: float, sampling_rate: float) -> int:
 def most_repeats(chips: int, chip_rate: float, sampling_rate: float) -> int:
     """Return number of periods of a sequence that can be kept, at least 1."""
     if shaped_count(chips, chip_rate, sampling_rate) > _MOST_SAMPLES:
-        raise InputError(
-            "chip_rate",
-            f"must be high enough for a period of {chips} chips to take at most {_MOST_SAMPLES} samples, "
-            f"but is {chip_rate:g} Hz",
-        )
+        problem = f"must be high enough for a period of {chips} chips to take at most {_MOST_SAMPLES} samples, "
+        raise InputError("chip_rate", f"{problem}but is {chip_rate:g} Hz")
     return max(1, int((_MOST_SAMPLES * chip_rate / sampling_rate - 2 * _HALF_CHIPS) / chips))
 
 

@@ -127,11 +127,8 @@ class Resonance:
         # the least, which is early by up to half a sample.
         top = self.frequency + self.width
         if top > 0.5 * sampling_rate:
-            raise InputError(
-                "frequency",
-                f"must lie a width below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is "
-                f"{self.frequency:g} Hz with a width of {self.width:g} Hz",
-            )
+            problem = f"must lie a width below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is "
+            raise InputError("frequency", f"{problem}{self.frequency:g} Hz with a width of {self.width:g} Hz")
         if top <= _EASY * sampling_rate:
             return self.peak * _cut(resonance_taps(self.frequency, self.width, sampling_rate))
 
@@ -317,11 +314,9 @@ class Transducer:
         low, high = self.model.band
         if band[0] < low or band[1] > high:
             extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
-            raise InputError(
-                "transducer",
-                f"must cover the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
-                f"but covers {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}",
-            )
+            problem = f"must cover the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
+            problem += f"but covers {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}"
+            raise InputError("transducer", problem)
 
     @classmethod
     def resonance(cls, frequency: float, width: float, sensitivity: float, name: str = "") -> Transducer:
