@@ -15,17 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
 from clsim.errors import InputError, check_rising, settle, warn
-from clsim.scene.directivity.directivity import (
-    AxisymmetricDirectivity,
-    as_frequencies,
-    as_gains,
-    check_coverage,
-    check_level,
-    check_options,
-    joined_over_frequency,
-    over_axis,
-    table_band,
-)
+from clsim.scene.directivity import directivity as tables
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 from clsim.scene.directivity.text_files import as_table, read_csv_table, read_mat_arrays, read_npz_arrays
 
 _SAME_ANGLE = 1e-6  # degrees
@@ -139,19 +130,19 @@ class AxialDirectivity(AxisymmetricDirectivity):
         for name, choices in (("rear", _REAR), ("side", _SIDES)):
             if getattr(self, name) is not None:
                 as_choice(name, getattr(self, name), choices)
-        check_options(self.outside, self.relative_to_axis, self.name)
-        frequencies = as_frequencies(self.frequencies)
+        tables.check_options(self.outside, self.relative_to_axis, self.name)
+        frequencies = tables.as_frequencies(self.frequencies)
         angles = as_floats("angles_degrees", self.angles_degrees, (None,))
         check_rising("angles_degrees", angles, np.diff(angles) > _SAME_ANGLE, "°")
         overhanging = overhangs(angles)
         if not overhanging and (angles[0] < -180.0 - _SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE):
             problem = f"must lie from -180° to 180°, but go from {angles[0]:g}° to {angles[-1]:g}°"
             raise InputError("angles_degrees", problem)
-        values = as_gains(self.values, (len(angles), len(frequencies)), "angles by frequencies")
+        values = tables.as_gains(self.values, (len(angles), len(frequencies)), "angles by frequencies")
         if self.scale == "db" and np.iscomplexobj(values):
             raise InputError("values", 'must be real with scale="db", but are complex; from_db takes phases')
         unit = "dB" if self.scale == "db" else ""
-        check_level(values, unit)
+        tables.check_level(values, unit)
         angles, values = within_half_turn(angles, values, unit) if overhanging else self._one_side(angles, values)
         if len(angles) < 2 or abs(angles[0]) > _SAME_ANGLE:
             problem = f"must begin on the axis, 0°, and go on, but are {angles.tolist()!s:.80}"
@@ -163,7 +154,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
         if self.rear == "mirror" and last < 180.0 - _SAME_ANGLE and abs(last - 90.0) > _SAME_ANGLE:
             raise InputError("rear", f'must be "hold" or "zero" unless the table ends at 90°, but it ends at {last:g}°')
         if self.relative_to_axis:
-            values = values - values[0] if self.scale == "db" else over_axis(values, values[0], frequencies)
+            values = values - values[0] if self.scale == "db" else tables.over_axis(values, values[0], frequencies)
         delay = np.zeros(2)
         if np.iscomplexobj(values):
             cosine = np.cos(np.radians(angles))[:, None]
@@ -180,12 +171,12 @@ class AxialDirectivity(AxisymmetricDirectivity):
     @property
     def band(self) -> tuple[float, float]:
         """Frequencies (low, high) in Hz that the table covers."""
-        return table_band(self.frequencies, self.outside)
+        return tables.table_band(self.frequencies, self.outside)
 
     def gain(self, cosine: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain; see `AxisymmetricDirectivity.gain`."""
         f = np.asarray(frequency, dtype=np.float64)
-        check_coverage(f, self.band)
+        tables.check_coverage(f, self.band)
         angle = np.arccos(np.clip(np.asarray(cosine, dtype=np.float64), -1.0, 1.0))
         knots = np.radians(self.angles_degrees)
         behind = np.pi - angle if self.rear == "mirror" else knots[-1]
@@ -343,7 +334,7 @@ def _pieces(table: AxialDirectivity, frequencies: bytes) -> NDArray[Any]:
     at = np.frombuffer(frequencies)
     knots = np.radians(table.angles_degrees)
     if table.scale == "db":
-        rows = joined_over_frequency(table.frequencies, table.values, at, monotone=True)
+        rows = tables.joined_over_frequency(table.frequencies, table.values, at, monotone=True)
         # A mirrored angle on either side makes both ends level.
         angles = np.concatenate([[-knots[1]], knots, [2.0 * knots[-1] - knots[-2]]])
         return np.asarray(
@@ -351,7 +342,7 @@ def _pieces(table: AxialDirectivity, frequencies: bytes) -> NDArray[Any]:
         )
     turn = 2j * np.pi * (table.delay[0] + table.delay[1] * np.cos(knots))[:, None]
     rest = table.values * np.exp(turn * table.frequencies) if table.is_complex else table.values
-    rows = joined_over_frequency(table.frequencies, rest, at)
+    rows = tables.joined_over_frequency(table.frequencies, rest, at)
     # What the delay adds to the slope at the last angle is taken from the rest, so that the whole is level there.
     slope = -2j * np.pi * at * table.delay[1] * math.sin(knots[-1]) * rows[-1] if table.is_complex else 0.0 * rows[-1]
     return np.asarray(scipy.interpolate.CubicSpline(knots, rows, bc_type=((1, 0.0 * rows[0]), (1, slope))).c)

@@ -16,18 +16,8 @@ from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_count, read_only, short_repr
 from clsim.errors import InputError, settle
 from clsim.numerics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere
-from clsim.scene.directivity.directivity import (
-    Directivity,
-    as_frequencies,
-    as_gains,
-    check_coverage,
-    check_level,
-    check_options,
-    joined_over_frequency,
-    over_axis,
-    table_band,
-    unit_directions,
-)
+from clsim.scene.directivity import directivity as tables
+from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, read_sofa, sampling_rate_of
 
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
@@ -87,11 +77,11 @@ class SphericalDirectivity(Directivity):
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        check_options(self.outside, self.relative_to_axis, self.name)
-        frequencies = as_frequencies(self.frequencies)
-        directions = unit_directions(self.directions)
-        values = as_gains(self.values, (len(directions), len(frequencies)), "directions by frequencies")
-        check_level(values, "")
+        tables.check_options(self.outside, self.relative_to_axis, self.name)
+        frequencies = tables.as_frequencies(self.frequencies)
+        directions = tables.unit_directions(self.directions)
+        values = tables.as_gains(self.values, (len(directions), len(frequencies)), "directions by frequencies")
+        tables.check_level(values, "")
         directions, values = merged(directions, values)
         hole = largest_hole(directions)
         if hole > _LARGEST_HOLE:
@@ -106,7 +96,7 @@ class SphericalDirectivity(Directivity):
         if self.relative_to_axis:
             whole = SphericalDirectivity(directions, frequencies, values)
             axis = whole.gain_towards(_AXIS, frequencies, 1.0)  # a table does not ask for the speed of sound
-            values = over_axis(values, axis, frequencies)
+            values = tables.over_axis(values, axis, frequencies)
         delay = np.zeros(4)
         if np.iscomplexobj(values):
             delay = fit_delay(directions, frequencies, values, neighbours_on_sphere(directions))
@@ -121,12 +111,12 @@ class SphericalDirectivity(Directivity):
     @property
     def band(self) -> tuple[float, float]:
         """Frequencies (low, high) in Hz that the table covers."""
-        return table_band(self.frequencies, self.outside)
+        return tables.table_band(self.frequencies, self.outside)
 
     def gain_towards(self, direction: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain; see `Directivity.gain_towards`."""
         f = np.asarray(frequency, dtype=np.float64)
-        check_coverage(f, self.band)
+        tables.check_coverage(f, self.band)
         towards = np.asarray(direction, dtype=np.float64)
         shape = towards.shape[:-1]
         unique, column = np.unique(f, return_inverse=True)
@@ -169,7 +159,7 @@ def _joined(table: SphericalDirectivity, frequencies: bytes) -> _Joined:
     """Return the function of direction at frequencies (u,) given as bytes; its results are (n, u)."""
     turn = 2j * np.pi * (table.delay[0] + table.directions @ table.delay[1:])[:, None]
     rest = table.values * np.exp(turn * table.frequencies)
-    rows = joined_over_frequency(table.frequencies, rest, np.frombuffer(frequencies))
+    rows = tables.joined_over_frequency(table.frequencies, rest, np.frombuffer(frequencies))
     grid = GridOnSphere.of(table.directions)
     return grid.through(rows) if grid is not None else ScatterOnSphere.through(table.directions, rows)
 

@@ -13,32 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsim.acoustics.reflection import (
-    backed_layer_reflection,
-    boundary_layer_admittance,
-    mismatch_reflection,
-    porous_medium,
-    reflection_from_absorption,
-    reflection_from_impedance,
-)
+from clsim.acoustics import reflection as formulae
 from clsim.arrays import LOUDEST, Floats, as_choice, as_count, as_floats, as_number
 from clsim.errors import InputError, check_kind
 from clsim.files.sound import as_scale, read_sound_file
-from clsim.scene.material.reflecting_surface import (
-    EVERYWHERE,
-    ROUNDING,
-    Curve,
-    ReflectingSurface,
-    SurfaceModel,
-    as_column,
-    as_complexes,
-    as_factor,
-    check_clear_phase,
-    check_passive_echo,
-    checked_frequencies,
-    of_table,
-    warn_of_noise,
-)
+from clsim.scene.material import reflecting_surface as surfaces
 
 MIKI_RANGE = (0.01, 1.0)  # m³/kg, of frequency over flow resistivity
 _CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
@@ -52,33 +31,33 @@ def _constant(value: complex, frequency: Floats, cosine: Floats, speed_of_sound:
     return np.full(frequency.shape, value)
 
 
-def _given(factors: Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+def _given(factors: surfaces.Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
     return factors(frequency)
 
 
-def _absorbing(coefficients: Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-    return reflection_from_absorption(coefficients.share(frequency))
+def _absorbing(coefficients: surfaces.Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return formulae.reflection_from_absorption(coefficients.share(frequency))
 
 
-def _reacting(impedances: Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-    return reflection_from_impedance(impedances(frequency), cosine)
+def _reacting(impedances: surfaces.Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return formulae.reflection_from_impedance(impedances(frequency), cosine)
 
 
 def _solid(of: tuple[float, float], layer: bool, frequency: Floats, cosine: Floats, speed_of_sound: float) -> Any:
     """Return the factor of a thick smooth solid of a density, kg/m³, and a sound speed, m/s."""
     # The mismatch of impedances at normal incidence is taken at all angles. Beyond some 10 degrees nothing at all can
     # be transmitted into a hard solid, so this takes away too much there: less than 2e-4 of the pressure for concrete.
-    mismatch = mismatch_reflection(*of, speed_of_sound)
+    mismatch = formulae.mismatch_reflection(*of, speed_of_sound)
     if not layer:
         return np.full(frequency.shape, mismatch)
-    beta = boundary_layer_admittance(frequency, cosine, speed_of_sound)
-    return mismatch * reflection_from_impedance(1.0 / beta, cosine)
+    beta = formulae.boundary_layer_admittance(frequency, cosine, speed_of_sound)
+    return mismatch * formulae.reflection_from_impedance(1.0 / beta, cosine)
 
 
 def _porous(resistivity: float, thickness: float, frequency: Floats, cosine: Floats, speed_of_sound: float) -> Any:
     """Return the factor of a fibrous absorber on a rigid wall, by Miki."""
     phase = 2.0 * math.pi * frequency / speed_of_sound * thickness
-    return backed_layer_reflection(*porous_medium(frequency, resistivity), phase, cosine)
+    return formulae.backed_layer_reflection(*formulae.porous_medium(frequency, resistivity), phase, cosine)
 
 
 def _echoed(
@@ -140,7 +119,7 @@ MATERIAL_NAMES = tuple(LIBRARY)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Material(ReflectingSurface):
+class Material(surfaces.ReflectingSurface):
     """Acoustic properties of a wall: reflection, scattering and transmission by frequency and angle of incidence.
 
     Made by one of the constructors below, which all take `name` and `scattering`; `reflection_at` gives the factor.
@@ -173,8 +152,8 @@ class Material(ReflectingSurface):
         factor : float or complex
             From -1 (pressure release) to 1 (rigid), or complex with a magnitude of 1 at most.
         """
-        value = as_factor("factor", factor)
-        model = SurfaceModel(partial(_constant, value), f"reflection {value:g}", isinstance(value, complex))
+        value = surfaces.as_factor("factor", factor)
+        model = surfaces.SurfaceModel(partial(_constant, value), f"reflection {value:g}", isinstance(value, complex))
         return cls(model, name, scattering=scattering)
 
     @classmethod
@@ -196,10 +175,10 @@ class Material(ReflectingSurface):
         >>> Material.from_absorption([1e3, 4e3], [0.0, 0.72]).reflection_at([1e3, 2e3]).round(6).tolist()
         [1.0, 0.8]
         """
-        f = checked_frequencies(frequencies)
-        alpha = Curve(f, as_column("coefficients", coefficients, f, 1.0))
+        f = surfaces.checked_frequencies(frequencies)
+        alpha = surfaces.Curve(f, surfaces.as_column("coefficients", coefficients, f, 1.0))
         beyond = "outside, the absorption at the nearest end is taken"
-        model = of_table(f, partial(_absorbing, alpha), "absorption table", beyond=beyond)
+        model = surfaces.of_table(f, partial(_absorbing, alpha), "absorption table", beyond=beyond)
         return cls(model, name, scattering=scattering)
 
     @classmethod
@@ -235,14 +214,14 @@ class Material(ReflectingSurface):
         >>> np.angle(delay.reflection_at(35e3)).round(6).item()
         -0.1
         """
-        f = checked_frequencies(frequencies)
-        given = as_complexes("factors", factors, len(f))
-        for i in np.flatnonzero(np.abs(given) > 1.0 + ROUNDING)[:1]:
+        f = surfaces.checked_frequencies(frequencies)
+        given = surfaces.as_complexes("factors", factors, len(f))
+        for i in np.flatnonzero(np.abs(given) > 1.0 + surfaces.ROUNDING)[:1]:
             raise InputError(f"factors[{i}]", f"must have a magnitude of at most 1, but is {given[i]:g}")
-        check_clear_phase(f, given)
+        surfaces.check_clear_phase(f, given)
         turns = given.dtype.kind == "c"
-        law, what = partial(_given, Curve(f, given, True)), "complex table" if turns else "table of factors"
-        model = of_table(f, law, what, held=_goes_on(outside, "hold"), is_complex=turns)
+        law, what = partial(_given, surfaces.Curve(f, given, True)), "complex table" if turns else "table of factors"
+        model = surfaces.of_table(f, law, what, held=_goes_on(outside, "hold"), is_complex=turns)
         return cls(model, name, scattering=scattering)
 
     @classmethod
@@ -273,15 +252,15 @@ class Material(ReflectingSurface):
         >>> panel.reflection_at(40e3, [1.0, 0.5]).round(3).tolist()
         [(0.529-0.118j), (0.231-0.154j)]
         """
-        f = checked_frequencies(frequencies)
-        given = as_complexes("impedances", impedances, len(f)).astype(np.complex128)
+        f = surfaces.checked_frequencies(frequencies)
+        given = surfaces.as_complexes("impedances", impedances, len(f)).astype(np.complex128)
         given.flags.writeable = False
         for i in np.flatnonzero(given.real < 0.0)[:1]:
             raise InputError(f"impedances[{i}]", f"must have a real part of at least 0 (passive), but is {given[i]:g}")
         for i in np.flatnonzero(np.abs(given) > _RIGID)[:1]:
             raise InputError(f"impedances[{i}]", f"must have a magnitude of at most {_RIGID:g}, but is {given[i]:g}")
-        law, kind = partial(_reacting, Curve(f, given)), {"is_complex": True, "depends_on_angle": True}
-        model = of_table(f, law, "locally reacting impedance", held=_goes_on(outside, "hold"), **kind)
+        law, kind = partial(_reacting, surfaces.Curve(f, given)), {"is_complex": True, "depends_on_angle": True}
+        model = surfaces.of_table(f, law, "locally reacting impedance", held=_goes_on(outside, "hold"), **kind)
         return cls(model, name, scattering=scattering)
 
     @classmethod
@@ -331,11 +310,11 @@ class Material(ReflectingSurface):
         if not 0.0 <= low < high <= 0.5 * rate:
             problem = f"must rise from 0 Hz or more to {0.5 * rate:g} Hz or less, but is {low:g}, {high:g}"
             raise InputError("band", problem)
-        check_passive_echo(taps, rate, (low, high), tolerance)
-        warn_of_noise(taps, name)
-        covered = EVERYWHERE if _goes_on(outside, "hold") else (low, high)
+        surfaces.check_passive_echo(taps, rate, (low, high), tolerance)
+        surfaces.warn_of_noise(taps, name)
+        covered = surfaces.EVERYWHERE if _goes_on(outside, "hold") else (low, high)
         law, what = partial(_echoed, taps, rate, reference, (low, high)), f"impulse response of {len(taps)} samples"
-        return cls(SurfaceModel(law, what, True, band=covered), name, scattering=scattering)
+        return cls(surfaces.SurfaceModel(law, what, True, band=covered), name, scattering=scattering)
 
     @classmethod
     def from_wav(
@@ -394,7 +373,7 @@ class Material(ReflectingSurface):
         check_kind("boundary_layer", boundary_layer, bool, "true or false")
         law = partial(_solid, (density, sound_speed), boundary_layer)
         what = f"solid of {density:g} kg/m³ and {sound_speed:g} m/s"
-        return cls(SurfaceModel(law, what, boundary_layer, boundary_layer), name, scattering=scattering)
+        return cls(surfaces.SurfaceModel(law, what, boundary_layer, boundary_layer), name, scattering=scattering)
 
     @classmethod
     def from_porous(
@@ -426,10 +405,10 @@ class Material(ReflectingSurface):
         resistivity = as_number("flow_resistivity", flow_resistivity, at_least=100.0, at_most=1e7, unit="Pa s/m²")
         thickness = as_number("thickness", thickness, above=0.0, at_most=10.0, unit="m")
         fitted = MIKI_RANGE[0] * resistivity, MIKI_RANGE[1] * resistivity
-        covered = EVERYWHERE if _goes_on(outside, "extend") else fitted
+        covered = surfaces.EVERYWHERE if _goes_on(outside, "extend") else fitted
         law = partial(_porous, resistivity, thickness)
         what = f"porous layer of {1e3 * thickness:g} mm and {resistivity:g} Pa s/m²"
-        return cls(SurfaceModel(law, what, True, True, covered), name, scattering=scattering)
+        return cls(surfaces.SurfaceModel(law, what, True, True, covered), name, scattering=scattering)
 
     @classmethod
     def named(cls, name: str, *, scattering: Any = None) -> Material:

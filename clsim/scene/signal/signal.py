@@ -13,18 +13,7 @@ from numpy.typing import NDArray
 from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, check_kind, warn
 from clsim.files.sound import as_scale, read_sound_file
-from clsim.scene.signal.waveforms import (
-    SEQUENCES,
-    Chirp,
-    Noise,
-    Pulses,
-    Samples,
-    Sequence,
-    Tone,
-    Waveform,
-    binary_sequence,
-    most_repeats,
-)
+from clsim.scene.signal import waveforms
 
 SEGMENT_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
@@ -50,7 +39,7 @@ class Signal:
         Hz.
     """
 
-    waveform: Waveform
+    waveform: waveforms.Waveform
     sampling_rate: float
 
     __repr__ = short_repr
@@ -80,14 +69,14 @@ class Signal:
     @property
     def pulse_times(self) -> Floats:
         """Onsets (n,) of the pulses of a train, s; 0 for any other signal."""
-        if not isinstance(self.waveform, Pulses):
+        if not isinstance(self.waveform, waveforms.Pulses):
             return np.zeros(1)
         return np.asarray(np.arange(self.waveform.repetitions) * self.waveform.period)
 
     @property
     def pulse(self) -> Signal:
         """The repeated pulse of a train; any other signal itself."""
-        if not isinstance(self.waveform, Pulses):
+        if not isinstance(self.waveform, waveforms.Pulses):
             return self
         return Signal(self.waveform.pulse, self.waveform.pulse_rate)
 
@@ -105,7 +94,7 @@ class Signal:
             Hz, beyond which there is -120 dB of it; None unless all of these samples are at full level.
         """
         wave = self.waveform
-        if not isinstance(wave, Tone | Noise | Chirp):
+        if not isinstance(wave, waveforms.Tone | waveforms.Noise | waveforms.Chirp):
             return None
         fade = math.ceil(wave.fade * self.sampling_rate)
         inside = fade <= first and last <= self.count - 1 - fade
@@ -225,7 +214,7 @@ class Signal:
         rate = _rate(sampling_rate)
         duration = _duration(duration, rate)
         return cls(
-            Tone(
+            waveforms.Tone(
                 _frequency("frequency", frequency, rate), duration, _amplitude(amplitude),
                 as_number("phase", phase, at_least=-1e9, at_most=1e9, unit="rad"), _fade(fade, duration),
             ),
@@ -272,7 +261,7 @@ class Signal:
         if fade > 0.0 and window != "none":
             raise InputError("fade", f"must be left out with a window, but is {fade:g} s beside {window!r}")
         return cls(
-            Chirp(
+            waveforms.Chirp(
                 _frequency("start", start, rate), _frequency("stop", stop, rate), duration, method,
                 fade / duration or _TAPERS[window], _amplitude(amplitude),
             ),
@@ -298,12 +287,12 @@ class Signal:
         0.201
         """
         check_kind("pulse", pulse, Signal, "a Signal")
-        if isinstance(pulse.waveform, Pulses):
+        if isinstance(pulse.waveform, waveforms.Pulses):
             raise InputError("pulse", "must be a single pulse, but is a train")
         period = as_number("period", period, at_least=pulse.duration, at_most=_LONGEST, unit="s")
         count = as_count("count", count, at_least=1, at_most=max(1, math.floor(_LONGEST / period)))
         rate = pulse.sampling_rate
-        return cls(Pulses(pulse.waveform, rate, period, count).checked(rate), rate)
+        return cls(waveforms.Pulses(pulse.waveform, rate, period, count).checked(rate), rate)
 
     @classmethod
     def noise(
@@ -345,7 +334,7 @@ class Signal:
             as_number("band[1]", float(high), above=float(low), below=0.5 * rate, unit="Hz")
             ends = (float(low), float(high))
         return cls(
-            Noise(
+            waveforms.Noise(
                 duration, as_count("seed", seed, at_least=0, at_most=2**64 - 1), ends,
                 _rms(rms), _fade(fade, duration),
             ),
@@ -382,14 +371,16 @@ class Signal:
         1489
         """
         rate = _rate(sampling_rate)
-        as_choice("kind", kind, SEQUENCES)
+        as_choice("kind", kind, waveforms.SEQUENCES)
         chip_rate = as_number("chip_rate", chip_rate, at_least=SLOWEST, below=0.5 * rate, unit="Hz")
         rolloff = as_number("rolloff", rolloff, at_least=0.05, at_most=1.0)
         half = 0.5 * chip_rate * (1.0 + rolloff)
         carrier = as_number("carrier", carrier, at_least=half, at_most=0.5 * rate - half, unit="Hz")
-        chips = len(binary_sequence(kind, bits, code))  # refuses what there is not
-        repeats = as_count("repeats", repeats, at_least=1, at_most=most_repeats(chips, chip_rate, rate))
-        return cls(Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, _amplitude(amplitude)), rate)
+        chips = len(waveforms.binary_sequence(kind, bits, code))  # refuses what there is not
+        repeats = as_count("repeats", repeats, at_least=1, at_most=waveforms.most_repeats(chips, chip_rate, rate))
+        return cls(
+            waveforms.Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, _amplitude(amplitude)), rate
+        )
 
     @classmethod
     def from_array(cls, samples: Any, sampling_rate: float, scale: float | None = None) -> Signal:
@@ -499,8 +490,8 @@ def energy_centroid(signal: Signal) -> float | None:
 
 def _with_centroid(samples: NDArray[Any], rate: float) -> Signal:
     """Return samples whose centre frequency is the centroid of their energy."""
-    centre = energy_centroid(Signal(Samples(samples, rate, None), rate))
-    return Signal(Samples(samples, rate, centre), rate)
+    centre = energy_centroid(Signal(waveforms.Samples(samples, rate, None), rate))
+    return Signal(waveforms.Samples(samples, rate, centre), rate)
 
 
 def _rate(sampling_rate: float) -> float:
