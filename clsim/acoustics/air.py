@@ -35,8 +35,6 @@ def saturation_pressure_giacomo(temperature_celsius: float) -> float:
     ``exp(1.2811805e-5 T² - 1.9509874e-2 T + 34.04926034 - 6353.6311/T)``, T in K: [Giacomo]_, as [Cramer]_ uses it in
     his appendix. Valid from 0 to 30 °C.
 
-    Examples
-    --------
     >>> round(saturation_pressure_giacomo(20.0))
     2339
     """
@@ -50,8 +48,6 @@ def vapour_fraction_giacomo(temperature_celsius: float, relative_humidity: float
     ``h f p_sv / p`` with the enhancement factor ``f = 1.00062 + 3.14e-8 p + 5.6e-7 t²``: [Giacomo]_, as [Cramer]_ uses
     it in his appendix.
 
-    Examples
-    --------
     >>> round(vapour_fraction_giacomo(20.0, 0.5, 101_325.0), 6)
     0.011586
     """
@@ -101,8 +97,6 @@ def vapour_percent_iso9613(temperature_celsius: float, relative_humidity: float,
     ``h = h_r (p_sat / p_r) / (p_a / p_r)`` with ``p_sat / p_r = 10^(-6.8346 (T_01 / T)^1.261 + 4.6151)``: [ISO]_ annex
     B.
 
-    Examples
-    --------
     >>> round(vapour_percent_iso9613(20.0, 0.5, 101_325.0), 3)
     1.153
     """
@@ -138,8 +132,6 @@ def lead_iso9613(frequency: ArrayLike, temperature_celsius: float, relative_humi
     freedom changes the wavenumber (A. D. Pierce, Acoustics, 1981, section 10-8), and which is causal. Classical
     absorption, by the square of the frequency, hardly disperses.
 
-    Examples
-    --------
     >>> round(math.degrees(10.0 * float(lead_iso9613(40e3, 20.0, 0.5, 101_325.0))), 1)
     105.4
     """
@@ -159,8 +151,6 @@ def lead_slope_iso9613(
     The sum of ``S (y / (1 + y) + 2 y / (1 + y)²) / 2 pi``, ``y = x²``, over both relaxations of `lead_iso9613` ([ISO]_
     equation 3).
 
-    Examples
-    --------
     >>> round(1.0 / (1.0 / 343.994 - float(lead_slope_iso9613(40e3, 20.0, 0.5, 101_325.0))) - 343.994, 4)
     0.1437
     """

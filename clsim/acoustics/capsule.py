@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.acoustics import silhouette
@@ -29,13 +30,9 @@ ASPECTS = 11  # numbers that a field takes, and as many more as `silhouette_fiel
 
 
 def capsule_specular_point(
-    radius: Floats | float,
-    length: Floats | float,
-    source: Floats,
-    receiver: Floats,
-    near: SpecularPoint | None,
+    radius: Floats | float, length: Floats | float, source: Floats, receiver: Floats, near: SpecularPoint | None,
     weight: Floats | float,
-) -> SpecularPoint:
+) -> SpecularPoint:  # fmt: skip
     """Return the specular point of a rigid capsule, by geometrical optics; source, receiver (3, n) m; weight (n,).
 
     near: that of nearly the same ends: one step is then made from it; from what is guessed, a search begins.
@@ -58,13 +55,9 @@ def capsule_specular_point(
 
 
 def capsule_aspects(
-    radius: Floats | float,
-    length: Floats | float,
-    source: Floats,
-    receiver: Floats,
-    specular: SpecularPoint,
+    radius: Floats | float, length: Floats | float, source: Floats, receiver: Floats, specular: SpecularPoint,
     outlined: bool = False,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Return the strength (n,) that `capsule_field` is relative to, m, and what that takes (n, 11), outlined (n, 22).
 
     Our own derivation, by physical optics (G. T. Ruck et al., Radar Cross Section Handbook, 1970, section 2.2.2).
@@ -159,9 +152,7 @@ def _lobes(wave: Floats, aspects: Floats) -> Complexes:
 
 def _fresnel(x: Floats) -> Complexes:
     """Return E(x), see `_lobes`."""
-    from scipy.special import wofz
-
-    return np.asarray(wofz(_TURN * x))
+    return np.asarray(scipy.special.wofz(_TURN * x))
 
 
 def _fewer(roots: Floats) -> tuple[Floats, Complexes | None]:
@@ -265,12 +256,9 @@ def _length_by(place: Floats, ends: tuple[Floats, Floats], weight: Floats | floa
 
 
 def _lengths_by(
-    radius: Floats | float,
-    ends: tuple[Floats, Floats],
-    place: Floats,
-    frame: tuple[Floats, Floats, Floats],
+    radius: Floats | float, ends: tuple[Floats, Floats], place: Floats, frame: tuple[Floats, Floats, Floats],
     weight: Floats | float,
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
     """Return the way's length, slope along, bend around, bend along and pressure by places (3, n), each (n,).
 
     The frame is the normal and the directions around and along. Where the way is not the shortest around, its length,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats
@@ -21,14 +22,12 @@ def piston_gain(cosine: ArrayLike, frequency: ArrayLike, radius: float, speed_of
     formula holds in front of the baffle, well beyond ``a² / λ``. Behind it (negative cosine) the value at 90° is kept,
     so that the gain has no step where a path crosses the plane of the baffle.
     """
-    from scipy.special import j1
-
     cosine = np.clip(np.asarray(cosine, dtype=np.float64), 0.0, 1.0)
     wavenumber = 2.0 * np.pi * np.asarray(frequency, dtype=np.float64) / speed_of_sound
     x = wavenumber * radius * np.sqrt((1.0 - cosine) * (1.0 + cosine))
     near_axis = x < 1e-4  # where 2 J1(x)/x = 1 - x²/8 to 1e-17
     safe = np.where(near_axis, 1.0, x)
-    gain: Floats = np.where(near_axis, 1.0 - x**2 / 8.0, 2.0 * j1(safe) / safe)
+    gain: Floats = np.where(near_axis, 1.0 - x**2 / 8.0, 2.0 * scipy.special.j1(safe) / safe)
     return gain
 
 
@@ -42,8 +41,6 @@ def first_order_gain(cosine: ArrayLike, weight: float) -> Floats:
     ``w + (1 - w) cos θ``: J. Eargle, "The Microphone Book", 2nd ed. 2005, chapter 5, "First-order directional
     microphones". For plane waves on capsules much smaller than the wavelength.
 
-    Examples
-    --------
     >>> first_order_gain([1.0, 0.0, -1.0], 0.5).tolist()
     [1.0, 0.5, 0.0]
     """

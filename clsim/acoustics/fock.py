@@ -9,6 +9,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
+import scipy
 
 from clsim.arrays import Complexes, Floats
 
@@ -80,16 +81,14 @@ def fock_table() -> Complexes:
 
 def _exact(xi: Floats) -> Complexes:
     """Fock function q* at arguments (n,), by its integral."""
-    from scipy.special import airy
-
     x, weight = np.polynomial.legendre.leggauss(_NODES)
     total = np.zeros(len(xi), dtype=np.complex128)
     for begin, end in _PIECES:
         t = begin + 0.5 * (end - begin) * (x + 1.0)
         if end <= 0.0:
-            value = 0.5j * _TURN * airy(t * _TURN)[1] / airy(t / _TURN)[1]
+            value = 0.5j * _TURN * scipy.special.airy(t * _TURN)[1] / scipy.special.airy(t / _TURN)[1]
         else:
-            _, ai, _, bi = airy(t)
+            _, ai, _, bi = scipy.special.airy(t)
             value = ai / (bi - 1j * ai)
         total += (0.5 * (end - begin) * weight * value) @ np.exp(-1j * np.outer(t, xi))
     return np.asarray(total / math.sqrt(math.pi))

@@ -31,8 +31,6 @@ def reflection_from_impedance(impedance: ArrayLike, cosine: ArrayLike = 1.0) -> 
     ``R = (ζ cos θ - 1) / (ζ cos θ + 1)``: H. Kuttruff, "Room Acoustics", 5th ed. 2009, section 2.3. For plane waves,
     and walls in which sound does not travel along the surface.
 
-    Examples
-    --------
     >>> reflection_from_impedance([3.0, 3.0], [1.0, 1 / 3]).real.tolist()
     [0.5, 0.0]
     """
@@ -47,8 +45,6 @@ def mismatch_reflection(density: float, sound_speed: float, speed_of_sound: floa
     Frey, A. B. Coppens and J. V. Sanders, "Fundamentals of Acoustics", 4th ed. 2000, section 6.2 (one fluid on another;
     section 6.6 for solids). Normal incidence on a half-space: no layers, no plate resonances, no coincidence.
 
-    Examples
-    --------
     >>> round(mismatch_reflection(2500.0, 5600.0, 343.2), 5)  # glass
     0.99994
     """
@@ -80,8 +76,6 @@ def limp_transmission(
     Structural Vibration", 2nd ed. 2007, section 5.3. Its reflection factor is ``1 - T``, so that a limp panel absorbs
     nothing. It holds for plates far below their coincidence frequency, and without their resonances.
 
-    Examples
-    --------
     >>> abs(limp_transmission(10.0, 500.0, 1.0, 343.2)).round(4).item()
     0.0263
     """
@@ -97,8 +91,6 @@ def coherent_share(rms: float, frequency: ArrayLike, cosine: ArrayLike, speed_of
     features at least about a wavelength long; finer ones take away less). What is lost is scattered to other
     directions: half of the energy where ``k σ cos θ`` is 0.42, 98 % where it is 1.
 
-    Examples
-    --------
     >>> coherent_share(0.5e-3, 40e3, 1.0, 343.2).round(3).item()
     0.765
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 
 from clsim.arrays import Floats
 
@@ -68,8 +69,6 @@ def before_noise(samples: Floats, sampling_rate: float) -> tuple[int, float, flo
     Acustica 81, 1995, section 3. The last tenth is taken for noise unless it lies below a fifth of the response
     earlier by 3/4 of such a decay's fall.
 
-    Examples
-    --------
     >>> decay = 10.0 ** (-3.0 * np.arange(2000) / 1e3)  # 60 dB in a second
     >>> before_noise(decay, 1e3), before_noise(decay + 0.01, 1e3)[0] < 900
     ((2000, 0.0, 0.0), True)
@@ -224,13 +223,11 @@ def interaural_correlation(left: Floats, right: Floats, sampling_rate: float) ->
 
     ISO 3382-1:2009, annex B: the largest magnitude of the normalised correlation within 1 ms.
     """
-    from scipy.fft import irfft, next_fast_len, rfft
-
     scale = math.sqrt(float(np.sum(np.square(left))) * float(np.sum(np.square(right))))
     if scale == 0.0:
         return math.nan
-    size, most = next_fast_len(2 * len(left), real=True), int(_EARS * sampling_rate)
-    correlation = irfft(np.conj(rfft(left, size)) * rfft(right, size), size)
+    size, most = scipy.fft.next_fast_len(2 * len(left), real=True), int(_EARS * sampling_rate)
+    correlation = scipy.fft.irfft(np.conj(scipy.fft.rfft(left, size)) * scipy.fft.rfft(right, size), size)
     return float(np.abs(np.append(correlation[: most + 1], correlation[size - most :])).max()) / scale
 
 

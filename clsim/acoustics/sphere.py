@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 
 from clsim.acoustics.scattering import SpecularPoint
 from clsim.arrays import Complexes, Floats
@@ -174,14 +175,14 @@ def sphere_surface_field(ka: Floats, cosine: Floats) -> Complexes:
 @lru_cache(maxsize=32)
 def _surface_modes(ka: tuple[float, ...]) -> Complexes:
     """Return the factors (N, F) of Legendre's polynomials."""
-    from scipy.special import spherical_jn, spherical_yn
-
     x = np.array(ka)
     most = float(x.max())
     count = math.ceil(most + 4.05 * most ** (1.0 / 3.0)) + 12
     n = np.arange(count)[:, None]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        slope = spherical_jn(n, x, derivative=True) - 1j * spherical_yn(n, x, derivative=True)
+        slope = scipy.special.spherical_jn(n, x, derivative=True) - 1j * scipy.special.spherical_yn(
+            n, x, derivative=True
+        )
         made = (2 * n + 1) * 1j ** (n - 1.0) / (slope * x**2)
     made = np.where(np.isfinite(made), made, 0.0)  # of high modes at low frequencies, which are nothing
     loud = np.abs(made).max(axis=1)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
@@ -116,15 +117,17 @@ def _fitted(
 
     Frequencies lie evenly from 0 to pi, where the sums are a Fourier transform, and closer within the band's edges.
     """
-    from scipy.fft import next_fast_len, rfft
-
-    intervals = next_fast_len(8 * half + 63, real=True)
+    intervals = scipy.fft.next_fast_len(8 * half + 63, real=True)
     square, target = wanted_at(np.linspace(0.0, math.pi, intervals + 1))
     # Products of cosines, or of sines, are cosines of differences and sums: one sum for each multiple up to 2 half.
-    sums = rfft(square, 2 * intervals)[: 2 * half + 1].real
-    even = rfft(target.real * square, 2 * intervals)[:, : half + 1].real
+    sums = scipy.fft.rfft(square, 2 * intervals)[: 2 * half + 1].real
+    even = scipy.fft.rfft(target.real * square, 2 * intervals)[:, : half + 1].real
     turns = np.iscomplexobj(target)
-    odd = -rfft(target.imag * square, 2 * intervals)[:, 1 : half + 1].imag if turns else np.zeros((len(even), half))
+    odd = (
+        -scipy.fft.rfft(target.imag * square, 2 * intervals)[:, 1 : half + 1].imag
+        if turns
+        else np.zeros((len(even), half))
+    )
     w = np.linspace(edges[0], edges[1], 4 * half + 64)
     square, target = wanted_at(w)
     sums += _sums(square[None], w, 2 * half + 1)[0]
@@ -181,15 +184,13 @@ def _taps(even: Floats, odd: Floats) -> Floats:
 
 def _solved(sums: Floats, first: int, products: Floats) -> Floats:
     """Return the coefficients (K, n) of cosines from 0, or sines from 1, by their products (K, n) with targets."""
-    from scipy.linalg import cho_factor, cho_solve
-
     count = products.shape[1]
     differences = sliding_window_view(np.concatenate([sums[count - 1 : 0 : -1], sums[:count]]), count)[::-1]
     both = sliding_window_view(sums[2 * first : 2 * (first + count) - 1], count)
     normal = 0.5 * (differences - both if first else differences + both)
     diagonal = np.arange(count)
     normal[diagonal, diagonal] += 1e-14 * np.trace(normal) / count
-    return np.asarray(cho_solve(cho_factor(normal, overwrite_a=True), products.T).T)
+    return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal, overwrite_a=True), products.T).T)
 
 
 _STEPS = 64  # of a sample, at which impulses are tabulated
@@ -205,8 +206,6 @@ class BandKernels:
     N. Trefethen, J. A. C. Weideman, "The exponentially convergent trapezoidal rule", SIAM Rev. 56(3), 2014, theorem
     3.2), and cubic through four steps: within 2e-7 of the impulse of a whole band.
 
-    Examples
-    --------
     >>> out = np.zeros((1, 200), dtype=complex)
     >>> BandKernels(0.5).add(out, np.array([100.25]), np.array([[1.0 + 0j]]))
     >>> tone = np.exp(2j * np.pi * 0.2 * np.arange(200))
@@ -287,8 +286,6 @@ def resonance_taps(centre: float, width: float, sampling_rate: float) -> Floats:
     frequencies where its magnitude is 1/2. With five samples in a period it is right within 0.7 dB and 8 degrees from
     0.25 to 1.5 times the centre, and within 2.5 dB below 0.95 of half the sampling rate.
     """
-    from scipy.signal import lfilter
-
     decay = math.pi * width / math.sqrt(3.0)  # 1/s
     pole = np.exp((-decay + 1j * math.sqrt((2.0 * math.pi * centre) ** 2 - decay**2)) / sampling_rate)
     recursion = np.array([1.0, -2.0 * pole.real, abs(pole) ** 2])
@@ -300,7 +297,7 @@ def resonance_taps(centre: float, width: float, sampling_rate: float) -> Floats:
     rest = np.linalg.solve(np.concatenate([powers.real, powers.imag]), np.concatenate([wanted.real, wanted.imag]))
     impulse = np.zeros(math.ceil(15.0 * sampling_rate / decay) + 8)
     impulse[0] = 1.0
-    return np.asarray(lfilter(np.convolve([1.0, -1.0], rest), recursion, impulse), dtype=np.float64)
+    return np.asarray(scipy.signal.lfilter(np.convolve([1.0, -1.0], rest), recursion, impulse), dtype=np.float64)
 
 
 def minimum_phase(magnitude: Floats) -> Floats:
@@ -313,10 +310,8 @@ def minimum_phase(magnitude: Floats) -> Floats:
     The cepstrum is folded: A. V. Oppenheim and R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed. 2010, chapter
     13.
     """
-    from scipy.fft import irfft, rfft
-
-    cepstrum = irfft(np.log(magnitude))
+    cepstrum = scipy.fft.irfft(np.log(magnitude))
     half = len(cepstrum) // 2
     cepstrum[1:half] *= 2.0
     cepstrum[half + 1 :] = 0.0
-    return np.asarray(irfft(np.exp(rfft(cepstrum)), len(cepstrum)), dtype=np.float64)
+    return np.asarray(scipy.fft.irfft(np.exp(scipy.fft.rfft(cepstrum)), len(cepstrum)), dtype=np.float64)

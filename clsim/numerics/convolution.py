@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
@@ -21,15 +22,13 @@ def convolved(signal: NDArray[Any], filters: NDArray[Any]) -> NDArray[Any]:
     without importing all that stands beside it. Overlap-add: A. V. Oppenheim, R. W. Schafer, "Discrete-Time Signal
     Processing", 3rd ed., 2010, section 8.7.3.
     """
-    from scipy.fft import next_fast_len
-
     count, length = len(signal), filters.shape[-1]
     if length == 1:
         return np.asarray(signal * filters)
     whole, size = count + length - 1, _block(count, length)
     if size >= count:
         real = not (np.iscomplexobj(signal) or np.iscomplexobj(filters))
-        return _product(signal, filters, next_fast_len(whole, real))[..., :whole]
+        return _product(signal, filters, scipy.fft.next_fast_len(whole, real))[..., :whole]
     step = size - length + 1
     blocks = -(-whole // step)
     padded = np.zeros(blocks * step, dtype=signal.dtype)
@@ -42,22 +41,21 @@ def convolved(signal: NDArray[Any], filters: NDArray[Any]) -> NDArray[Any]:
 
 def _product(signal: NDArray[Any], filters: NDArray[Any], size: int) -> NDArray[Any]:
     """Return the cyclic convolution over `size` samples, the last axis."""
-    from scipy.fft import fft, ifft, irfft, rfft
-
     if np.iscomplexobj(signal) or np.iscomplexobj(filters):
-        return np.asarray(ifft(fft(signal, size) * fft(filters, size), size))
-    return np.asarray(irfft(rfft(signal, size) * rfft(filters, size), size))
+        return np.asarray(scipy.fft.ifft(scipy.fft.fft(signal, size) * scipy.fft.fft(filters, size), size))
+    return np.asarray(scipy.fft.irfft(scipy.fft.rfft(signal, size) * scipy.fft.rfft(filters, size), size))
 
 
 def _block(count: int, length: int) -> int:
     """Return the size N of transforms at which ``N log(2 N)`` for ``N - L + 1`` samples is least; `count` for one."""
-    from scipy.fft import next_fast_len
-    from scipy.special import lambertw
-
     if 2 * length >= count:
         return count
     overlap = length - 1
-    return int(next_fast_len(math.ceil(-overlap * lambertw(-1.0 / (2.0 * math.e * overlap), k=-1).real)))
+    return int(
+        scipy.fft.next_fast_len(
+            math.ceil(-overlap * scipy.special.lambertw(-1.0 / (2.0 * math.e * overlap), k=-1).real)
+        )
+    )
 
 
 _WIDTH = 12  # half samples over which an impulse is spread; the error is about 10 ** (1 - _WIDTH)
@@ -78,21 +76,19 @@ def delayed_sums(delays: Floats, gains: Floats, size: int) -> Complexes:
     of R. M. Lewitt, "Multidimensional digital image representations using generalized Kaiser-Bessel window functions",
     J. Opt. Soc. Am. A 7 (10), 1834-1846, 1990, eq. A3, in one dimension.
     """
-    from scipy.fft import rfft
-    from scipy.sparse import csr_array
-    from scipy.special import i0e
-
     place = 2.0 * delays
     near = np.floor(place).astype(np.int64)[:, None] + np.arange(1 - _WIDTH // 2, _WIDTH // 2 + 1)
     across = np.sqrt(np.maximum(1.0 - np.square(2.0 * (near - place[:, None]) / _WIDTH), 0.0))
-    window = i0e(_SHAPE * across) * np.exp(_SHAPE * (across - 1.0))
+    window = scipy.special.i0e(_SHAPE * across) * np.exp(_SHAPE * (across - 1.0))
     starts = np.arange(len(delays) + 1) * _WIDTH
-    spread = csr_array((window.ravel(), (near % (2 * size)).ravel(), starts), shape=(len(delays), 2 * size)).T
+    spread = scipy.sparse.csr_array(
+        (window.ravel(), (near % (2 * size)).ravel(), starts), shape=(len(delays), 2 * size)
+    ).T
     root = np.sqrt(_SHAPE**2 - np.square(math.pi * _WIDTH * np.arange(size // 2 + 1) / (2 * size)))
     own = _WIDTH * np.sinh(root) / root * math.exp(-_SHAPE)
     out = np.empty((gains.shape[1], size // 2 + 1), dtype=np.complex128)
     for k in range(0, len(out), _COLUMNS):
-        out[k : k + _COLUMNS] = rfft((spread @ gains[:, k : k + _COLUMNS]).T)[:, : size // 2 + 1] / own
+        out[k : k + _COLUMNS] = scipy.fft.rfft((spread @ gains[:, k : k + _COLUMNS]).T)[:, : size // 2 + 1] / own
     return out
 
 
@@ -104,11 +100,11 @@ def band_taper(frequencies: Floats, low: float, high: float, below: float, above
 
     The skirts are regularised incomplete beta functions, so that an arrival dies away fast; see `ringing`.
     """
-    from scipy.special import betainc
-
-    weight = betainc(_EXPONENT, _EXPONENT, np.clip((high + above - frequencies) / above, 0.0, 1.0))
+    weight = scipy.special.betainc(_EXPONENT, _EXPONENT, np.clip((high + above - frequencies) / above, 0.0, 1.0))
     if below > 0.0:
-        weight = weight * betainc(_EXPONENT, _EXPONENT, np.clip((frequencies - low + below) / below, 0.0, 1.0))
+        weight = weight * scipy.special.betainc(
+            _EXPONENT, _EXPONENT, np.clip((frequencies - low + below) / below, 0.0, 1.0)
+        )
     return np.asarray(weight)
 
 
@@ -142,30 +138,26 @@ def advanced(responses: Floats, samples: Floats) -> Floats:
 
     Towards half the sampling rate the shift becomes one by whole samples: a part of one would ring throughout.
     """
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = next_fast_len(2 * responses.shape[-1], real=True)
+    size = scipy.fft.next_fast_len(2 * responses.shape[-1], real=True)
     size += size % 2
     place = np.arange(size // 2 + 1) / (0.5 * size)
     share = np.sin(0.5 * np.pi * np.clip((place - _SHIFTED) / (1.0 - _SHIFTED), 0.0, 1.0)) ** 2
     shift = samples[..., None] + (np.rint(samples) - samples)[..., None] * share
-    return np.asarray(irfft(rfft(responses, size) * np.exp(1j * np.pi * place * shift), size))
+    return np.asarray(scipy.fft.irfft(scipy.fft.rfft(responses, size) * np.exp(1j * np.pi * place * shift), size))
 
 
 def _lags(rows: Floats) -> Floats:
     """Return the lags (n,) of rows (n, m) behind their minimum-phase versions, samples."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = next_fast_len(4 * rows.shape[1], real=True)
+    size = scipy.fft.next_fast_len(4 * rows.shape[1], real=True)
     size += size % 2
-    spectrum: Any = rfft(rows, size)
+    spectrum: Any = scipy.fft.rfft(rows, size)
     magnitude = np.abs(spectrum)
     logarithm = np.log(np.maximum(magnitude, _FLOOR * magnitude.max(axis=1, keepdims=True)))
-    cepstrum = irfft(logarithm, size)
+    cepstrum = scipy.fft.irfft(logarithm, size)
     cepstrum[:, 1 : size // 2] *= 2.0
     cepstrum[:, size // 2 + 1 :] = 0.0
-    least: Any = np.exp(rfft(cepstrum, size))
-    alike = irfft(spectrum * np.conj(least), _UPSAMPLED * size)
+    least: Any = np.exp(scipy.fft.rfft(cepstrum, size))
+    alike = scipy.fft.irfft(spectrum * np.conj(least), _UPSAMPLED * size)
     best = alike.argmax(axis=1)
     before, here, after = (np.take_along_axis(alike, (best[:, None] + i) % alike.shape[1], 1)[:, 0] for i in (-1, 0, 1))
     bend = before - 2.0 * here + after

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import NDArray
 
@@ -30,13 +31,9 @@ _LAWSON = 12  # times that weights on the edge of complex delays are evened out
 def lagrange_taps(order: int, delay: Floats) -> Floats:
     """Return the taps of the Lagrange interpolator of an order, for delays in samples; delay (n,) samples.
 
-    References
-    ----------
     T. I. Laakso, V. Välimäki, M. Karjalainen, U. K. Laine, "Splitting the unit delay", IEEE Signal
     Processing Magazine 13(1), 1996, eq. 42.
 
-    Examples
-    --------
     >>> lagrange_taps(1, np.array([0.25]))
     array([[0.75, 0.25]])
     """
@@ -80,10 +77,8 @@ def chebyshev_degree(cutoff: float, mu_max: float, error: float, importance: tup
     Olver et al., "NIST Handbook of Mathematical Functions", 2010, eq. 10.12.3; its tail is at most ``2 sum_{k > K}
     |J_k(w mu_max)|``.
     """
-    from scipy.special import jv
-
     orders, ends = np.arange(_LARGEST_DEGREE + 30), cutoff * np.arange(1, len(importance) + 1) / len(importance)
-    terms = np.abs(jv(orders[:, None], ends * mu_max)) * np.array(importance)
+    terms = np.abs(scipy.special.jv(orders[:, None], ends * mu_max)) * np.array(importance)
     tail = (2 * np.cumsum(terms[::-1], axis=0)[::-1]).max(axis=1)  # tail[k]: terms k and above
     within = np.flatnonzero(tail[1:] <= error)
     return int(within[0]) if len(within) else _LARGEST_DEGREE
@@ -138,10 +133,8 @@ def _branch_shapes(half: int, cutoff: float) -> tuple[Floats, NDArray[np.bool_],
 @lru_cache(maxsize=1024)  # of some 4 KB each
 def _branch_target(k: int, half: int, cutoff: float, mu_max: float) -> Floats:
     """Return the target of branch k at the frequencies of `_branch_shapes`, (n,)."""
-    from scipy.special import jv
-
     w, inside, _, _ = _branch_shapes(half, cutoff)
-    target = np.where(inside, jv(k, w * mu_max) * (1.0 if k == 0 else 2.0), 0.0)
+    target = np.where(inside, scipy.special.jv(k, w * mu_max) * (1.0 if k == 0 else 2.0), 0.0)
     # (-j)^k J_k against sum h[m] exp(-j w m): real part (-1)^(k/2) for even k, -j times (-1)^((k-1)/2) for odd k.
     return np.asarray(target * (1.0 if k % 4 < 2 else -1.0))
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
@@ -47,8 +48,6 @@ def low_pass_between(passed: float, stopped: float, rate: float, ripple_db: floa
 def low_pass(cutoff: float, length: int, ripple_db: float) -> Floats:
     """Return a low-pass of `length` taps about their middle, whose gain at 0 Hz is 1.
 
-    References
-    ----------
     A. V. Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed., 2010, section 7.5.3.
     """
     return band_pass(0.0, cutoff, length, shape_of(ripple_db))
@@ -59,12 +58,10 @@ def band_pass(low: float, high: float, length: int, shape: float) -> Floats:
 
     The ideal filter's response through the window (Oppenheim and Schafer, 2010, eq. 7.72).
     """
-    from scipy.special import i0
-
     middle = 0.5 * (length - 1)
     places = np.arange(length) - middle
     taps = high * np.sinc(high * places) - low * np.sinc(low * places)
-    taps *= i0(shape * np.sqrt(1.0 - (places / middle) ** 2.0)) / i0(shape)
+    taps *= scipy.special.i0(shape * np.sqrt(1.0 - (places / middle) ** 2.0)) / scipy.special.i0(shape)
     centre = 0.5 * (low + high) if low > 0.0 else 0.0
     return np.asarray(taps / np.sum(taps * np.cos(np.pi * places * centre)))
 
@@ -89,9 +86,8 @@ class Resampler:
         """Return the filter from the rate `old` to the rate `new`, Hz."""
         ratio = Fraction(new / old).limit_denominator(_LARGEST_FACTOR)
         if not 0 < ratio.numerator <= _LARGEST_FACTOR or abs(float(ratio) * old - new) > 1e-9 * new:
-            raise InputError(
-                "sampling_rate", f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz"
-            )
+            problem = f"must be a simple multiple of the signal's, {old:g} Hz, but is {new:g} Hz"
+            raise InputError("sampling_rate", problem)
         return cls(ratio.numerator, ratio.denominator)
 
     def count(self, samples: int) -> int:
@@ -100,8 +96,6 @@ class Resampler:
 
     def read(self, samples: NDArray[Any], first: int, last: int) -> Floats:
         """Return resampled samples `first` to `last`, from those that the filter reaches; samples (n,)."""
-        from scipy.signal import upfirdn
-
         taps = _taps(self.up, self.down)
         half = len(taps) // 2  # a multiple of `down`, so that all filtered samples wanted lie on its grid
         # The first old sample used is a multiple of `down` as well: then it lies on the new grid.
@@ -111,7 +105,7 @@ class Resampler:
         a, b = max(start, 0), min(stop, len(samples))
         part[a - start : b - start] = samples[a:b]
         skipped = first + half // self.down - start // self.down * self.up
-        filtered: Any = upfirdn(taps, part, self.up, self.down)
+        filtered: Any = scipy.signal.upfirdn(taps, part, self.up, self.down)
         return np.asarray(filtered[skipped : skipped + last - first])
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats
@@ -36,16 +37,12 @@ def fibonacci_sphere(count: int) -> Floats:
 
 def merged(directions: Floats, values: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:
     """Return unit vectors (n, 3) that differ by more than 1e-5 rad, and the mean of what each has of values (m, f)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    pairs = KDTree(directions).query_pairs(_SAME, output_type="ndarray")
+    pairs = scipy.spatial.KDTree(directions).query_pairs(_SAME, output_type="ndarray")
     if not len(pairs):
         return directions, values
     size = len(directions)
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    count, label = connected_components(links, directed=False)
+    links = scipy.sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    count, label = scipy.sparse.csgraph.connected_components(links, directed=False)
     total = np.zeros((count, values.shape[1]), dtype=values.dtype)
     np.add.at(total, label, values)
     first = np.unique(label, return_index=True)[1]
@@ -57,20 +54,16 @@ def largest_hole(directions: Floats) -> float:
 
     Caps without points are those that facets of the convex hull cut off.
     """
-    from scipy.spatial import ConvexHull, QhullError
-
     try:
-        offsets = -ConvexHull(directions).equations[:, 3]
-    except (QhullError, ValueError):  # fewer than four points, or all in one plane
+        offsets = -scipy.spatial.ConvexHull(directions).equations[:, 3]
+    except (scipy.spatial.QhullError, ValueError):  # fewer than four points, or all in one plane
         return 180.0
     return float(np.degrees(np.arccos(np.clip(offsets.min(), -1.0, 1.0))))
 
 
 def neighbours_on_sphere(directions: Floats) -> NDArray[np.intp]:
     """Return pairs (m, 2) of each direction and those nearest to it."""
-    from scipy.spatial import KDTree
-
-    nearest = np.asarray(KDTree(directions).query(directions, k=min(_NEIGHBOURS + 1, len(directions)))[1])
+    nearest = np.asarray(scipy.spatial.KDTree(directions).query(directions, k=min(_NEIGHBOURS + 1, len(directions)))[1])
     here = np.broadcast_to(nearest[:, :1], nearest[:, 1:].shape)
     return np.column_stack([here.ravel(), nearest[:, 1:].ravel()])
 
@@ -119,12 +112,10 @@ class GridOnSphere:
         (the "double Fourier sphere"; P. E. Merilees, Atmosphere 11 (1), 13-20, 1973). Values are then periodic in both
         angles, and a periodic cubic spline in each goes through them. A pole that the grid lacks is put in first.
         """
-        from scipy.interpolate import NdBSpline
-
         circle, table = _closed(*_with_poles(self.colatitudes, values[self.index]))
         knots, coefficients = _periodic_spline(circle, np.concatenate([table.real, table.imag], axis=-1))
         others, coefficients = _periodic_spline(self.azimuths, np.swapaxes(coefficients, 0, 1))
-        spline = NdBSpline((knots, others), np.ascontiguousarray(np.swapaxes(coefficients, 0, 1)), 3)
+        spline = scipy.interpolate.NdBSpline((knots, others), np.ascontiguousarray(np.swapaxes(coefficients, 0, 1)), 3)
         return OnGrid(spline, self.azimuths[0])
 
 
@@ -189,9 +180,11 @@ class ScatterOnSphere:
         the values, in the sense of the norm that belongs to the cube (H. Wendland, "Scattered Data Approximation",
         2005, chapters 8 and 17).
         """
-        from scipy.interpolate import RBFInterpolator
-
-        return cls(RBFInterpolator(directions, np.concatenate([values.real, values.imag], axis=1), kernel="cubic"))
+        return cls(
+            scipy.interpolate.RBFInterpolator(
+                directions, np.concatenate([values.real, values.imag], axis=1), kernel="cubic"
+            )
+        )
 
     def __call__(self, directions: Floats) -> NDArray[np.complex128]:
         """Return values (m, u) in directions (m, 3), unit vectors."""
@@ -207,10 +200,8 @@ def _closed(colatitudes: Floats, down: NDArray[Any]) -> tuple[Floats, NDArray[An
 
 def _with_poles(colatitudes: Floats, down: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:
     """Return colatitudes and values (e, a, u) with poles: the mean, where they are missing, of what goes over them."""
-    from scipy.interpolate import BSpline
-
     circle, table = _closed(colatitudes, down)
-    over = BSpline(*_periodic_spline(circle, table), 3)
+    over = scipy.interpolate.BSpline(*_periodic_spline(circle, table), 3)
     for pole, seen in ((0.0, 2.0 * np.pi), (np.pi, np.pi)):
         if np.abs(colatitudes - pole).min() > _SAME:
             place = int(np.searchsorted(colatitudes, pole))
@@ -221,11 +212,9 @@ def _with_poles(colatitudes: Floats, down: NDArray[Any]) -> tuple[Floats, NDArra
 
 def _periodic_spline(x: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Return knots and coefficients (n + 3, ...) of the cubic spline of period 2 pi through values (n, ...) at x."""
-    from scipy.interpolate import BSpline
-
     period = 2.0 * np.pi
     knots = np.concatenate([x[-3:] - period, x, x[:4] + period])
-    matrix = BSpline.design_matrix(x, knots, 3).toarray()
+    matrix = scipy.interpolate.BSpline.design_matrix(x, knots, 3).toarray()
     matrix[:, :3] += matrix[:, -3:]  # the last three functions are the first ones, a period later
     found = np.linalg.solve(matrix[:, :-3], values.reshape(len(x), -1)).reshape(values.shape)
     return knots, np.concatenate([found, found[:3]])
@@ -266,8 +255,6 @@ def table_values(table: NDArray[np.float32], directions: Floats) -> NDArray[np.f
     1964, equation 25.2.13). Beyond a pole, circles go on down the opposite azimuth (P. E. Merilees, Atmosphere 11 (1),
     13-20, 1973).
     """
-    from scipy.sparse import csr_array
-
     rows = math.isqrt(len(table) // 2)
     colatitude, azimuth = _angles(directions.reshape(-1, 3))
     places = np.stack([colatitude * rows / np.pi - 0.5, azimuth * rows / np.pi])
@@ -283,7 +270,9 @@ def table_values(table: NDArray[np.float32], directions: Floats) -> NDArray[np.f
     index = row[:, :, None] * 2 * rows + (column[:, None] + rows * beyond[:, :, None]) % (2 * rows)
     factors = (cubics[0][:, :, None] * cubics[1][:, None]).astype(np.float32)
     starts = 16 * np.arange(len(row) + 1)
-    return np.asarray(csr_array((factors.ravel(), index.ravel(), starts), shape=(len(row), len(table))) @ table)
+    return np.asarray(
+        scipy.sparse.csr_array((factors.ravel(), index.ravel(), starts), shape=(len(row), len(table))) @ table
+    )
 
 
 def real_harmonics(order: int, directions: Floats) -> Floats:

@@ -10,15 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clsim.acoustics.air import (
-    absorption_iso9613,
-    lead_iso9613,
-    lead_slope_iso9613,
-    speed_of_sound_cramer,
-    speed_of_sound_iso9613,
-    vapour_fraction_giacomo,
-    vapour_percent_iso9613,
-)
+from clsim.acoustics import air as formulae
 from clsim.arrays import Complexes, Floats, as_choice, as_flag, as_floats, as_number
 from clsim.errors import InputError, check_kind, settle, warn
 from clsim.numerics.band_filters import chebyshev_points
@@ -50,9 +42,8 @@ def at_heights(field: str, given: ByHeight, where: tuple[float, float], heights:
         return np.full(len(heights), given)
     found = np.asarray(given(heights), dtype=np.float64)
     if found.shape not in ((), heights.shape) or not np.all(np.isfinite(found)):
-        raise InputError(
-            field, f"must return a finite number for each of {len(heights)} heights, but returns {found!r:.80}"
-        )
+        problem = f"must return a finite number for each of {len(heights)} heights, but returns {found!r:.80}"
+        raise InputError(field, problem)
     return np.broadcast_to(found, heights.shape)
 
 
@@ -148,20 +139,11 @@ class Air:
     _requested_speed: float | str | None = field(repr=False)  # so that `dataclasses.replace` keeps what was asked for
 
     def __init__(
-        self,
-        temperature_celsius: ByHeight = 20.0,
-        relative_humidity: ByHeight = 0.5,
-        pressure: float = 101_325.0,
-        speed_of_sound: float | str | None = None,
-        absorption: bool = True,
-        dispersion: bool = False,
-        wind: ArrayLike | None = None,
-        heights: ArrayLike | None = None,
-        fluctuation: Fluctuation | None = None,
-        *,
-        extent: tuple[float, float] | None = None,
-        _requested_speed: float | str | None = None,
-    ) -> None:
+        self, temperature_celsius: ByHeight = 20.0, relative_humidity: ByHeight = 0.5, pressure: float = 101_325.0,
+        speed_of_sound: float | str | None = None, absorption: bool = True, dispersion: bool = False,
+        wind: ArrayLike | None = None, heights: ArrayLike | None = None, fluctuation: Fluctuation | None = None, *,
+        extent: tuple[float, float] | None = None, _requested_speed: float | str | None = None,
+    ) -> None:  # fmt: skip
         warm = height_profile(
             "temperature_celsius", temperature_celsius, at_least=_COLDEST, at_most=_HOTTEST, unit="°C"
         )
@@ -190,15 +172,15 @@ class Air:
         layers = _layers(self) if layered and self.extent is not None else ()
         low, high = self.extent or self.heights or UNPLACED
         (celsius, humidity), pascal = self.at_height(np.array([0.5 * (low + high)]))[:, 0].tolist(), self.pressure
-        vapour = vapour_fraction_giacomo(celsius, humidity, pascal)
+        vapour = formulae.vapour_fraction_giacomo(celsius, humidity, pascal)
         if vapour >= 1.0:
             problem = f"at {celsius:g} °C and {pascal:g} Pa {humidity:g} is nothing but water vapour"
             raise InputError("relative_humidity", f"must leave room for air, but {problem}")
         speed = self._requested_speed
         if speed is None:
-            speed = speed_of_sound_cramer(celsius, humidity, pascal)
+            speed = formulae.speed_of_sound_cramer(celsius, humidity, pascal)
         elif isinstance(speed, str):
-            speed = speed_of_sound_iso9613(celsius)
+            speed = formulae.speed_of_sound_iso9613(celsius)
         settle(self, layers=layers, state=(celsius, humidity, pascal), speed_of_sound=speed)
         if not layers:  # of which each has told
             _warn_of_range(self, vapour)
@@ -210,13 +192,7 @@ class Air:
         return np.stack([at_heights(name, value, where, height) for name, value in given.items()])
 
     def between(self, lowest: float, highest: float) -> Air:
-        """Return the air from `lowest` to `highest`, m: with layers if it depends on the height, else itself.
-
-        Raises
-        ------
-        InputError
-            If temperature or humidity is out of bounds at some height.
-        """
+        """Return the air from `lowest` to `highest`, m: with layers if it depends on the height, else itself."""
         if isinstance(self.temperature_celsius, float) and isinstance(self.relative_humidity, float):
             return self
         return replace(self, extent=(lowest, highest))
@@ -283,38 +259,27 @@ class Air:
                 f"the absorption of air is asked for at {np.max(f):g} Hz, but ISO 9613-1 states its accuracy "
                 f"up to 10 Hz/Pa only, here {10.0 * self.pressure:g} Hz"
             )
-        return absorption_iso9613(f, *self.state)
+        return formulae.absorption_iso9613(f, *self.state)
 
     def wavenumber_at(self, frequency: ArrayLike) -> Complexes:
-        """Return the complex wavenumber k of pure tones, with ``exp(j 2 pi f t - j k x)``, 1/m.
-
-        Parameters
-        ----------
-        frequency : array_like
-            Frequencies of any shape, as for `absorption_at`, Hz.
-
-        Returns
-        -------
-        ndarray
-            Wavenumbers in the shape of `frequency`; the imaginary part is minus the absorption of the amplitude.
-        """
+        """Return the complex wavenumber k (...) at a `frequency` (...), Hz: ``exp(j 2 pi f t - j k x)``, 1/m."""
         f = np.asarray(frequency, dtype=np.float64)
         k = 2.0 * np.pi / self.speed_of_sound * f - 1j * np.log(10.0) / 20.0 * self.absorption_at(f)
-        return np.asarray(k - lead_iso9613(f, *self.state) if self.dispersion else k)
+        return np.asarray(k - formulae.lead_iso9613(f, *self.state) if self.dispersion else k)
 
     def speed_at(self, frequency: float) -> float:
         """Return the speed of sound of a pure tone at a `frequency` above 0 Hz, that of its phase, m/s."""
         c = self.speed_of_sound
         if not self.dispersion:
             return c
-        return c / (1.0 - c * float(lead_iso9613(frequency, *self.state)) / (2.0 * np.pi * frequency))
+        return c / (1.0 - c * float(formulae.lead_iso9613(frequency, *self.state)) / (2.0 * np.pi * frequency))
 
     def group_speed_at(self, frequency: float) -> float:
         """Return the group speed at a `frequency` of at least 0 Hz, at which envelopes travel, m/s."""
         c = self.speed_of_sound
         if not self.dispersion:
             return c
-        return c / (1.0 - c * float(lead_slope_iso9613(frequency, *self.state)))
+        return c / (1.0 - c * float(formulae.lead_slope_iso9613(frequency, *self.state)))
 
 
 def _checked_humidity(value: ByHeight) -> ByHeight:
@@ -382,7 +347,7 @@ def _checked_wind(value: ArrayLike | None, speed_of_sound: float) -> tuple[float
 
 def _warn_of_range(air: Air, vapour: float) -> None:
     """Warn of a speed outside the range of Cramer's formula, and of absorption that ISO 9613-1 is less sure of."""
-    celsius, percent = air.state[0], vapour_percent_iso9613(*air.state)
+    celsius, percent = air.state[0], formulae.vapour_percent_iso9613(*air.state)
     has = f"but the air has {celsius:g} °C, {air.pressure / 1e3:g} kPa"
     inside = 0.0 <= celsius <= 30.0 and 75e3 <= air.pressure <= 102e3 and vapour <= 0.06
     if air._requested_speed is None and not inside:

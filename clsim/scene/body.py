@@ -16,7 +16,7 @@ from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import in_face
 from clsim.scene.material.material import Material
-from clsim.scene.motion.motion import Instants, even_lengths, seen_by
+from clsim.scene.motion.motion import Instants, Moved, even_lengths, seen_by
 from clsim.scene.motion.orientation import as_places
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.placement import Placed, check_lasts, first_refused
@@ -38,7 +38,7 @@ _FRAME = np.concatenate([np.zeros((1, 3)), np.eye(3)])  # origin and axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class Body(Moved):
     """A rigid, moving object of flat faces. It reflects sound, and blocks paths behind it.
 
     Parameters
@@ -107,9 +107,8 @@ class Body:
         thin = np.flatnonzero(lengths == 0.0)
         if np.any((lengths < _SHORTEST) & (lengths != 0.0)) or len(thin) > 1:
             given = ", ".join(f"{x:g}" for x in lengths)
-            raise InputError(
-                "size", f"must be at least {_SHORTEST:g} m, or 0 along one axis for a sheet, but is {given} m"
-            )
+            problem = f"must be at least {_SHORTEST:g} m, or 0 along one axis for a sheet, but is {given} m"
+            raise InputError("size", problem)
         corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * lengths
         number = np.arange(8).reshape(2, 2, 2)
         triangles, labels = [], []
@@ -125,11 +124,6 @@ class Body:
         """Names of its faces, with its own before them; its own alone where it has one face."""
         names = self.mesh.faces.names
         return (self.name,) if len(names) == 1 else tuple(f"{self.name} {name}" for name in names)
-
-    @property
-    def time_range(self) -> tuple[float, float]:
-        """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
-        return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
 
     @property
     def is_static(self) -> bool:
@@ -209,11 +203,9 @@ def _check_motion(field_name: str, body: Body, last: float, slowest: float) -> N
     if body.peak_speed >= slowest:
         times = np.linspace(*body.time_range, 10_001)
         speed = body.speed(times)
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must keep every point below the speed of sound, {slowest:.6g} m/s, but {body.name!r} may move at "
-            f"{body.peak_speed:.6g} m/s, about {times[np.argmax(speed)]:.6g} s",
-        )
+        problem = f"must keep every point below the speed of sound, {slowest:.6g} m/s, but {body.name!r} may move at "
+        problem += f"{body.peak_speed:.6g} m/s, about {times[np.argmax(speed)]:.6g} s"
+        raise InputError(f"{field_name}.trajectory", problem)
 
 
 def _evaluations(bodies: Sequence[Body]) -> Floats:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
@@ -102,9 +103,8 @@ def _table(text: str) -> Joints:
         raise InputError(f"line {number}", f"must name t and NAME x, NAME y, NAME z of every joint, but {what}")
     rows = np.array([_numbers(i, line, len(columns)) for i, line in lines[1:]]).reshape(-1, len(columns))
     if len(rows) < _FEWEST_FRAMES:
-        raise InputError(
-            f"line {lines[-1][0]}", f"must be the last of {_FEWEST_FRAMES} rows at least, not of {len(rows)}"
-        )
+        problem = f"must be the last of {_FEWEST_FRAMES} rows at least, not of {len(rows)}"
+        raise InputError(f"line {lines[-1][0]}", problem)
     try:
         times = as_increasing(rows[:, clock[0]])
     except InputError as error:
@@ -155,9 +155,8 @@ def _bvh(text: str) -> Joints:
         ):
             raise ValueError
     except (ValueError, IndexError):
-        raise InputError(
-            f"line {begin + 2}", "must be Frames: N and Frame Time: seconds, one below the other"
-        ) from None
+        problem = "must be Frames: N and Frame Time: seconds, one below the other"
+        raise InputError(f"line {begin + 2}", problem) from None
     width = sum(len(bone.channels) for bone in bones)
     rows = np.array([_numbers(i, " ".join(words), width) for i, words in head[2:]]).reshape(-1, width)
     if len(rows) != count or count < _FEWEST_FRAMES:
@@ -202,27 +201,26 @@ def _channels(number: int, words: list[str]) -> list[str]:
     found = [word.capitalize() for word in words[1:]]
     known = all(word[:1] in _AXES and word[1:] in ("position", "rotation") for word in found)
     if not known or words[:1] != [str(len(found))]:
-        raise InputError(
-            f"line {number}", f"must be CHANNELS, their number and their names, but has {' '.join(words)!r:.60}"
-        )
+        problem = f"must be CHANNELS, their number and their names, but has {' '.join(words)!r:.60}"
+        raise InputError(f"line {number}", problem)
     return found
 
 
 def _posed(bones: list[_Bone], rows: Floats) -> Floats:
     """Return positions of joints (joints, T, 3), each turned about its own axes in the order of its channels."""
-    from scipy.spatial.transform import Rotation
-
-    turns: list[Rotation] = []
+    turns: list[scipy.spatial.transform.Rotation] = []
     places, first = np.empty((len(bones), len(rows), 3)), 0
     for i, bone in enumerate(bones):
         own = rows[:, first : first + len(bone.channels)]
         first += len(bone.channels)
-        offset, turn = np.tile(bone.offset, (len(rows), 1)), Rotation.identity(len(rows))
+        offset, turn = np.tile(bone.offset, (len(rows), 1)), scipy.spatial.transform.Rotation.identity(len(rows))
         for channel, values in zip(bone.channels, own.T, strict=True):
             if channel.endswith("position"):
                 offset[:, _AXES[channel[0]]] = values if bone.parent < 0 else offset[:, _AXES[channel[0]]] + values
             else:
-                turn = turn * Rotation.from_rotvec(np.radians(values)[:, None] * np.eye(3)[_AXES[channel[0]]])
+                turn = turn * scipy.spatial.transform.Rotation.from_rotvec(
+                    np.radians(values)[:, None] * np.eye(3)[_AXES[channel[0]]]
+                )
         if bone.parent < 0:
             places[i], turned = offset, turn
         else:
@@ -244,17 +242,10 @@ class _Part:
 
 
 def captured_person(
-    name: str,
-    path: str | PathLike[str],
-    *,
-    segments: Segments | None = None,
-    shape: str = "ellipsoid",
-    scale: float = 1.0,
-    up: str | None = None,
-    rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-    translate: ArrayLike = (0.0, 0.0, 0.0),
-    time_offset: float = 0.0,
-) -> list[Scatterer]:
+    name: str, path: str | PathLike[str], *, segments: Segments | None = None, shape: str = "ellipsoid",
+    scale: float = 1.0, up: str | None = None, rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    translate: ArrayLike = (0.0, 0.0, 0.0), time_offset: float = 0.0,
+) -> list[Scatterer]:  # fmt: skip
     r"""Return the scatterers of a person from a motion-capture file: one for each part between two joints.
 
     Parameters
@@ -277,11 +268,6 @@ def captured_person(
         Then turned by a unit quaternion x y z w, and moved, m.
     time_offset : float
         Time of the file's first row, 0 or before, s.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or breaks a rule of its format, a joint is missing, or a value is out of bounds.
 
     Notes
     -----
@@ -336,9 +322,8 @@ def _between(known: dict[str, Floats], segments: Any) -> list[_Part]:
         radius = as_number(f"segments[{i}].radius", segment[2], above=0.0, unit="m")
         part = _limb(f"{segment[0]} to {segment[1]}", known[segment[0]], known[segment[1]], radius)
         if part is None:
-            raise InputError(
-                f"segments[{i}]", f"must have a length, but {segment[0]!r} and {segment[1]!r} are at one place"
-            )
+            problem = f"must have a length, but {segment[0]!r} and {segment[1]!r} are at one place"
+            raise InputError(f"segments[{i}]", problem)
         parts.append(part)
     return parts
 

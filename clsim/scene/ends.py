@@ -18,6 +18,7 @@ from clsim.scene.directivity.directivity import ChannelDirectivity, Directivity
 from clsim.scene.directivity.head_related import EARS, HeadRelated, SphericalHead
 from clsim.scene.directivity.patterns import HIGHEST, Ambisonic, Omni
 from clsim.scene.motion.curves import CONTINUATION
+from clsim.scene.motion.motion import Moved
 from clsim.scene.motion.orientation import LONGEST, as_direction, as_places, quaternion_product, turning_between
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.signal.signal import Signal
@@ -81,7 +82,10 @@ def _sampled(motion: Trajectory, directions: Directions) -> tuple[Floats, Floats
     for _ in range(_ROUNDS):
         middle = 0.5 * (times[:-1] + times[1:])
         there, clear = directions(middle)
-        bent = _angle(_axis_between(found[:-1], found[1:]), _unit(there)) > _TOLERANCE
+        first, second = _level(found[:-1]), _level(found[1:])
+        sign = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+        between = rotate(normalised(first + sign * second), (1.0, 0.0, 0.0))  # in the middle of great arcs
+        bent = _angle(between, _unit(there)) > _TOLERANCE
         wide = _angle(_unit(found[:-1]), _unit(found[1:])) > _WIDEST
         new = ((bent | wide) & clear & known[:-1] & known[1:]) | (known[:-1] != known[1:])
         if not new.any():
@@ -101,13 +105,6 @@ def _level(directions: Floats) -> Floats:
     return quaternion_product(about_z, about_y)
 
 
-def _axis_between(before: Floats, after: Floats) -> Floats:
-    """Return the axes (n, 3) in the middle of the great arcs between the orientations of directions (n, 3)."""
-    first, second = _level(before), _level(after)
-    sign = np.where(np.sum(first * second, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
-    return rotate(normalised(first + sign * second), (1.0, 0.0, 0.0))
-
-
 def _unit(directions: Floats) -> Floats:
     return np.asarray(directions / np.maximum(np.linalg.norm(directions, axis=-1, keepdims=True), 1e-300))
 
@@ -117,8 +114,21 @@ def _angle(first: Floats, second: Floats) -> Floats:
     return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(first - second, axis=-1), 1.0)))
 
 
+class _End(Moved):
+    """Base class of sources and receivers."""
+
+    __slots__ = ()
+    aim: Any
+
+    def orientation(self, times: Floats) -> Floats:
+        """Return unit quaternions x y z w (n, 4) at `times` (n,), s."""
+        if self.aim is None:
+            return self.trajectory.orientation(times)
+        return np.broadcast_to(quaternion_from_direction(self.aim), (len(times), 4))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class Source(_End):
     """A source of sound.
 
     Parameters
@@ -197,10 +207,6 @@ class Source:
         """The finite part of the trajectory that matters, s: from 0 to its end, or that of the signal."""
         return 0.0, self.end if math.isinf(self.trajectory.end) else self.trajectory.end
 
-    def orientation(self, times: Floats) -> Floats:
-        """Return unit quaternions x y z w (n, 4) at `times` (n,), s."""
-        return _orientation(self, times)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Element:
@@ -220,7 +226,7 @@ class Element:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Receiver:
+class Receiver(_End):
     """A receiver of sound; its output is the sound pressure weighted by its directivity, or a voltage.
 
     Parameters
@@ -258,14 +264,9 @@ class Receiver:
 
     @staticmethod
     def ambisonic(
-        name: str,
-        trajectory: Trajectory,
-        order: int = 1,
-        normalization: str = "SN3D",
-        *,
-        fixed: bool = False,
+        name: str, trajectory: Trajectory, order: int = 1, normalization: str = "SN3D", *, fixed: bool = False,
         **options: Any,
-    ) -> Receiver:
+    ) -> Receiver:  # fmt: skip
         """Return an ideal ambisonic microphone.
 
         Parameters
@@ -310,11 +311,6 @@ class Receiver:
             rigid sphere when left out.
         **options : Any
             Others of `Receiver`, without `directivity`.
-
-        Raises
-        ------
-        InputError
-            If a value is of another kind, or the file cannot be read.
         """
         ears = SphericalHead() if hrtf is None else hrtf
         if isinstance(ears, str | PathLike):
@@ -345,15 +341,6 @@ class Receiver:
         """Return the error (n,) of the receiver's clock at its own `times` (n,), s: the lateness of samples."""
         return np.zeros_like(times) if self.electronics is None else self.electronics.clock_error(times)
 
-    @property
-    def time_range(self) -> tuple[float, float]:
-        """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
-        return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
-
-    def orientation(self, times: Floats) -> Floats:
-        """Return unit quaternions x y z w (n, 4) at `times` (n,), s."""
-        return _orientation(self, times)
-
 
 End = Source | Receiver
 
@@ -381,12 +368,6 @@ def _settle_end(item: End) -> None:
     elif aim is not None:
         aim = as_direction("aim", aim)
     settle(item, aim=aim, aim_at=None, trajectory=trajectory, flush=_checked_flush(item.flush))
-
-
-def _orientation(item: End, times: Floats) -> Floats:
-    if item.aim is None:
-        return item.trajectory.orientation(times)
-    return np.broadcast_to(quaternion_from_direction(item.aim), (len(times), 4))
 
 
 def _checked_flush(value: Any) -> bool | Floats:

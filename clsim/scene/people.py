@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from clsim.arrays import Floats, as_floats, as_number, read_only
@@ -31,8 +32,6 @@ _TURNS, _EVERY = 1000.0, 4  # Hz of orientations; positions are splines through 
 def pose_times(start: float, end: float) -> Floats:
     """Return instants (n,) of poses, s: one per millisecond, at least 17.
 
-    Examples
-    --------
     >>> len(pose_times(0.0, 2.0))
     2001
     """
@@ -54,13 +53,9 @@ def quaternions_along(along: Floats, aside: Floats | None = None) -> Floats:
 
     aside: what is not along it counts. Left out for what is round: it then turns about itself as little as it can.
 
-    Examples
-    --------
     >>> quaternions_along(np.array([[0.0, 0.0, 2.0]]), np.array([[0.0, 1.0, 0.5]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
-    from scipy.spatial.transform import Rotation
-
     z = along / np.linalg.norm(along, axis=1, keepdims=True)
     if aside is None:
         y = np.empty_like(z)
@@ -72,7 +67,7 @@ def quaternions_along(along: Floats, aside: Floats | None = None) -> Floats:
     else:
         y = aside - z * np.sum(aside * z, axis=1, keepdims=True)
         y = y / np.linalg.norm(y, axis=1, keepdims=True)
-    return np.asarray(Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2)).as_quat())
+    return np.asarray(scipy.spatial.transform.Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2)).as_quat())
 
 
 SLOWEST, FASTEST = 0.1, 3.0  # leg lengths a second
@@ -143,11 +138,9 @@ def _joint(name: str, phase: Floats, speed: Floats) -> Floats:
 
 def _cubics(points: list[tuple[float, float]], phase: Floats) -> Floats:
     """Return the values of monotone cubics of period 1 through points."""
-    from scipy.interpolate import PchipInterpolator
-
     once = np.array(sorted(points))
     every = np.concatenate([once + np.array([shift, 0.0]) for shift in (-2.0, -1.0, 0.0, 1.0, 2.0)])
-    return np.asarray(PchipInterpolator(*every.T)(phase))
+    return np.asarray(scipy.interpolate.PchipInterpolator(*every.T)(phase))
 
 
 def _control_points(name: str, v: float) -> list[tuple[float, float]]:
@@ -202,16 +195,11 @@ def walking_person(name: str, height: float, trajectory: Trajectory, shadow: boo
         m, above 0.
     trajectory : Trajectory
         Path of the person on the ground, at the height of the soles. Its speed decides how long steps
-        are and how far limbs swing, its direction where the person looks; an orientation is not used.
+        are and how far limbs swing, its direction where the person looks; an orientation is not used. It is 0.1 to 3
+        leg lengths (of 0.53 heights) a second, as was measured.
     shadow : bool
         Whether every part casts a shadow, see `Scatterer.ellipsoid`. Shadows of walls' echoes need as high a
         `scattering_order` as their number of reflections.
-
-    Raises
-    ------
-    InputError
-        If the trajectory is at rest, or slower or faster than what was measured: 0.1 to 3 leg lengths (of 0.53 heights)
-        a second.
 
     Notes
     -----

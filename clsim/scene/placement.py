@@ -15,8 +15,8 @@ from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.motion import Indices, Instants, Motion
-from clsim.scene.room.enclosed import held_by_rooms
 from clsim.scene.room.faces import Mount
+from clsim.scene.room.mesh_cleaning import held_by_rooms
 from clsim.scene.room.protocol import Room
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.transducer.transducer import TRANSDUCER_NAMES, Transducer
@@ -50,18 +50,14 @@ def _check_motion(room: Room, field_name: str, item: Placed, slowest: float) -> 
         positions = item.trajectory.position(times)
         contact = room.first_contact(positions, mount)
         if contact is not None:
-            raise InputError(
-                f"{field_name}.trajectory",
-                f"{contact.rule}, but {item.name!r} {contact.event} at "
-                f"{_place(positions, times, contact.index)}{contact.hint}",
-            )
+            problem = f"{contact.rule}, but {item.name!r} {contact.event} at "
+            problem += f"{_place(positions, times, contact.index)}{contact.hint}"
+            raise InputError(f"{field_name}.trajectory", problem)
     speed, time = item.trajectory.peak_speed(start, end, _SCAN_RATE)
     if speed >= slowest:
-        raise InputError(
-            f"{field_name}.trajectory",
-            f"must stay below the speed of sound, {slowest:.6g} m/s, "
-            f"but {item.name!r} moves at {speed:.6g} m/s at {time:.6g} s",
-        )
+        problem = f"must stay below the speed of sound, {slowest:.6g} m/s, "
+        problem += f"but {item.name!r} moves at {speed:.6g} m/s at {time:.6g} s"
+        raise InputError(f"{field_name}.trajectory", problem)
 
 
 def _places(ends: Sequence[Placed]) -> Floats:
@@ -107,12 +103,9 @@ def _too_close(
     moving = receiver.trajectory.velocity(times) - source.trajectory.velocity(times)
     distance, shift = nearest_within(apart, moving, 0.5 * instants.step)
     i = int(np.argmin(distance))
-    return InputError(
-        f"{field_name}.trajectory",
-        f"must stay at least {nearest:g} m away from every receiver (min_distance), "
-        f"but {source.name!r} comes within {distance[i]:.3g} m of {receiver.name!r} "
-        f"at {times[i] + shift[i]:.6g} s",
-    )
+    problem = f"must stay at least {nearest:g} m away from every receiver (min_distance), "
+    problem += f"but {source.name!r} comes within {distance[i]:.3g} m of {receiver.name!r} "
+    return InputError(f"{field_name}.trajectory", f"{problem}at {times[i] + shift[i]:.6g} s")
 
 
 def check_lasts(field_name: str, motion: Motion, last: float, what: str) -> None:
@@ -135,11 +128,9 @@ def check_scatterers(
             times = np.linspace(start, stop, min(max(int((stop - start) * _SCAN_RATE), 1), _SCAN_BLOCK) + 1)
             turn = np.linalg.norm(motion.angular_velocity(times), axis=1)
             speed = np.linalg.norm(motion.velocity(times), axis=1) + scatterer.shape.radius * turn
-            raise InputError(
-                f"{field_name}.trajectory",
-                f"must keep the surface below the speed of sound, {slowest:.6g} m/s, but that of "
-                f"{scatterer.name!r} may move at {surface:.6g} m/s, about {times[np.argmax(speed)]:.6g} s",
-            )
+            problem = f"must keep the surface below the speed of sound, {slowest:.6g} m/s, but that of "
+            problem += f"{scatterer.name!r} may move at {surface:.6g} m/s, about {times[np.argmax(speed)]:.6g} s"
+            raise InputError(f"{field_name}.trajectory", problem)
         for _, end in ends:
             _check_apart(field_name, scatterer, end, nearest)
 
@@ -192,9 +183,8 @@ def check_sides(room: Room, ends: Sequence[tuple[str, End]]) -> None:
     if not inside.any():
         warn(f"{field}.trajectory: no source or receiver is inside the room: {where}")
     elif closed:
-        raise InputError(
-            f"{field}.trajectory", f"must lie in the same air as the other sources and receivers, but {where}"
-        )
+        problem = f"must lie in the same air as the other sources and receivers, but {where}"
+        raise InputError(f"{field}.trajectory", problem)
     else:
         warn(f"{field}.trajectory: {where}")
 

@@ -21,14 +21,9 @@ _MOST = 100_000  # receivers of an array
 
 
 def receiver_array(
-    name: str,
-    positions: ArrayLike,
-    trajectory: Trajectory | None = None,
-    *,
-    directivities: Sequence[Directivity] | None = None,
-    aims: ArrayLike | None = None,
-    **arguments: Any,
-) -> list[Receiver]:
+    name: str, positions: ArrayLike, trajectory: Trajectory | None = None, *,
+    directivities: Sequence[Directivity] | None = None, aims: ArrayLike | None = None, **arguments: Any,
+) -> list[Receiver]:  # fmt: skip
     """Return receivers at positions: fixed in the room, or the elements of an array that moves and turns as one.
 
     Parameters
@@ -47,11 +42,6 @@ def receiver_array(
         Unit vectors or longer ones along the elements' axes, in the same frame; in place of `aim`.
     **arguments : Any
         Arguments of `Receiver`, the same for all: directivity, aim, transducer, electronics.
-
-    Raises
-    ------
-    InputError
-        If positions are not n by 3 finite numbers, or are too many, or directivities or aims are not one for each.
 
     Notes
     -----
@@ -145,12 +135,6 @@ def positions_from_file(path: str | PathLike[str]) -> Floats:
     path : path-like
         Three numbers a line, parted by commas, semicolons or spaces; lines that begin with ``#`` and a first line of
         words are passed over. Or a microphone geometry of Acoular (XML): a ``<pos x="" y="" z=""/>`` for each.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, holds no positions, or a line (an element) has not three finite numbers; the message
-        names it.
     """
     try:
         content = read_file(path, LARGEST_TEXT)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -15,6 +14,7 @@ from clsim.acoustics.scattering import SpecularPoint, ellipsoid_mirror, ellipsoi
 from clsim.arrays import FARTHEST, Complexes, Floats, as_choice, as_flag, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, check_kind, check_name
 from clsim.scene.fluctuation import TargetFluctuation
+from clsim.scene.motion.motion import Moved
 from clsim.scene.motion.trajectory import Trajectory
 
 MODELS = ("series", "geometrical", "outline")
@@ -203,11 +203,8 @@ class SphereShape:
     def _check(self, wave: Floats) -> None:
         most = self.radius * float(wave.max())
         if most > _LARGEST_KA:
-            raise InputError(
-                "radius",
-                f"must be at most {_LARGEST_KA:g} / wave number for a series, but ka is {most:.6g} for "
-                f'{self.radius:g} m; say model="geometrical"',
-            )
+            problem = f"must be at most {_LARGEST_KA:g} / wave number for a series, but ka is {most:.6g} for "
+            raise InputError("radius", f'{problem}{self.radius:g} m; say model="geometrical"')
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
         self._check(wave)
@@ -273,7 +270,7 @@ class CapsuleShape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scatterer:
+class Scatterer(Moved):
     """An object that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
     It ends no path: behind what casts a shadow (spheres, and others by `shadow`), the scattered wave
@@ -328,12 +325,9 @@ class Scatterer:
 
     @staticmethod
     def sphere(
-        name: str,
-        radius: float,
-        trajectory: Trajectory,
-        model: str = "series",
+        name: str, radius: float, trajectory: Trajectory, model: str = "series",
         fluctuation: TargetFluctuation | None = None,
-    ) -> Scatterer:
+    ) -> Scatterer:  # fmt: skip
         """Return a rigid sphere.
 
         Parameters
@@ -359,12 +353,9 @@ class Scatterer:
 
     @staticmethod
     def ellipsoid(
-        name: str,
-        semi_axes: ArrayLike,
-        trajectory: Trajectory,
-        fluctuation: TargetFluctuation | None = None,
+        name: str, semi_axes: ArrayLike, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None,
         shadow: bool = False,
-    ) -> Scatterer:
+    ) -> Scatterer:  # fmt: skip
         """Return a rigid ellipsoid, by geometrical optics: the echo of its specular point.
 
         Parameters
@@ -396,13 +387,9 @@ class Scatterer:
 
     @staticmethod
     def capsule(
-        name: str,
-        radius: float,
-        length: float,
-        trajectory: Trajectory,
-        fluctuation: TargetFluctuation | None = None,
+        name: str, radius: float, length: float, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None,
         shadow: bool = False,
-    ) -> Scatterer:
+    ) -> Scatterer:  # fmt: skip
         """Return a rigid capsule, a cylinder with round ends, by Fresnel integrals along it.
 
         Parameters
@@ -425,11 +412,6 @@ class Scatterer:
         size = as_number("radius", radius, above=0.0, at_least=_SMALLEST, at_most=FARTHEST, unit="m")
         long = as_number("length", length, above=0.0, at_least=_SMALLEST, at_most=FARTHEST, unit="m")
         return Scatterer(name, CapsuleShape(size, long, as_flag("shadow", shadow)), trajectory, fluctuation)
-
-    @property
-    def time_range(self) -> tuple[float, float]:
-        """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
-        return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
 
     @property
     def is_static(self) -> bool:

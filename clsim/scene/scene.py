@@ -13,32 +13,13 @@ from numpy.typing import NDArray
 from clsim.arrays import FARTHEST, Floats, as_count, as_number, row_name, short_repr
 from clsim.errors import InputError, check_kind, inside, settle
 from clsim.numerics.quaternions import rotate
-from clsim.pictures.view_page import (
-    ViewedBody,
-    ViewedEnd,
-    ViewedFlaws,
-    ViewedPaths,
-    ViewedWall,
-    html_table,
-    inline_page,
-    page_text,
-)
+from clsim.pictures import view_page
+from clsim.scene import placement
 from clsim.scene.air import Air
 from clsim.scene.body import Body, check_bodies, with_carriers
 from clsim.scene.ends import End, Receiver, Source
 from clsim.scene.material.material import Material
 from clsim.scene.motion.motion import seen_by
-from clsim.scene.placement import (
-    check_distances,
-    check_lasts,
-    check_motions,
-    check_scatterers,
-    check_sides,
-    first_place,
-    warn_of_facing,
-    warn_of_roles,
-    warn_of_units,
-)
 from clsim.scene.room.protocol import Room, checked_room
 from clsim.scene.scatterer import Scatterer
 
@@ -52,8 +33,8 @@ def scene_page(room: Room, ends: Ends, bodies: Bodies, frames: int, title: str) 
     """Return page of a scene: frames from 0 s to the end of the first trajectory."""
     moving = [*ends, *bodies]
     times = frame_times(moving, known_until(moving), frames)
-    nothing = ViewedPaths.none()
-    return page_text(
+    nothing = view_page.ViewedPaths.none()
+    return view_page.page_text(
         title=title, walls=viewed_walls(room), ends=viewed_ends(ends, times), times=times,
         frames=[nothing] * len(times), bodies=viewed_bodies(bodies, times), flaws=viewed_flaws(room),
     )  # fmt: skip
@@ -71,7 +52,7 @@ def frame_times(ends: Sequence[tuple[str, End | Scatterer | Body]], duration: fl
     return np.linspace(0.0, duration, frames) if moves and frames > 1 else np.zeros(1)
 
 
-def viewed_walls(room: Room) -> list[ViewedWall]:
+def viewed_walls(room: Room) -> list[view_page.ViewedWall]:
     """Return the walls of a room as they are drawn."""
     mesh = room.as_mesh()
     names = {id(m): m.name or m.describe() for m in mesh.faces.materials}
@@ -79,18 +60,18 @@ def viewed_walls(room: Room) -> list[ViewedWall]:
     walls = []
     for w, name in enumerate(mesh.faces.names):
         mine = corners[mesh.walls.of_triangle == w]
-        walls.append(ViewedWall(name, names[id(mesh.faces.materials[w])], mine, mesh.walls.edges_of(w)))
+        walls.append(view_page.ViewedWall(name, names[id(mesh.faces.materials[w])], mine, mesh.walls.edges_of(w)))
     return walls
 
 
-def viewed_flaws(room: Room) -> ViewedFlaws:
+def viewed_flaws(room: Room) -> view_page.ViewedFlaws:
     """Find where a mesh was healed, and its open edges, through which energy escapes."""
     mesh = room.as_mesh()
     healed_at = np.empty((0, 3)) if mesh.healed_at is None else mesh.healed_at
-    return ViewedFlaws(healed_at, mesh.shape.open_edges)
+    return view_page.ViewedFlaws(healed_at, mesh.shape.open_edges)
 
 
-def viewed_ends(ends: Ends, times: Floats) -> list[ViewedEnd]:
+def viewed_ends(ends: Ends, times: Floats) -> list[view_page.ViewedEnd]:
     """Return sources and receivers with their positions at times (F,), s, as they are drawn."""
     found = []
     for field, item in ends:
@@ -98,18 +79,20 @@ def viewed_ends(ends: Ends, times: Floats) -> list[ViewedEnd]:
         trail = item.trajectory.position(np.linspace(first, max(last, first), _TRAIL if last > first else 1))
         at = item.trajectory.position(np.clip(times, first, last) if np.isfinite(item.trajectory.end) else times)
         aims = _aims(item, np.clip(times, first, last))
-        found.append(ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail), aims))
+        found.append(
+            view_page.ViewedEnd(item.name, field.split("s[")[0], np.atleast_2d(at), np.atleast_2d(trail), aims)
+        )
     return found
 
 
-def viewed_bodies(bodies: Bodies, times: Floats) -> list[ViewedBody]:
+def viewed_bodies(bodies: Bodies, times: Floats) -> list[view_page.ViewedBody]:
     """Return bodies with their poses at times (F,), s, as they are drawn."""
     found = []
     for _, body in bodies:
         origin = body.placed(np.zeros(3), times)
         axes = np.stack([body.placed(axis, times) - origin for axis in np.eye(3)], axis=1)
         vertices, triangles = body.mesh.vertices, body.mesh.triangles
-        found.append(ViewedBody(body.name, vertices, triangles, origin, axes))
+        found.append(view_page.ViewedBody(body.name, vertices, triangles, origin, axes))
     return found
 
 
@@ -185,15 +168,15 @@ class Scene:
         scatterers = _checked_list("scatterers", self.scatterers, Scatterer)
         settle(self, min_distance=distance, air=self.air.between(float(low), float(high)), scatterers=scatterers)
         ends = self.named_ends()
-        check_motions(self.room, [*ends, *self.named_scatterers()], self.air.slowest)
-        check_sides(self.room, ends)
-        warn_of_units(self.room, self.sources)
-        warn_of_roles(self.sources, self.receivers)
-        warn_of_facing(ends)
+        placement.check_motions(self.room, [*ends, *self.named_scatterers()], self.air.slowest)
+        placement.check_sides(self.room, ends)
+        placement.warn_of_units(self.room, self.sources)
+        placement.warn_of_roles(self.sources, self.receivers)
+        placement.warn_of_facing(ends)
         for i, source in enumerate(self.sources):
-            check_distances(f"sources[{i}]", source, self.receivers, distance)
-            check_lasts(f"sources[{i}]", source.trajectory, source.end, "the signal, which ends")
-        check_scatterers(self.named_scatterers(), ends, distance, self.air.slowest)
+            placement.check_distances(f"sources[{i}]", source, self.receivers, distance)
+            placement.check_lasts(f"sources[{i}]", source.trajectory, source.end, "the signal, which ends")
+        placement.check_scatterers(self.named_scatterers(), ends, distance, self.air.slowest)
         check_bodies(self.room, self.named_bodies(), [*ends, *self.named_scatterers()], self.air.slowest)
         _check_bands(self)
 
@@ -242,7 +225,7 @@ class Scene:
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         height = as_count("height", height, at_least=100, at_most=10_000)
         ends = [*self.named_ends(), *self.named_scatterers()]
-        return inline_page("show", scene_page(self.room, ends, self.named_bodies(), frames, "scene"), height)
+        return view_page.inline_page("show", scene_page(self.room, ends, self.named_bodies(), frames, "scene"), height)
 
     def _repr_html_(self) -> str:
         ends = []
@@ -251,7 +234,7 @@ class Scene:
             ends.append((field, item.name, "static" if item.trajectory.is_static else "moves", place))
         more = len(self.named_ends()) - len(ends)
         notes = [*([f"and {more} more"] if more else []), *self.room.describe(), *self.air.describe()]
-        return html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
+        return view_page.html_table("Scene", ("", "name", "motion", "position at 0 s (m)"), ends, notes)
 
     def describe(self) -> list[str]:
         """Return a description of room, air and bodies, a line each; in a closed room also the sides of ends at 0 s."""
@@ -264,7 +247,7 @@ class Scene:
                 f"{self.air.speed_of_sound:.3f} m/s at 0 Hz"
             )
         for field_name, item in [] if self.room.is_convex or not self.room.is_closed else self.named_ends():
-            inside = self.room.contains(first_place(self.room, item)[None])[0]
+            inside = self.room.contains(placement.first_place(self.room, item)[None])[0]
             lines.append(f"{field_name}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")
         return lines + [line for body in self.bodies for line in body.describe()]
 
@@ -291,9 +274,8 @@ def _check_rows(receivers: Sequence[Receiver]) -> None:
             raise InputError(f"receivers[{i}].name", f"must be unique, but an array is {receiver.name!r} too")
         for name in map(row_name, receiver.rows):
             if seen.setdefault(name, i) != i:
-                raise InputError(
-                    f"receivers[{i}].name", f"must be unique with its channel, but [{seen[name]}] has {name!r} too"
-                )
+                problem = f"must be unique with its channel, but [{seen[name]}] has {name!r} too"
+                raise InputError(f"receivers[{i}].name", problem)
 
 
 def _check_bands(scene: Scene) -> None:

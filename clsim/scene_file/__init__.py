@@ -86,8 +86,6 @@ def load_scene(path: str | os.PathLike[str]) -> SceneFile:
 def as_toml(text: str) -> str:
     """Return a message with the arguments of its advice as a scene file has them.
 
-    Examples
-    --------
     >>> print(as_toml('bridge it by max_gap= or repair=("gaps",); or say outside="hold", True or False'))
     bridge it by max_gap = … or repair = ["gaps"]; or say outside = "hold", true or false
     """

@@ -80,9 +80,8 @@ class DirectivityTableModel(Table):
         suffix = path.suffix.lower()
         if suffix in (".csv", ".txt"):
             for name in layout:
-                raise InputError(
-                    name, f"must be left out for text files, whose layout is fixed, but is {layout[name]!r}"
-                )
+                problem = f"must be left out for text files, whose layout is fixed, but is {layout[name]!r}"
+                raise InputError(name, problem)
             phases = None if self.phases_path is None else base / self.phases_path
             return AxialDirectivity.from_csv(path, phases, self.scale or "db", **options)
         if suffix not in (".npz", ".mat"):
@@ -90,9 +89,8 @@ class DirectivityTableModel(Table):
         if self.phases_path is not None:
             raise InputError("phases_path", f"must be left out for {suffix} files, which can hold complex values")
         if suffix == ".npz" and self.variable is not None:
-            raise InputError(
-                "variable", f"must be left out for .npz files, which hold no structs, but is {self.variable!r}"
-            )
+            problem = f"must be left out for .npz files, which hold no structs, but is {self.variable!r}"
+            raise InputError("variable", problem)
         read = AxialDirectivity.from_npz if suffix == ".npz" else AxialDirectivity.from_mat
         return read(path, self.scale, **layout, **options)
 

@@ -112,9 +112,8 @@ class MaterialModel(Table):
         makers = [name for name in type(self).model_fields if name not in ("roughness", "scattering", "transmission")]
         given = [name for name in makers if getattr(self, name) is not None]
         if len(given) != 1:
-            raise InputError(
-                "", f"must have one of {', '.join(makers)}, but has {' and '.join(given) or 'none of them'}"
-            )
+            problem = f"must have one of {', '.join(makers)}, but has {' and '.join(given) or 'none of them'}"
+            raise InputError("", problem)
         material = self._built(given[0], base, room)
         if self.scattering is not None:
             scattered = self.scattering

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+import scipy
 
 from clsim.arrays import Floats, as_choice, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, check_packages, check_pictures
@@ -92,11 +93,6 @@ def gdop(anchors: Floats, place: Floats, method: str = "toa") -> float:
     float
         Standard deviation of the position over that of every range, a ratio; inf where the anchors leave it open.
 
-    Raises
-    ------
-    InputError
-        If a value is not finite, or the method is none.
-
     Notes
     -----
     The root of the trace, over the three coordinates, of ``(H' H)^-1``, with a row of H for each anchor: the unit
@@ -128,11 +124,6 @@ def gdop_map(anchors: Floats, x: Floats, y: Floats, z: float, method: str = "toa
         m.
     z : float
         Height, m.
-
-    Raises
-    ------
-    InputError
-        If a value is not finite, or the method is none.
     """
     places = as_floats("x", x, (None,)), as_floats("y", y, (None,))
     height, anchors = as_number("z", z, unit="m"), as_floats("anchors", anchors, (None, 3))
@@ -261,11 +252,6 @@ def position(scores: RangingScore | Sequence[RangingScore], method: str = "toa")
     PositionScore
         Estimates within the room's extent, NaN where fewer than 3 (of differences, 4) ranges were found.
 
-    Raises
-    ------
-    InputError
-        If the scores are none, of several recordings, or give too few anchors.
-
     Notes
     -----
     Least squares of the ranges' errors, by trust regions from the middle of the room (scipy). Anchors in one plane
@@ -319,8 +305,6 @@ def _by_receivers(scores: list[RangingScore]) -> _Given:
 
 def _located(anchors: Floats, ranges: Floats, method: str, room: Room) -> Floats:
     """Return the place (3,) within a room that fits ranges (n,) to anchors (n, 3) best, m."""
-    from scipy.optimize import least_squares
-
     low, high = room.extent
     middle = 0.5 * (low + high)
     free = method == "tdoa"  # what all ranges have in common
@@ -337,7 +321,9 @@ def _located(anchors: Floats, ranges: Floats, method: str, room: Room) -> Floats
 
     count = 4 if free else 3
     bounds = np.append(low, -reach)[:count], np.append(high, reach)[:count]
-    found: Any = least_squares(errors, start[:count], slopes, bounds, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    found: Any = scipy.optimize.least_squares(
+        errors, start[:count], slopes, bounds, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12
+    )
     return np.asarray(found.x[:3])
 
 

@@ -121,15 +121,9 @@ class _Train:
 
     @classmethod
     def of(
-        cls,
-        recording: Recording,
-        pulse: Signal,
-        receiver: int | str,
-        source: int | str,
-        part: tuple[int, int | None, int],
-        passes: float,
-        max_range: float | None,
-    ) -> _Train:
+        cls, recording: Recording, pulse: Signal, receiver: int | str, source: int | str,
+        part: tuple[int, int | None, int], passes: float, max_range: float | None,
+    ) -> _Train:  # fmt: skip
         """Filter the part (first, count, least) of a train."""
         paths = scored_paths(recording, "echoes")
         row = as_index("receiver", receiver, recording.receiver_names)
@@ -150,16 +144,9 @@ class _Train:
 
 
 def range_doppler(
-    recording: Recording,
-    pulse: Signal,
-    receiver: int | str = 0,
-    *,
-    source: int | str = 0,
-    first: int = 0,
-    count: int | None = None,
-    two_way: bool = True,
-    max_range: float | None = None,
-) -> RangeDopplerMap:
+    recording: Recording, pulse: Signal, receiver: int | str = 0, *, source: int | str = 0, first: int = 0,
+    count: int | None = None, two_way: bool = True, max_range: float | None = None,
+) -> RangeDopplerMap:  # fmt: skip
     """Return the range-Doppler map of a train of pulses.
 
     Parameters
@@ -186,11 +173,6 @@ def range_doppler(
     RangeDopplerMap
         With as many speeds as emissions. They are known but for multiples of the whole span.
 
-    Raises
-    ------
-    InputError
-        If a value is out of bounds, the emissions are not evenly spaced, or the recording is a complex envelope.
-
     Notes
     -----
     The matched filter's output of each pulse, Fourier transformed over the pulses under a Hann window. A range that
@@ -211,25 +193,15 @@ def range_doppler(
 
 
 def echoes(
-    recording: Recording,
-    pulse: Signal,
-    receiver: int | str = 0,
-    *,
-    source: int | str = 0,
-    two_way: bool = True,
+    recording: Recording, pulse: Signal, receiver: int | str = 0, *, source: int | str = 0, two_way: bool = True,
     max_range: float | None = None,
-) -> EchoMap:
+) -> EchoMap:  # fmt: skip
     """Compute the matched filter's output over range and number of the pulse, as a sonar's display shows it.
 
     Parameters
     ----------
     recording, pulse, receiver, source, two_way, max_range
         As of `range_doppler`.
-
-    Raises
-    ------
-    InputError
-        If a value is out of bounds, the recording has no paths, or it is a complex envelope.
 
     Examples
     --------

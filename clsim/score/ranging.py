@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, as_choice, as_index, as_number, read_only, short_repr, texts
@@ -165,17 +166,10 @@ class RangingScore:
 
 
 def ranging(
-    recording: Recording,
-    pulse: Signal,
-    method: str = "matched-filter",
-    *,
-    source: int | str = 0,
-    max_range: float | None = None,
-    detection_db: float = 14.0,
-    first_peak_db: float = -10.0,
-    outlier: float = 0.5,
+    recording: Recording, pulse: Signal, method: str = "matched-filter", *, source: int | str = 0,
+    max_range: float | None = None, detection_db: float = 14.0, first_peak_db: float = -10.0, outlier: float = 0.5,
     motion: str = "retarded",
-) -> RangingScore:
+) -> RangingScore:  # fmt: skip
     """Return the ranges that a receiver would measure by pulses of a source, and their errors.
 
     Parameters
@@ -200,12 +194,6 @@ def ranging(
         Error from which on a range counts as an outlier, m.
     motion : {"retarded", "quasi-static"}
         As the recording was rendered.
-
-    Raises
-    ------
-    InputError
-        If a value is out of bounds, the recording has no paths or is a complex envelope, or it ends before the first
-        pulse does.
 
     Notes
     -----
@@ -382,18 +370,16 @@ class MatchedFilter:
 
         Its magnitude is the envelope, its real part the correlation itself, over the pulse's energy.
         """
-        from scipy.fft import fft, ifft, next_fast_len
-
         length = rows.shape[1]
-        size = next_fast_len(length + len(self.pulse) - 1)
-        filtered = np.conj(fft(self.pulse, size))
+        size = scipy.fft.next_fast_len(length + len(self.pulse) - 1)
+        filtered = np.conj(scipy.fft.fft(self.pulse, size))
         filtered[size // 2 + 1 :] = 0.0  # what is left is the analytic signal
         filtered[1 : (size + 1) // 2] *= 2.0
         out = np.empty((len(rows), max(length - len(self.pulse) + 1, 0)), dtype=np.complex128)
         scale = 1.0 / (self.energy * self.sampling_rate)
         step = max(1, _BATCH // size)
         for i in range(0, len(rows), step):
-            made = ifft(fft(rows[i : i + step].astype(np.float64), size) * filtered)
+            made = scipy.fft.ifft(scipy.fft.fft(rows[i : i + step].astype(np.float64), size) * filtered)
             out[i : i + step] = made[:, : out.shape[1]] * scale
         return out
 

@@ -9,22 +9,14 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr
 from clsim.errors import InputError, check_rising, settle, warn
-from clsim.scene.directivity.directivity import (
-    AxisymmetricDirectivity,
-    as_frequencies,
-    as_gains,
-    check_coverage,
-    check_level,
-    check_options,
-    joined_over_frequency,
-    over_axis,
-    table_band,
-)
+from clsim.scene.directivity import directivity as tables
+from clsim.scene.directivity.directivity import AxisymmetricDirectivity
 from clsim.scene.directivity.text_files import as_table, read_csv_table, read_mat_arrays, read_npz_arrays
 
 _SAME_ANGLE = 1e-6  # degrees
@@ -45,11 +37,9 @@ def within_half_turn(angles: Floats, values: NDArray[Any], unit: str) -> tuple[F
 
     Where no angle lies on the axis, or opposite, its values are those of a cubic spline through all angles.
     """
-    from scipy.interpolate import CubicSpline
-
     made = [a for a in (0.0, 180.0) if angles[0] < a < angles[-1] and np.abs(angles - a).min() > _SAME_ANGLE]
     if made and len(angles) > 1:
-        joined = CubicSpline(angles, values)(made)
+        joined = scipy.interpolate.CubicSpline(angles, values)(made)
         order = np.argsort(np.concatenate([angles, made]), kind="stable")
         angles, values = np.concatenate([angles, made])[order], np.concatenate([values, joined])[order]
     kept = (angles >= -_SAME_ANGLE) & (angles <= 180.0 + _SAME_ANGLE)
@@ -140,25 +130,23 @@ class AxialDirectivity(AxisymmetricDirectivity):
         for name, choices in (("rear", _REAR), ("side", _SIDES)):
             if getattr(self, name) is not None:
                 as_choice(name, getattr(self, name), choices)
-        check_options(self.outside, self.relative_to_axis, self.name)
-        frequencies = as_frequencies(self.frequencies)
+        tables.check_options(self.outside, self.relative_to_axis, self.name)
+        frequencies = tables.as_frequencies(self.frequencies)
         angles = as_floats("angles_degrees", self.angles_degrees, (None,))
         check_rising("angles_degrees", angles, np.diff(angles) > _SAME_ANGLE, "°")
         overhanging = overhangs(angles)
         if not overhanging and (angles[0] < -180.0 - _SAME_ANGLE or angles[-1] > 180.0 + _SAME_ANGLE):
-            raise InputError(
-                "angles_degrees", f"must lie from -180° to 180°, but go from {angles[0]:g}° to {angles[-1]:g}°"
-            )
-        values = as_gains(self.values, (len(angles), len(frequencies)), "angles by frequencies")
+            problem = f"must lie from -180° to 180°, but go from {angles[0]:g}° to {angles[-1]:g}°"
+            raise InputError("angles_degrees", problem)
+        values = tables.as_gains(self.values, (len(angles), len(frequencies)), "angles by frequencies")
         if self.scale == "db" and np.iscomplexobj(values):
             raise InputError("values", 'must be real with scale="db", but are complex; from_db takes phases')
         unit = "dB" if self.scale == "db" else ""
-        check_level(values, unit)
+        tables.check_level(values, unit)
         angles, values = within_half_turn(angles, values, unit) if overhanging else self._one_side(angles, values)
         if len(angles) < 2 or abs(angles[0]) > _SAME_ANGLE:
-            raise InputError(
-                "angles_degrees", f"must begin on the axis, 0°, and go on, but are {angles.tolist()!s:.80}"
-            )
+            problem = f"must begin on the axis, 0°, and go on, but are {angles.tolist()!s:.80}"
+            raise InputError("angles_degrees", problem)
         last = float(angles[-1])
         if last < 180.0 - _SAME_ANGLE and self.rear is None:
             advice = 'give rear="hold", "mirror" or "zero" for what lies beyond'
@@ -166,7 +154,7 @@ class AxialDirectivity(AxisymmetricDirectivity):
         if self.rear == "mirror" and last < 180.0 - _SAME_ANGLE and abs(last - 90.0) > _SAME_ANGLE:
             raise InputError("rear", f'must be "hold" or "zero" unless the table ends at 90°, but it ends at {last:g}°')
         if self.relative_to_axis:
-            values = values - values[0] if self.scale == "db" else over_axis(values, values[0], frequencies)
+            values = values - values[0] if self.scale == "db" else tables.over_axis(values, values[0], frequencies)
         delay = np.zeros(2)
         if np.iscomplexobj(values):
             cosine = np.cos(np.radians(angles))[:, None]
@@ -183,12 +171,12 @@ class AxialDirectivity(AxisymmetricDirectivity):
     @property
     def band(self) -> tuple[float, float]:
         """Frequencies (low, high) in Hz that the table covers."""
-        return table_band(self.frequencies, self.outside)
+        return tables.table_band(self.frequencies, self.outside)
 
     def gain(self, cosine: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain; see `AxisymmetricDirectivity.gain`."""
         f = np.asarray(frequency, dtype=np.float64)
-        check_coverage(f, self.band)
+        tables.check_coverage(f, self.band)
         angle = np.arccos(np.clip(np.asarray(cosine, dtype=np.float64), -1.0, 1.0))
         knots = np.radians(self.angles_degrees)
         behind = np.pi - angle if self.rear == "mirror" else knots[-1]
@@ -209,13 +197,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
 
     @classmethod
     def from_db(
-        cls,
-        angles_degrees: ArrayLike,
-        frequencies: ArrayLike,
-        magnitudes_db: ArrayLike,
-        phases_degrees: ArrayLike | None = None,
-        **options: Any,
-    ) -> AxialDirectivity:
+        cls, angles_degrees: ArrayLike, frequencies: ArrayLike, magnitudes_db: ArrayLike,
+        phases_degrees: ArrayLike | None = None, **options: Any,
+    ) -> AxialDirectivity:  # fmt: skip
         """Return the table of magnitudes (a, f) in dB and, if given, phases (a, f) in degrees.
 
         Parameters
@@ -245,12 +229,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
 
     @classmethod
     def from_csv(
-        cls,
-        path: str | PathLike[str],
-        phases_path: str | PathLike[str] | None = None,
-        scale: str = "db",
+        cls, path: str | PathLike[str], phases_path: str | PathLike[str] | None = None, scale: str = "db",
         **options: Any,
-    ) -> AxialDirectivity:
+    ) -> AxialDirectivity:  # fmt: skip
         """Return the table of a text file: frequencies in its first row, angles in its first column.
 
         Parameters
@@ -265,11 +246,6 @@ class AxialDirectivity(AxisymmetricDirectivity):
             Scale of the first file's values.
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
-
-        Raises
-        ------
-        InputError
-            If a file cannot be read or is laid out otherwise, or a value breaks a rule.
         """
         as_choice("scale", scale, ("linear", "db"))
         angles, frequencies, values = read_csv_table("path", path)
@@ -277,24 +253,17 @@ class AxialDirectivity(AxisymmetricDirectivity):
             return cls(angles, frequencies, values, scale=scale, **options)
         same, also, turned = read_csv_table("phases_path", phases_path)
         if not (np.array_equal(same, angles) and np.array_equal(also, frequencies)):
-            raise InputError(
-                "phases_path", f"must have the angles and frequencies of {path}, but has others: {phases_path}"
-            )
+            problem = f"must have the angles and frequencies of {path}, but has others: {phases_path}"
+            raise InputError("phases_path", problem)
         if scale == "db":
             return cls.from_db(angles, frequencies, values, turned, **options)
         return cls(angles, frequencies, values * np.exp(1j * np.radians(turned)), **options)
 
     @classmethod
     def from_npz(
-        cls,
-        path: str | PathLike[str],
-        scale: str | None = None,
-        angle: str = "angles",
-        frequency: str = "frequencies",
-        values: str = "values",
-        angle_unit: str = "degree",
-        **options: Any,
-    ) -> AxialDirectivity:
+        cls, path: str | PathLike[str], scale: str | None = None, angle: str = "angles", frequency: str = "frequencies",
+        values: str = "values", angle_unit: str = "degree", **options: Any,
+    ) -> AxialDirectivity:  # fmt: skip
         """Return the table of a NumPy file with three arrays.
 
         Parameters
@@ -309,41 +278,23 @@ class AxialDirectivity(AxisymmetricDirectivity):
             That of the angles. Radians are rounded to a ten-thousandth of a degree.
         **options : Any
             `rear`, `side`, `outside`, `relative_to_axis` and `name` of the constructor.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read or lacks an array, or a value breaks a rule.
         """
         found = as_table(read_npz_arrays(path, (angle, frequency, values)), angle_unit)
         return cls(*found, scale=_scale_of(found[2], scale), **options)
 
     @classmethod
     def from_mat(
-        cls,
-        path: str | PathLike[str],
-        scale: str | None = None,
-        angle: str = "angles",
-        frequency: str = "frequencies",
-        values: str = "values",
-        angle_unit: str = "degree",
-        variable: str | None = None,
-        **options: Any,
-    ) -> AxialDirectivity:
+        cls, path: str | PathLike[str], scale: str | None = None, angle: str = "angles", frequency: str = "frequencies",
+        values: str = "values", angle_unit: str = "degree", variable: str | None = None, **options: Any,
+    ) -> AxialDirectivity:  # fmt: skip
         """Return the table of a MATLAB file with three variables, or a struct of three fields; see `from_npz`.
 
         Parameters
         ----------
         path, scale, angle, frequency, values, angle_unit, **options
-            As in `from_npz`.
+            As in `from_npz`. A file of version 7.3 must be saved with ``-v7``.
         variable : str, optional
             Name of the struct; `angle`, `frequency` and `values` are its fields then.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read (a file of version 7.3 must be saved with ``-v7``) or lacks a variable or field,
-            or a value breaks a rule.
         """
         found = as_table(read_mat_arrays(path, (angle, frequency, values), variable), angle_unit)
         return cls(*found, scale=_scale_of(found[2], scale), **options)
@@ -354,11 +305,8 @@ class AxialDirectivity(AxisymmetricDirectivity):
             return angles, values
         right, left = angles >= -_SAME_ANGLE, angles <= _SAME_ANGLE
         if right.sum() != left.sum() or np.any(np.abs(angles[right] + angles[left][::-1]) > _SAME_ANGLE):
-            raise InputError(
-                "angles_degrees",
-                f"must be the same on both sides of 0°, but go from {angles[0]:g}° to {angles[-1]:g}° with "
-                f"{left.sum()} and {right.sum()} angles",
-            )
+            problem = f"must be the same on both sides of 0°, but go from {angles[0]:g}° to {angles[-1]:g}° with "
+            raise InputError("angles_degrees", f"{problem}{left.sum()} and {right.sum()} angles")
         one, other = values[right], values[left][::-1]
         if self.side is None:
             scale = 20.0 / math.log(10.0) if self.scale == "db" else float(np.abs(values).max())
@@ -366,11 +314,9 @@ class AxialDirectivity(AxisymmetricDirectivity):
             worst = int(np.argmax(apart))
             if apart[worst] > _SAME_SIDES * scale:
                 unit = " dB" if self.scale == "db" else ""
-                raise InputError(
-                    "values",
-                    f"must be the same on both sides of 0°, but differ at ±{angles[right][worst]:g}° by up to "
-                    f'{apart[worst]:.3g}{unit}; give side="positive", "negative" or "mean"',
-                )
+                problem = f"must be the same on both sides of 0°, but differ at ±{angles[right][worst]:g}° by up to "
+                problem += f'{apart[worst]:.3g}{unit}; give side="positive", "negative" or "mean"'
+                raise InputError("values", problem)
         return angles[right], {"negative": other, "mean": 0.5 * (one + other)}.get(self.side or "", one)
 
 
@@ -385,18 +331,18 @@ def _scale_of(values: Any, scale: str | None) -> str:
 @lru_cache(maxsize=32)
 def _pieces(table: AxialDirectivity, frequencies: bytes) -> NDArray[Any]:
     """Return cubics between the table's angles (4, a - 1, u) at frequencies (u,) given as bytes."""
-    from scipy.interpolate import CubicSpline, PchipInterpolator
-
     at = np.frombuffer(frequencies)
     knots = np.radians(table.angles_degrees)
     if table.scale == "db":
-        rows = joined_over_frequency(table.frequencies, table.values, at, monotone=True)
+        rows = tables.joined_over_frequency(table.frequencies, table.values, at, monotone=True)
         # A mirrored angle on either side makes both ends level.
         angles = np.concatenate([[-knots[1]], knots, [2.0 * knots[-1] - knots[-2]]])
-        return np.asarray(PchipInterpolator(angles, np.concatenate([rows[1:2], rows, rows[-2:-1]])).c[:, 1:-1])
+        return np.asarray(
+            scipy.interpolate.PchipInterpolator(angles, np.concatenate([rows[1:2], rows, rows[-2:-1]])).c[:, 1:-1]
+        )
     turn = 2j * np.pi * (table.delay[0] + table.delay[1] * np.cos(knots))[:, None]
     rest = table.values * np.exp(turn * table.frequencies) if table.is_complex else table.values
-    rows = joined_over_frequency(table.frequencies, rest, at)
+    rows = tables.joined_over_frequency(table.frequencies, rest, at)
     # What the delay adds to the slope at the last angle is taken from the rest, so that the whole is level there.
     slope = -2j * np.pi * at * table.delay[1] * math.sin(knots[-1]) * rows[-1] if table.is_complex else 0.0 * rows[-1]
-    return np.asarray(CubicSpline(knots, rows, bc_type=((1, 0.0 * rows[0]), (1, slope))).c)
+    return np.asarray(scipy.interpolate.CubicSpline(knots, rows, bc_type=((1, 0.0 * rows[0]), (1, slope))).c)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_choice, as_floats
@@ -71,9 +72,8 @@ def check_level(values: NDArray[Any], unit: str) -> None:
 def over_axis(values: NDArray[Any], axis: NDArray[Any], frequencies: Floats) -> NDArray[Any]:
     """Return values (n, f) divided by those on the axis (f,)."""
     for i in np.flatnonzero(np.abs(axis) <= _SILENT * np.abs(values).max(axis=0))[:1]:
-        raise InputError(
-            "relative_to_axis", f"must be false where the axis is silent, but it is at {frequencies[i]:g} Hz"
-        )
+        problem = f"must be false where the axis is silent, but it is at {frequencies[i]:g} Hz"
+        raise InputError("relative_to_axis", problem)
     return np.asarray(values / axis)
 
 
@@ -87,24 +87,21 @@ def check_coverage(f: Floats, band: tuple[float, float]) -> None:
     low, high = band[0] * (1.0 - _SAME_FREQUENCY), band[1] * (1.0 + _SAME_FREQUENCY)
     beyond = f[(f < low) | (f > high)]
     if beyond.size:
-        raise InputError(
-            "directivity",
-            f"must cover {beyond.ravel()[0]:.6g} Hz, but covers {band[0]:.6g} to {band[1]:.6g} Hz; "
-            'measure more of it or give outside="hold"',
-        )
+        problem = f"must cover {beyond.ravel()[0]:.6g} Hz, but covers {band[0]:.6g} to {band[1]:.6g} Hz; "
+        raise InputError("directivity", f'{problem}measure more of it or give outside="hold"')
 
 
 def joined_over_frequency(frequencies: Floats, values: NDArray[Any], at: Floats, *, monotone: bool = False) -> Any:
     """Return values (n, f) at other frequencies (u,), those beyond the ends as at the ends, (n, u)."""
     # Sound has no phase at 0 Hz: below half of the lowest frequency, imaginary parts fall to nothing as a raised
     # cosine.
-    from scipy.interpolate import CubicSpline, PchipInterpolator
-
     within = np.clip(at, frequencies[0], frequencies[-1])
     if len(frequencies) == 1:
         joined: Any = np.repeat(values, len(at), axis=1)
     else:
-        joined = (PchipInterpolator if monotone else CubicSpline)(frequencies, values, axis=1)(within)
+        joined = (scipy.interpolate.PchipInterpolator if monotone else scipy.interpolate.CubicSpline)(
+            frequencies, values, axis=1
+        )(within)
     if np.iscomplexobj(joined) and frequencies[0] > 0.0:
         joined.imag *= np.sin(0.5 * math.pi * np.minimum(at / (0.5 * frequencies[0]), 1.0)) ** 2
     return joined
@@ -187,11 +184,6 @@ class Directivity(ABC):
             and have no phase.
         outside : {None, "hold"}
             Rule for other frequencies than those of a table (T4010A1): refused (None), or the same gain.
-
-        Raises
-        ------
-        InputError
-            If the name is unknown.
 
         Examples
         --------
@@ -291,11 +283,6 @@ class AxisymmetricDirectivity(Directivity):
             Frequency, Hz; broadcasts against `cosine`.
         speed_of_sound : float
             Speed of sound, m/s.
-
-        Raises
-        ------
-        InputError
-            If a frequency lies outside `band`.
         """
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.sphere import sphere_surface_field
@@ -19,7 +20,7 @@ from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.convolution import advanced, arrival_times
 from clsim.numerics.sphere import RadialOnSphere, fibonacci_sphere, largest_hole, merged, real_harmonics
 from clsim.scene.directivity.directivity import ChannelDirectivity, check_coverage, unit_directions
-from clsim.scene.directivity.text_files import read_hrtf
+from clsim.scene.directivity.text_files import HEAD_CONVENTIONS, opened_sofa, read_responses, read_sofa
 
 EARS = ("left", "right")
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
@@ -34,8 +35,20 @@ _COARSE, _STIFF = 4, 1e-3  # order of the harmonics that fill gaps, and their st
 _NEAR = 0.1  # least cosine between a direction and an ear's axis at which its time of arrival is taken as it is
 
 
+class _Ears(ChannelDirectivity):
+    """Base class of directivities of two ears."""
+
+    __slots__ = ()
+    is_complex: ClassVar[bool] = True
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, ``"left"`` and ``"right"``."""
+        return EARS
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class HeadRelated(ChannelDirectivity):
+class HeadRelated(_Ears):
     """Head-related impulse responses of two ears, interpolated over the sphere with their times of arrival apart.
 
     Parameters
@@ -72,8 +85,6 @@ class HeadRelated(ChannelDirectivity):
     parts: tuple[Floats, Floats] = field(init=False, repr=False)  # (n + k, R) weights, (R, 2, N) components
     times: Floats = field(init=False, repr=False)  # (2, 2) of each ear: lateness at the middle, and of a radius, s
 
-    is_complex: ClassVar[bool] = True
-
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
@@ -100,11 +111,6 @@ class HeadRelated(ChannelDirectivity):
         kept = {"directions": directions, "responses": responses, "beside": beside, "times": times}
         settle(self, sampling_rate=rate, **{name: read_only(array) for name, array in kept.items()})
         settle(self, parts=(read_only(weights), read_only(components.reshape(len(components), 2, -1))))
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels, ``"left"`` and ``"right"``."""
-        return EARS
 
     @property
     def band(self) -> tuple[float, float]:
@@ -152,20 +158,15 @@ class HeadRelated(ChannelDirectivity):
             With the ending ``.sofa``, of the convention SimpleFreeFieldHRIR, FreeFieldHRIR or FreeFieldHRTF.
         **options : Any
             `outside` and `name` of the constructor.
-
-        Raises
-        ------
-        InputError
-            If the package is missing, the file cannot be read or is of another kind, or a value breaks a rule.
         """
         try:
-            return cls(*read_hrtf(Path(path)), **options)
+            return cls(*read_sofa(opened_sofa(Path(path)), HEAD_CONVENTIONS, read_responses), **options)
         except InputError as error:
             raise InputError("path", f"{error.problem} ({error.field}): {path}") from error
 
 
 @dataclass(frozen=True, slots=True)
-class SphericalHead(ChannelDirectivity):
+class SphericalHead(_Ears):
     """Two ears on a rigid sphere: sources are far away.
 
     Parameters
@@ -187,7 +188,6 @@ class SphericalHead(ChannelDirectivity):
     [5.9, -15.7]
     """
 
-    is_complex: ClassVar[bool] = True
     band: ClassVar[tuple[float, float]] = (0.0, math.inf)
     radius: float = 0.0875
     ear_azimuth: float = 100.0
@@ -195,11 +195,6 @@ class SphericalHead(ChannelDirectivity):
     def __post_init__(self) -> None:
         settle(self, radius=as_number("radius", self.radius, at_least=1e-4, at_most=1.0, unit="m"))
         settle(self, ear_azimuth=as_number("ear_azimuth", self.ear_azimuth, at_least=0.0, at_most=180.0))
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels, ``"left"`` and ``"right"``."""
-        return EARS
 
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain of each ear; see `Directivity.gain_towards`."""
@@ -238,8 +233,6 @@ class SphericalHead(ChannelDirectivity):
 @lru_cache(maxsize=32)
 def _aligned_terms(radius: float, frequencies: bytes, speed_of_sound: float) -> Complexes:
     """Chebyshev coefficients (N, F) over the cosine of incidence of a sphere's gains, their lateness taken out."""
-    from scipy.fft import dct
-
     f = np.frombuffer(frequencies)
     ka = 2.0 * np.pi * f * radius / speed_of_sound
     # The field and the phase of the lateness turn by up to 2.6 ka over the cosine.
@@ -247,7 +240,7 @@ def _aligned_terms(radius: float, frequencies: bytes, speed_of_sound: float) -> 
     cosine = np.cos(math.pi * (np.arange(count) + 0.5) / count)
     late = radius / speed_of_sound * np.polynomial.polynomial.polyval(cosine, _WOODWORTH)
     values = sphere_surface_field(ka, cosine) * np.exp(2j * np.pi * late[:, None] * f)
-    terms: Any = dct(values, type=2, axis=0) / count
+    terms: Any = scipy.fft.dct(values, type=2, axis=0) / count
     terms[0] *= 0.5
     loud = np.abs(terms).max(axis=1)
     return np.ascontiguousarray(terms[: int(np.flatnonzero(loud > _KEPT * loud.max())[-1]) + 1])
@@ -281,9 +274,7 @@ def _weights(head: HeadRelated) -> Any:
 
 def _gaps(directions: Floats) -> Floats:
     """Return directions (k, 3) in gaps among others (n, 3), where these are farther than they are from each other."""
-    from scipy.spatial import KDTree
-
-    tree, even = KDTree(directions), fibonacci_sphere(_IN_GAPS)
+    tree, even = scipy.spatial.KDTree(directions), fibonacci_sphere(_IN_GAPS)
     apart = float(np.median(np.asarray(tree.query(directions, k=2)[0])[:, 1]))
     return even[tree.query(even)[0] > max(_GAP * apart, _LEAST_GAP)]
 

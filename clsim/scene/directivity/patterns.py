@@ -151,11 +151,8 @@ class Piston(AxisymmetricDirectivity):
     def __post_init__(self) -> None:
         radius = as_number("radius", self.radius, at_least=1e-6, unit="m")
         if radius > _LARGEST_RADIUS:
-            raise InputError(
-                "radius",
-                f"must be at most {_LARGEST_RADIUS:g} m, but is {radius:g} m; lengths are in metres: "
-                f"{radius:g} mm are {1e-3 * radius:g} m",
-            )
+            problem = f"must be at most {_LARGEST_RADIUS:g} m, but is {radius:g} m; lengths are in metres: "
+            raise InputError("radius", f"{problem}{radius:g} mm are {1e-3 * radius:g} m")
         settle(self, radius=radius)
 
     def gain(self, cosine: Floats, frequency: ArrayLike, speed_of_sound: float) -> Floats:

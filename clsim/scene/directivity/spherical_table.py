@@ -9,25 +9,16 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_count, read_only, short_repr
 from clsim.errors import InputError, settle
 from clsim.numerics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere
-from clsim.scene.directivity.directivity import (
-    Directivity,
-    as_frequencies,
-    as_gains,
-    check_coverage,
-    check_level,
-    check_options,
-    joined_over_frequency,
-    over_axis,
-    table_band,
-    unit_directions,
-)
-from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, sampling_rate_of
+from clsim.scene.directivity import directivity as tables
+from clsim.scene.directivity.directivity import Directivity
+from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, read_sofa, sampling_rate_of
 
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
 _MOST_SCATTERED = 4000  # directions off a grid, whose equations take 0.2 GB and two seconds
@@ -86,19 +77,17 @@ class SphericalDirectivity(Directivity):
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        check_options(self.outside, self.relative_to_axis, self.name)
-        frequencies = as_frequencies(self.frequencies)
-        directions = unit_directions(self.directions)
-        values = as_gains(self.values, (len(directions), len(frequencies)), "directions by frequencies")
-        check_level(values, "")
+        tables.check_options(self.outside, self.relative_to_axis, self.name)
+        frequencies = tables.as_frequencies(self.frequencies)
+        directions = tables.unit_directions(self.directions)
+        values = tables.as_gains(self.values, (len(directions), len(frequencies)), "directions by frequencies")
+        tables.check_level(values, "")
         directions, values = merged(directions, values)
         hole = largest_hole(directions)
         if hole > _LARGEST_HOLE:
-            raise InputError(
-                "directions",
-                f"must surround the transducer with no gap wider than {_LARGEST_HOLE:g}° from its middle, but "
-                f"{'all lie on one side' if hole >= 90.0 else f'there is one of {hole:.0f}°'}",
-            )
+            problem = f"must surround the transducer with no gap wider than {_LARGEST_HOLE:g}° from its middle, but "
+            problem += f"{'all lie on one side' if hole >= 90.0 else f'there is one of {hole:.0f}°'}"
+            raise InputError("directions", problem)
         if len(directions) > _MOST_SCATTERED and GridOnSphere.of(directions) is None:
             raise InputError(
                 "directions",
@@ -107,7 +96,7 @@ class SphericalDirectivity(Directivity):
         if self.relative_to_axis:
             whole = SphericalDirectivity(directions, frequencies, values)
             axis = whole.gain_towards(_AXIS, frequencies, 1.0)  # a table does not ask for the speed of sound
-            values = over_axis(values, axis, frequencies)
+            values = tables.over_axis(values, axis, frequencies)
         delay = np.zeros(4)
         if np.iscomplexobj(values):
             delay = fit_delay(directions, frequencies, values, neighbours_on_sphere(directions))
@@ -122,12 +111,12 @@ class SphericalDirectivity(Directivity):
     @property
     def band(self) -> tuple[float, float]:
         """Frequencies (low, high) in Hz that the table covers."""
-        return table_band(self.frequencies, self.outside)
+        return tables.table_band(self.frequencies, self.outside)
 
     def gain_towards(self, direction: ArrayLike, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain; see `Directivity.gain_towards`."""
         f = np.asarray(frequency, dtype=np.float64)
-        check_coverage(f, self.band)
+        tables.check_coverage(f, self.band)
         towards = np.asarray(direction, dtype=np.float64)
         shape = towards.shape[:-1]
         unique, column = np.unique(f, return_inverse=True)
@@ -152,17 +141,17 @@ class SphericalDirectivity(Directivity):
         **options : Any
             `outside`, `relative_to_axis` and `name` of the constructor.
 
-        Raises
-        ------
-        InputError
-            If the package is missing, the file cannot be read or is of another kind, or a value breaks a rule.
-
         Notes
         -----
         SourceView becomes our axis +x and SourceUp our +z. Impulse responses are padded to four times their length and
         transformed.
         """
-        return cls(*_read_sofa_table(path, measurement), **options)
+        sofa = opened_sofa(Path(path))
+        try:
+            read = read_sofa(sofa, _CONVENTIONS, lambda sofa, _: _read(sofa, measurement))
+        except InputError as error:
+            raise InputError(error.field, f"{error.problem}: {path}") from error
+        return cls(*read, **options)
 
 
 @lru_cache(maxsize=32)
@@ -170,7 +159,7 @@ def _joined(table: SphericalDirectivity, frequencies: bytes) -> _Joined:
     """Return the function of direction at frequencies (u,) given as bytes; its results are (n, u)."""
     turn = 2j * np.pi * (table.delay[0] + table.directions @ table.delay[1:])[:, None]
     rest = table.values * np.exp(turn * table.frequencies)
-    rows = joined_over_frequency(table.frequencies, rest, np.frombuffer(frequencies))
+    rows = tables.joined_over_frequency(table.frequencies, rest, np.frombuffer(frequencies))
     grid = GridOnSphere.of(table.directions)
     return grid.through(rows) if grid is not None else ScatterOnSphere.through(table.directions, rows)
 
@@ -182,21 +171,8 @@ _ROUND = 0.02  # by which distances to the receivers may differ
 _PADDING = 4  # lengths of an impulse response over which it is transformed
 
 
-def _read_sofa_table(path: str | PathLike[str], measurement: int) -> tuple[Floats, Floats, NDArray[np.complex128]]:
-    """Return directions (n, 3) in the source's frame, frequencies (f,) in Hz and responses (n, f)."""
-    sofa = opened_sofa(Path(path))
-    try:
-        return _read(sofa, measurement)
-    except InputError as error:
-        raise InputError(error.field, f"{error.problem}: {path}") from error
-    except (AttributeError, ValueError, TypeError, IndexError) as error:
-        raise InputError("path", f"must be a whole SOFA file, but {error}: {path}") from error
-
-
 def _read(sofa: Any, measurement: int) -> tuple[Floats, Floats, NDArray[np.complex128]]:
-    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
-    if convention not in _CONVENTIONS:
-        raise InputError("path", f"must be of the convention {', '.join(_CONVENTIONS)}, but is of {convention!r:.80}")
+    """Return directions (n, 3) in the source's frame, frequencies (f,) in Hz and responses (n, f)."""
     if sofa.GLOBAL_DataType not in ("TF", "FIR"):
         raise InputError("path", f"must hold TF or FIR data, but holds {sofa.GLOBAL_DataType!r:.80}")
     if sofa.GLOBAL_DataType == "TF":
@@ -206,11 +182,8 @@ def _read(sofa: Any, measurement: int) -> tuple[Floats, Floats, NDArray[np.compl
         frequencies, values = _transformed(sofa, measurement)
     directions = _directions(sofa, measurement)
     if values.shape != (len(directions), len(frequencies)):
-        raise InputError(
-            "path",
-            f"must hold values for {len(directions)} receivers and {len(frequencies)} frequencies, but holds "
-            f"{values.shape[0]} x {values.shape[1]}",
-        )
+        problem = f"must hold values for {len(directions)} receivers and {len(frequencies)} frequencies, but holds "
+        raise InputError("path", f"{problem}{values.shape[0]} x {values.shape[1]}")
     return directions, frequencies, values
 
 
@@ -224,16 +197,14 @@ def _of(data: Any, measurement: int) -> Floats:
 
 def _transformed(sofa: Any, measurement: int) -> tuple[Floats, NDArray[np.complex128]]:
     """Return frequencies and the spectrum of impulse responses, delays included."""
-    from scipy.fft import next_fast_len, rfft, rfftfreq
-
     samples = _of(sofa.Data_IR, measurement)
     rate = sampling_rate_of(sofa)
-    size = next_fast_len(_PADDING * samples.shape[1], real=True)
-    frequencies = np.asarray(rfftfreq(size, 1.0 / rate), dtype=np.float64)
+    size = scipy.fft.next_fast_len(_PADDING * samples.shape[1], real=True)
+    frequencies = np.asarray(scipy.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
     delay = np.atleast_2d(np.asarray(sofa.Data_Delay, dtype=np.float64))
     delay = delay[measurement if len(delay) > 1 else 0] / rate
     turn = -2j * np.pi * frequencies * np.broadcast_to(delay, samples.shape[:1])[:, None]
-    return frequencies, np.asarray(rfft(samples, size, axis=1) * np.exp(turn), dtype=np.complex128)
+    return frequencies, np.asarray(scipy.fft.rfft(samples, size, axis=1) * np.exp(turn), dtype=np.complex128)
 
 
 def _directions(sofa: Any, measurement: int) -> Floats:

@@ -7,12 +7,12 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from clsim.errors import InputError, check_packages, not_one_of
 from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, check_file, open_file, read_file
 from clsim.scene.directivity.mat_process import VERSION_73
 
+T = TypeVar("T")
 _ANGLE_UNITS = ("degree", "radian")
 _DECIMALS = 4  # of degrees that were radians: rounding of single precision is less
 _PATIENCE = 60.0  # s, for a MATLAB file to be read
@@ -41,9 +42,8 @@ def read_csv_table(field: str, path: str | PathLike[str]) -> tuple[Floats, Float
     lines = [(n, line.strip()) for n, line in enumerate(text.splitlines(), start=1)]
     lines = [(n, line) for n, line in lines if line and not line.startswith("#")]
     if len(lines) < 2:
-        raise InputError(
-            field, f"must hold a row of frequencies and rows of values, but holds {len(lines)} rows: {path}"
-        )
+        problem = f"must hold a row of frequencies and rows of values, but holds {len(lines)} rows: {path}"
+        raise InputError(field, problem)
     separator = next((s for s in _SEPARATORS if s in lines[0][1]), ",")
     rows: list[list[float]] = []
     for n, line in lines:
@@ -156,28 +156,27 @@ def _picked(
     return angles, frequencies, values
 
 
-_HEAD_CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "SimpleFreeFieldHRTF", "FreeFieldHRTF")
+HEAD_CONVENTIONS = ("SimpleFreeFieldHRIR", "FreeFieldHRIR", "SimpleFreeFieldHRTF", "FreeFieldHRTF")
 _EVEN = 1e-6  # by which steps between frequencies may differ
 _MOST_DELAY = 1.0  # s
 
 
-def read_hrtf(path: Path) -> tuple[Floats, Floats, float]:
-    """Return directions (n, 3) in the head's frame, responses (n, 2, m) of both ears and their rate, Hz."""
-    sofa = opened_sofa(path)
+def read_sofa(sofa: SofaFields, conventions: tuple[str, ...], read: Callable[[Any, str], T]) -> T:
+    """Read the fields of a SOFA file of one of some conventions by a function."""
     try:
-        return _read_responses(sofa)
+        convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
+        if convention not in conventions:
+            wanted = ", ".join(conventions)
+            raise InputError("path", f"must be of the convention {wanted}, but is of {convention!r:.80}")
+        return read(sofa, convention)
+    except InputError:
+        raise
     except (AttributeError, ValueError, TypeError, IndexError, KeyError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError("path", f"must be a whole SOFA file, but {error}") from error
 
 
-def _read_responses(sofa: Any) -> tuple[Floats, Floats, float]:
-    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", "none"))
-    if convention not in _HEAD_CONVENTIONS:
-        raise InputError(
-            "path", f"must be of the convention {', '.join(_HEAD_CONVENTIONS)}, but is of {convention!r:.80}"
-        )
+def read_responses(sofa: Any, convention: str) -> tuple[Floats, Floats, float]:
+    """Return directions (n, 3) in the head's frame, responses (n, 2, m) of both ears and their rate, Hz."""
     responses, rate = _impulses(sofa) if "IR" in convention else _transformed(sofa)  # (M, 2, n, E)
     measurements, emitters = responses.shape[0], responses.shape[3]
     # A single emitter is what its source is, whatever type the convention gives by default.
@@ -283,9 +282,8 @@ def _read_fields(path: Path, file: Any) -> SofaFields:
     """Read attributes and variables within a bound; NaN for what is no real number, where netCDF can crash."""
     size = 8 * sum(math.prod(map(float, variable.shape)) for variable in file.variables.values())
     if size > _MOST_UNPACKED:
-        raise InputError(
-            "path", f"must unpack to at most {_MOST_UNPACKED / 2**20:g} MiB, but to {size / 2**20:.4g} MiB: {path}"
-        )
+        problem = f"must unpack to at most {_MOST_UNPACKED / 2**20:g} MiB, but to {size / 2**20:.4g} MiB: {path}"
+        raise InputError("path", problem)
     fields = SofaFields(**{f"GLOBAL_{name}": file.getncattr(name) for name in file.ncattrs()})
     for name, variable in file.variables.items():
         field = name.replace(".", "_")
@@ -330,9 +328,8 @@ def cartesian(sofa: SofaFields, name: str, measurement: int) -> Floats:
     if 0 not in given.shape and name not in ("ReceiverPosition", "EmitterPosition"):
         given = given[[measurement if len(given) > 1 else 0]]
     if given.shape[1:] != (3,) or 0 in given.shape or not np.isfinite(given).all():
-        raise InputError(
-            "path", f"must have three finite numbers in each row of {name}, but has {given.tolist()!s:.80}"
-        )
+        problem = f"must have three finite numbers in each row of {name}, but has {given.tolist()!s:.80}"
+        raise InputError("path", problem)
     # An Up vector is of its View's type.
     kind = getattr(sofa, f"{name}_Type", getattr(sofa, f"{name.removesuffix('Up')}View_Type", "cartesian"))
     if kind == "cartesian":

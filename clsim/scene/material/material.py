@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -12,99 +13,66 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsim.acoustics.reflection import (
-    backed_layer_reflection,
-    boundary_layer_admittance,
-    mismatch_reflection,
-    porous_medium,
-    reflection_from_impedance,
-)
+from clsim.acoustics import reflection as formulae
 from clsim.arrays import LOUDEST, Floats, as_choice, as_count, as_floats, as_number
 from clsim.errors import InputError, check_kind
 from clsim.files.sound import as_scale, read_sound_file
-from clsim.scene.material.reflecting_surface import ReflectingSurface
-from clsim.scene.material.tabulated import (
-    ROUNDING,
-    AbsorptionTable,
-    ConstantFactor,
-    FactorTable,
-    ImpedanceTable,
-    MeasuredEcho,
-    as_column,
-    as_complexes,
-    as_factor,
-    check_clear_phase,
-    check_passive_echo,
-    checked_frequencies,
-    warn_of_noise,
-)
+from clsim.scene.material import reflecting_surface as surfaces
 
 MIKI_RANGE = (0.01, 1.0)  # m³/kg, of frequency over flow resistivity
 _CONSTRUCTORS = {"reflection": "factor", "absorption": "coefficients", "solid": None, "porous": None}
 _RIGID = 1e12  # impedance over that of air beyond which nothing changes any more
 _DENSEST, _STIFFEST = 1e7, 1e7  # kg/m³ and m/s, beyond all solids
 _HARD = 1e5  # Pa s/m, impedance from which a solid reflects 99 % at least
+_FEW = 512  # samples of an impulse response that are summed at once
 
 
-@dataclass(frozen=True, slots=True)
-class SolidWall:
-    """A thick smooth solid: density in kg/m³, sound speed in m/s, and whether the air's boundary layer takes its part.
-
-    The mismatch of impedances at normal incidence is taken at all angles. Beyond some 10 degrees nothing at all can
-    be transmitted into a hard solid, so this takes away too much there: less than 2e-4 of the pressure for concrete.
-    """
-
-    density: float
-    sound_speed: float
-    boundary_layer: bool
-
-    band = (0.0, math.inf)
-    beyond = ""
-
-    @property
-    def is_complex(self) -> bool:
-        return self.boundary_layer
-
-    @property
-    def depends_on_angle(self) -> bool:
-        return self.boundary_layer
-
-    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        mismatch = mismatch_reflection(self.density, self.sound_speed, speed_of_sound)
-        if not self.boundary_layer:
-            return np.full(frequency.shape, mismatch)
-        beta = boundary_layer_admittance(frequency, cosine, speed_of_sound)
-        return mismatch * reflection_from_impedance(1.0 / beta, cosine)
-
-    def describe(self) -> str:
-        return f"solid of {self.density:g} kg/m³ and {self.sound_speed:g} m/s"
+def _constant(value: complex, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return np.full(frequency.shape, value)
 
 
-@dataclass(frozen=True, slots=True)
-class PorousLayer:
-    """A fibrous absorber on a rigid wall, by Miki: flow resistivity in Pa s/m², thickness in m."""
+def _given(factors: surfaces.Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return factors(frequency)
 
-    flow_resistivity: float
-    thickness: float
-    outside: str | None
 
-    beyond = ""
-    is_complex = True
-    depends_on_angle = True
+def _absorbing(coefficients: surfaces.Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return formulae.reflection_from_absorption(coefficients.share(frequency))
 
-    @property
-    def band(self) -> tuple[float, float]:
-        """Where the formula was fitted, or everywhere by name."""
-        if self.outside == "extend":
-            return 0.0, math.inf
-        return MIKI_RANGE[0] * self.flow_resistivity, MIKI_RANGE[1] * self.flow_resistivity
 
-    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        phase = 2.0 * math.pi * frequency / speed_of_sound * self.thickness
-        return backed_layer_reflection(*porous_medium(frequency, self.flow_resistivity), phase, cosine)
+def _reacting(impedances: surfaces.Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    return formulae.reflection_from_impedance(impedances(frequency), cosine)
 
-    def describe(self) -> str:
-        return f"porous layer of {1e3 * self.thickness:g} mm and {self.flow_resistivity:g} Pa s/m²"
+
+def _solid(of: tuple[float, float], layer: bool, frequency: Floats, cosine: Floats, speed_of_sound: float) -> Any:
+    """Return the factor of a thick smooth solid of a density, kg/m³, and a sound speed, m/s."""
+    # The mismatch of impedances at normal incidence is taken at all angles. Beyond some 10 degrees nothing at all can
+    # be transmitted into a hard solid, so this takes away too much there: less than 2e-4 of the pressure for concrete.
+    mismatch = formulae.mismatch_reflection(*of, speed_of_sound)
+    if not layer:
+        return np.full(frequency.shape, mismatch)
+    beta = formulae.boundary_layer_admittance(frequency, cosine, speed_of_sound)
+    return mismatch * formulae.reflection_from_impedance(1.0 / beta, cosine)
+
+
+def _porous(resistivity: float, thickness: float, frequency: Floats, cosine: Floats, speed_of_sound: float) -> Any:
+    """Return the factor of a fibrous absorber on a rigid wall, by Miki."""
+    phase = 2.0 * math.pi * frequency / speed_of_sound * thickness
+    return formulae.backed_layer_reflection(*formulae.porous_medium(frequency, resistivity), phase, cosine)
+
+
+def _echoed(
+    samples: Floats, rate: float, reference: float, band: tuple[float, float], frequency: Floats, *_: Any
+) -> NDArray[Any]:
+    """Return the spectrum ``sum h[n] exp(-2j π f (n - reference) / rate)``, at frequencies held within a band, Hz."""
+    f, back = np.unique(np.clip(frequency, *band), return_inverse=True)
+    turn = -2j * np.pi * f / rate  # per sample
+    # A long sum as a short sum of short ones: few exponentials, and a product of matrices.
+    rows = np.pad(samples, (0, -len(samples) % _FEW)).reshape(-1, _FEW)
+    spectrum = np.zeros(len(f), dtype=np.complex128)
+    for part in np.array_split(np.arange(len(f)), max(1, len(f) // 512)):
+        short = np.exp(turn[part, None] * np.arange(_FEW)) @ rows.T
+        spectrum[part] = (short * np.exp(turn[part, None] * _FEW * np.arange(len(rows)))).sum(axis=1)
+    return np.asarray((spectrum * np.exp(-turn * reference))[back].reshape(frequency.shape))
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +119,7 @@ MATERIAL_NAMES = tuple(LIBRARY)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Material(ReflectingSurface):
+class Material(surfaces.ReflectingSurface):
     """Acoustic properties of a wall: reflection, scattering and transmission by frequency and angle of incidence.
 
     Made by one of the constructors below, which all take `name` and `scattering`; `reflection_at` gives the factor.
@@ -166,7 +134,7 @@ class Material(ReflectingSurface):
         Root mean square of the wall's heights, m: see `rough`.
     scattering : float or (frequencies, values), optional
         Share of the energy sent back that leaves the mirror's direction, 0 to 1, by frequency in Hz.
-    transmission : TransmissionModel, optional
+    transmission : SurfaceModel, optional
         Model of the transmission factor of the pressure: see `transmitting`.
 
     Examples
@@ -184,7 +152,9 @@ class Material(ReflectingSurface):
         factor : float or complex
             From -1 (pressure release) to 1 (rigid), or complex with a magnitude of 1 at most.
         """
-        return cls(ConstantFactor(as_factor("factor", factor)), name, scattering=scattering)
+        value = surfaces.as_factor("factor", factor)
+        model = surfaces.SurfaceModel(partial(_constant, value), f"reflection {value:g}", isinstance(value, complex))
+        return cls(model, name, scattering=scattering)
 
     @classmethod
     def from_absorption(
@@ -205,20 +175,17 @@ class Material(ReflectingSurface):
         >>> Material.from_absorption([1e3, 4e3], [0.0, 0.72]).reflection_at([1e3, 2e3]).round(6).tolist()
         [1.0, 0.8]
         """
-        f = checked_frequencies(frequencies)
-        alpha = as_column("coefficients", coefficients, f, 1.0)
-        return cls(AbsorptionTable(f, alpha), name, scattering=scattering)
+        f = surfaces.checked_frequencies(frequencies)
+        alpha = surfaces.Curve(f, surfaces.as_column("coefficients", coefficients, f, 1.0))
+        beyond = "outside, the absorption at the nearest end is taken"
+        model = surfaces.of_table(f, partial(_absorbing, alpha), "absorption table", beyond=beyond)
+        return cls(model, name, scattering=scattering)
 
     @classmethod
     def from_table(
-        cls,
-        frequencies: ArrayLike,
-        factors: ArrayLike,
-        outside: str | None = None,
-        name: str = "",
-        *,
+        cls, frequencies: ArrayLike, factors: ArrayLike, outside: str | None = None, name: str = "", *,
         scattering: Any = None,
-    ) -> Material:
+    ) -> Material:  # fmt: skip
         """Return a material of reflection factors by frequency, at all angles.
 
         Parameters
@@ -247,23 +214,21 @@ class Material(ReflectingSurface):
         >>> np.angle(delay.reflection_at(35e3)).round(6).item()
         -0.1
         """
-        f = checked_frequencies(frequencies)
-        given = as_complexes("factors", factors, len(f))
-        for i in np.flatnonzero(np.abs(given) > 1.0 + ROUNDING)[:1]:
+        f = surfaces.checked_frequencies(frequencies)
+        given = surfaces.as_complexes("factors", factors, len(f))
+        for i in np.flatnonzero(np.abs(given) > 1.0 + surfaces.ROUNDING)[:1]:
             raise InputError(f"factors[{i}]", f"must have a magnitude of at most 1, but is {given[i]:g}")
-        check_clear_phase(f, given)
-        return cls(FactorTable(f, given, _outside(outside, "hold")), name, scattering=scattering)
+        surfaces.check_clear_phase(f, given)
+        turns = given.dtype.kind == "c"
+        law, what = partial(_given, surfaces.Curve(f, given, True)), "complex table" if turns else "table of factors"
+        model = surfaces.of_table(f, law, what, held=_goes_on(outside, "hold"), is_complex=turns)
+        return cls(model, name, scattering=scattering)
 
     @classmethod
     def from_impedance(
-        cls,
-        frequencies: ArrayLike,
-        impedances: ArrayLike,
-        outside: str | None = None,
-        name: str = "",
-        *,
+        cls, frequencies: ArrayLike, impedances: ArrayLike, outside: str | None = None, name: str = "", *,
         scattering: Any = None,
-    ) -> Material:
+    ) -> Material:  # fmt: skip
         """Return a locally reacting wall: sound moves it here and there, but not along it.
 
         Parameters
@@ -287,28 +252,22 @@ class Material(ReflectingSurface):
         >>> panel.reflection_at(40e3, [1.0, 0.5]).round(3).tolist()
         [(0.529-0.118j), (0.231-0.154j)]
         """
-        f = checked_frequencies(frequencies)
-        given = as_complexes("impedances", impedances, len(f)).astype(np.complex128)
+        f = surfaces.checked_frequencies(frequencies)
+        given = surfaces.as_complexes("impedances", impedances, len(f)).astype(np.complex128)
         given.flags.writeable = False
         for i in np.flatnonzero(given.real < 0.0)[:1]:
             raise InputError(f"impedances[{i}]", f"must have a real part of at least 0 (passive), but is {given[i]:g}")
         for i in np.flatnonzero(np.abs(given) > _RIGID)[:1]:
             raise InputError(f"impedances[{i}]", f"must have a magnitude of at most {_RIGID:g}, but is {given[i]:g}")
-        return cls(ImpedanceTable(f, given, _outside(outside, "hold")), name, scattering=scattering)
+        law, kind = partial(_reacting, surfaces.Curve(f, given)), {"is_complex": True, "depends_on_angle": True}
+        model = surfaces.of_table(f, law, "locally reacting impedance", held=_goes_on(outside, "hold"), **kind)
+        return cls(model, name, scattering=scattering)
 
     @classmethod
     def from_impulse_response(
-        cls,
-        samples: ArrayLike,
-        sampling_rate: float,
-        reference: float = 0.0,
-        band: tuple[float, float] | None = None,
-        outside: str | None = None,
-        tolerance: float = 0.05,
-        name: str = "",
-        *,
-        scattering: Any = None,
-    ) -> Material:
+        cls, samples: ArrayLike, sampling_rate: float, reference: float = 0.0, band: tuple[float, float] | None = None,
+        outside: str | None = None, tolerance: float = 0.05, name: str = "", *, scattering: Any = None,
+    ) -> Material:  # fmt: skip
         """Return the material whose reflection was measured as an impulse response; it holds at all angles.
 
         Parameters
@@ -349,29 +308,20 @@ class Material(ReflectingSurface):
         tolerance = as_number("tolerance", tolerance, at_least=0.0, at_most=1.0)
         low, high = (0.0, 0.5 * rate) if band is None else as_floats("band", band, (2,)).tolist()
         if not 0.0 <= low < high <= 0.5 * rate:
-            raise InputError(
-                "band", f"must rise from 0 Hz or more to {0.5 * rate:g} Hz or less, but is {low:g}, {high:g}"
-            )
-        check_passive_echo(taps, rate, (low, high), tolerance)
-        warn_of_noise(taps, name)
-        echo = MeasuredEcho(taps, rate, reference, (low, high), _outside(outside, "hold"))
-        return cls(echo, name, scattering=scattering)
+            problem = f"must rise from 0 Hz or more to {0.5 * rate:g} Hz or less, but is {low:g}, {high:g}"
+            raise InputError("band", problem)
+        surfaces.check_passive_echo(taps, rate, (low, high), tolerance)
+        surfaces.warn_of_noise(taps, name)
+        covered = surfaces.EVERYWHERE if _goes_on(outside, "hold") else (low, high)
+        law, what = partial(_echoed, taps, rate, reference, (low, high)), f"impulse response of {len(taps)} samples"
+        return cls(surfaces.SurfaceModel(law, what, True, band=covered), name, scattering=scattering)
 
     @classmethod
     def from_wav(
-        cls,
-        path: str | PathLike[str],
-        channel: int = 0,
-        scale: float = 1.0,
-        reference: float = 0.0,
-        band: tuple[float, float] | None = None,
-        outside: str | None = None,
-        tolerance: float = 0.05,
-        name: str = "",
-        *,
-        scattering: Any = None,
-        truncated: bool = False,
-    ) -> Material:
+        cls, path: str | PathLike[str], channel: int = 0, scale: float = 1.0, reference: float = 0.0,
+        band: tuple[float, float] | None = None, outside: str | None = None, tolerance: float = 0.05, name: str = "", *,
+        scattering: Any = None, truncated: bool = False,
+    ) -> Material:  # fmt: skip
         """Return the material whose impulse response is one channel of a sound file.
 
         Parameters
@@ -382,11 +332,6 @@ class Material(ReflectingSurface):
             Value of full scale: 1 where the file holds the factor's own impulse response.
         reference, band, outside, tolerance, name
             See `from_impulse_response`.
-
-        Raises
-        ------
-        InputError
-            If the file is missing or no sound file, has no such channel, or holds no passive response.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel, truncated)
@@ -423,24 +368,18 @@ class Material(ReflectingSurface):
         density = as_number("density", density, above=0.0, at_most=_DENSEST, unit="kg/m³")
         sound_speed = as_number("sound_speed", sound_speed, above=0.0, at_most=_STIFFEST, unit="m/s")
         if density * sound_speed < _HARD:
-            raise InputError(
-                "density",
-                f"must be that of a hard solid, density times sound_speed at least {_HARD:g} Pa s/m, but that is "
-                f"{density * sound_speed:g} Pa s/m; give its impedance",
-            )
+            problem = f"must be that of a hard solid, density times sound_speed at least {_HARD:g} Pa s/m, but that is "
+            raise InputError("density", f"{problem}{density * sound_speed:g} Pa s/m; give its impedance")
         check_kind("boundary_layer", boundary_layer, bool, "true or false")
-        return cls(SolidWall(density, sound_speed, boundary_layer), name, scattering=scattering)
+        law = partial(_solid, (density, sound_speed), boundary_layer)
+        what = f"solid of {density:g} kg/m³ and {sound_speed:g} m/s"
+        return cls(surfaces.SurfaceModel(law, what, boundary_layer, boundary_layer), name, scattering=scattering)
 
     @classmethod
     def from_porous(
-        cls,
-        flow_resistivity: float,
-        thickness: float,
-        outside: str | None = None,
-        name: str = "",
-        *,
+        cls, flow_resistivity: float, thickness: float, outside: str | None = None, name: str = "", *,
         scattering: Any = None,
-    ) -> Material:
+    ) -> Material:  # fmt: skip
         """Return a fibrous absorber on a rigid wall, by Miki's formula.
 
         Parameters
@@ -465,7 +404,11 @@ class Material(ReflectingSurface):
         """
         resistivity = as_number("flow_resistivity", flow_resistivity, at_least=100.0, at_most=1e7, unit="Pa s/m²")
         thickness = as_number("thickness", thickness, above=0.0, at_most=10.0, unit="m")
-        return cls(PorousLayer(resistivity, thickness, _outside(outside, "extend")), name, scattering=scattering)
+        fitted = MIKI_RANGE[0] * resistivity, MIKI_RANGE[1] * resistivity
+        covered = surfaces.EVERYWHERE if _goes_on(outside, "extend") else fitted
+        law = partial(_porous, resistivity, thickness)
+        what = f"porous layer of {1e3 * thickness:g} mm and {resistivity:g} Pa s/m²"
+        return cls(surfaces.SurfaceModel(law, what, True, True, covered), name, scattering=scattering)
 
     @classmethod
     def named(cls, name: str, *, scattering: Any = None) -> Material:
@@ -479,11 +422,6 @@ class Material(ReflectingSurface):
             ``"estimated-"`` are calculated for ultrasound from assumed properties: no measurements. ``clsim
             materials`` lists all with source and uncertainty.
 
-        Raises
-        ------
-        InputError
-            If there is no such name; the message lists them.
-
         Examples
         --------
         >>> float(Material.named("pressure-release").reflection_at(40e3))
@@ -493,10 +431,10 @@ class Material(ReflectingSurface):
         made: Material = getattr(cls, f"from_{entry.constructor}")(
             **entry.arguments, name=name, scattering=entry.scattering if scattering is None else scattering
         )
-        if isinstance(made.model, AbsorptionTable) and entry.beyond:
+        if made.model.beyond:
             made = replace(made, model=replace(made.model, beyond=entry.beyond))
         return made.rough(entry.roughness) if entry.roughness else made
 
 
-def _outside(value: str | None, extended: str) -> str | None:
-    return None if value is None else as_choice("outside", value, (extended,))
+def _goes_on(outside: str | None, extended: str) -> bool:
+    return outside is not None and bool(as_choice("outside", outside, (extended,)))

@@ -1,109 +1,246 @@
-"""Reflection and transmission factors of a wall by frequency and angle, and its scattering coefficient."""
+"""Reflection and transmission factors of a wall by frequency and angle, its scattering, and checks of tables."""
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Protocol, Self, runtime_checkable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from typing import Any, Self
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.reflection import coherent_share, limp_transmission
-from clsim.arrays import Floats, as_number
-from clsim.errors import InputError, check_kind, inside, settle, warn
-from clsim.scene.material.tabulated import as_column, checked_frequencies, curve_of, over_octaves
+from clsim.arrays import Floats, as_floats, as_number, read_only
+from clsim.errors import InputError, check_kind, check_rising, inside, settle, warn
 
+_LONGEST = 2**17  # samples of an impulse response
+ROUNDING = 1e-9  # by which a magnitude may exceed 1, frequencies be the same, and energies exceed their sum
+_UNCLEAR = 0.75 * math.pi  # rad, step of phase beyond which its direction is a guess
+_FAINT = 0.1  # of the largest magnitude, below which it does not matter
+_NOISE = 0.02  # error of a factor beyond which there is a warning of its noise
 _LIGHTEST, _HEAVIEST = 1e-3, 1e5  # kg/m²
 _MOST_LOSS = 300.0  # dB
 _FREQUENCIES = 1e-6, 1e9  # Hz, between which no formula overflows
-_ROUNDING = 1e-9  # by which a cosine may exceed 1, a frequency the ends of a table, and energies their sum
 _COSINES = np.array([1.0, 0.7, 0.4, 0.1])  # at which energies are checked where they depend on the angle
+EVERYWHERE = (0.0, math.inf)  # Hz
+
+Law = Callable[[Floats, Floats, float], NDArray[Any]]
 
 
-@dataclass(frozen=True, slots=True)
-class MassLaw:
-    """A limp panel of a surface mass in kg/m²: its inertia alone resists the sound."""
+def checked_frequencies(value: ArrayLike) -> Floats:
+    """Return frequencies (n,) that are positive and increase strictly, Hz, or raise an InputError."""
+    f = as_floats("frequencies", value, (None,))
+    for i in np.flatnonzero(f <= 0.0)[:1]:
+        raise InputError(f"frequencies[{i}]", f"must be above 0 Hz, but is {f[i]:g} Hz")
+    check_rising("frequencies", f, np.diff(f) > ROUNDING * f[:-1], " Hz")
+    return f
 
-    surface_mass: float
 
-    band = (0.0, math.inf)
-    beyond = ""
-    is_complex = True
-    depends_on_angle = True
+def as_column(field: str, value: ArrayLike, frequencies: Floats, most: float, unit: str = "") -> Floats:
+    """Return a table's values (n,) from 0 to the largest allowed, one for each frequency."""
+    found = as_floats(field, value, (len(frequencies),))
+    for i in np.flatnonzero((found < 0.0) | (found > most))[:1]:
+        raise InputError(f"{field}[{i}]", f"must be from 0 to {most:g}{unit}, but is {found[i]:g}{unit}")
+    return found
 
-    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        return limp_transmission(self.surface_mass, frequency, cosine, speed_of_sound)
 
-    def describe(self) -> str:
-        return f"limp panel of {self.surface_mass:g} kg/m²"
+def as_factor(field: str, value: Any) -> float | complex:
+    """Return a passive reflection factor: a float where it has no phase but the sign, else complex."""
+    if isinstance(value, complex | np.complexfloating):
+        factor = complex(value)
+        if not cmath.isfinite(factor) or abs(factor) > 1.0 + ROUNDING:
+            raise InputError(field, f"must have a magnitude of at most 1, but is {factor:g}")
+        return factor / max(abs(factor), 1.0) if factor.imag else max(-1.0, min(factor.real, 1.0))
+    number = as_number(field, value)
+    if not -1.0 <= number <= 1.0:
+        raise InputError(field, f"must be from -1 to 1, but is {number:g}")
+    return number
+
+
+def as_complexes(field: str, value: ArrayLike, count: int) -> NDArray[Any]:
+    """Return finite numbers (count,), read-only: float64, or complex128 where any has an imaginary part."""
+    try:
+        given = np.asarray(value)
+    except ValueError:  # lists of lists of other lengths
+        given = np.asarray(None)
+    if given.dtype.kind != "c":
+        return as_floats(field, value, (count,))
+    real, imaginary = as_floats(field, given.real, (count,)), as_floats(field, given.imag, (count,))
+    return read_only(real + 1j * imaginary) if np.any(imaginary) else real
+
+
+def check_clear_phase(frequencies: Floats, factors: NDArray[Any]) -> None:
+    """Warn if the phase change between two frequencies is ambiguous."""
+    if factors.dtype.kind != "c":
+        return
+    magnitude = np.abs(factors)
+    turn = np.abs(np.angle(factors[1:] * factors[:-1].conj()))
+    turn[np.minimum(magnitude[1:], magnitude[:-1]) < _FAINT * magnitude.max()] = 0.0  # through zero any turn is fair
+    for i in np.flatnonzero(turn > _UNCLEAR)[:1]:
+        f = frequencies
+        warn(
+            f"factors: the phase turns by {turn[i]:.2f} rad from {f[i]:g} to {f[i + 1]:g} Hz, one way or the other; "
+            "give frequencies closer together, or take away the delay"
+        )
+
+
+def check_passive_echo(samples: Floats, sampling_rate: float, band: tuple[float, float], tolerance: float) -> None:
+    """Raise an InputError if an impulse response is too long, or reflects too much energy within a band."""
+    if len(samples) > _LONGEST:
+        raise InputError("samples", f"must be at most {_LONGEST}, the wall's echo alone, but are {len(samples)}")
+    if not np.any(samples):
+        raise InputError("samples", "must not all be 0")
+    size = scipy.fft.next_fast_len(max(8 * len(samples), 4096))
+    frequencies = np.arange(size // 2 + 1) * (sampling_rate / size)
+    step = sampling_rate / size  # a narrow band still holds a point
+    inside = (frequencies > band[0] - step) & (frequencies < band[1] + step)
+    magnitude = np.abs(scipy.fft.rfft(samples, size)) * inside
+    k = int(magnitude.argmax())
+    if magnitude[k] > 1.0 + tolerance:
+        raise InputError(
+            "samples",
+            f"must send back no more than they receive: magnitudes of at most 1 within the tolerance of {tolerance:g}, "
+            f"but one is {magnitude[k]:.4g} at {frequencies[k]:.6g} Hz; divide them by the incident sound, or name the "
+            "band that was measured",
+        )
+
+
+def warn_of_noise(samples: Floats, name: str) -> None:
+    """Warn if the end of an impulse response has so much energy that the factor is uncertain."""
+    tail = samples[-(len(samples) // 10) :] if len(samples) >= 100 else samples[:0]
+    rms = math.sqrt(float(np.mean(tail**2))) if len(tail) else 0.0
+    error = rms * math.sqrt(len(samples))
+    if error > _NOISE:
+        called = f" of {name!r}" if name else ""
+        warn(
+            f"samples: the last tenth of the impulse response{called} still holds {rms:.2g} rms, which over "
+            f"{len(samples)} samples makes factors uncertain by some {error:.2g}; cut it or fade it out"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LossTable:
-    """Transmission losses in dB at increasing frequencies in Hz, at all angles and in phase; held outside."""
+class Curve:
+    """Monotone cubics through values (n,) over the logarithm of increasing frequencies (n,), Hz; held beyond."""
 
     frequencies: Floats
-    losses_db: Floats
-    beyond: str = "outside, the transmission loss at the nearest end is taken"
+    values: NDArray[Any]
+    delayed: bool = False  # whether complex values lose their mean delay first, and get it back behind
 
-    is_complex = False
-    depends_on_angle = False
+    def __call__(self, frequency: Floats) -> NDArray[Any]:
+        return _joined(self)(frequency)
 
-    @property
-    def band(self) -> tuple[float, float]:
-        return float(self.frequencies[0]), float(self.frequencies[-1])
+    def share(self, frequency: Floats) -> NDArray[Any]:
+        """Return values (...) from 0 to 1 at frequencies (...), Hz."""
+        return np.asarray(np.clip(self(frequency), 0.0, 1.0))
+
+
+@lru_cache(maxsize=256)
+def _joined(curve: Curve) -> Callable[[Floats], NDArray[Any]]:
+    """Return the function of frequency that a curve is."""
+    f, values = curve.frequencies, curve.values
+    if values.dtype.kind != "c":
+        smooth = _smooth(np.log(f), values)
+        return lambda at: smooth(np.log(at))
+    if not curve.delayed:  # monotone cubics keep the real part of impedances above 0: the wall stays passive
+        first, second = _smooth(np.log(f), values.real), _smooth(np.log(f), values.imag)
+        return lambda at: first(np.log(at)) + 1j * second(np.log(at))
+    # Without its mean delay, a delay stays one however coarse the table. Real and imaginary parts of the rest are
+    # joined: magnitudes and phases would go astray where a factor comes near zero.
+    step = values[1:] * values[:-1].conj()
+    weight = np.abs(step)
+    total = float(weight @ np.diff(f))
+    turn = float(weight @ np.angle(step)) / total if total > 0.0 else 0.0  # mean slope of the phase, rad/Hz
+    rest = values * np.exp(-1j * turn * f)
+    real, imaginary, low, high = _smooth(f, rest.real), _smooth(f, rest.imag), f[0], f[-1]
+    return lambda at: (real(at) + 1j * imaginary(at)) * np.exp(1j * turn * np.clip(at, low, high))
+
+
+def _smooth(x: Floats, y: NDArray[Any]) -> Callable[[Floats], NDArray[Any]]:
+    """Return monotone cubics through points, which overshoot none of them; held at the ends."""
+    if len(x) < 2:
+        return lambda at: np.full(np.shape(at), y[0])
+    with np.errstate(over="ignore"):  # of next to nothing over nothing
+        through = scipy.interpolate.PchipInterpolator(x, y)
+    return lambda at: np.asarray(through(np.clip(at, x[0], x[-1])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceModel:
+    """Model of a factor of sound pressure; a class of one's own needs `factor`, `describe` and fields but the first.
+
+    Attributes
+    ----------
+    law : callable
+        Takes frequencies (...) within the band, Hz, cosines (...) of the angle of incidence, the speed of sound, m/s.
+        Factors, float64 or complex128, have the shape to which both broadcast; that of the frequencies where nothing
+        depends on the angle.
+    description : str
+        Short description.
+    is_complex, depends_on_angle : bool
+        Whether factors have a phase, and whether they depend on the angle of incidence.
+    band : (float, float)
+        Frequencies that are covered, Hz.
+    beyond : str
+        Note on frequencies outside the band, where the nearest end is held; empty if they are refused.
+    """
+
+    law: Law = field(repr=False)
+    description: str
+    is_complex: bool = False
+    depends_on_angle: bool = False
+    band: tuple[float, float] = EVERYWHERE
+    beyond: str = ""
+    frequencies: Floats = field(default_factory=lambda: np.empty(0), repr=False)  # of a table
 
     def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        return np.asarray(10.0 ** (-curve_of(self)(frequency) / 20.0))
-
-    def curves(self) -> Callable[[Floats], NDArray[Any]]:
-        return over_octaves(self.frequencies, self.losses_db)
+        """Return factors, see `law`."""
+        return self.law(frequency, cosine, speed_of_sound)
 
     def describe(self) -> str:
-        return "table of transmission losses"
+        """Return a short description."""
+        return self.description
 
 
-TransmissionModel = MassLaw | LossTable
+_MEMBERS = ("is_complex", "depends_on_angle", "band", "beyond", "factor", "describe")
+
+
+def of_table(f: Floats, law: Law, description: str, *, held: bool = False, **fields: Any) -> SurfaceModel:
+    """Return the model of a table at frequencies (n,), Hz; held: whether its ends count beyond, without a note."""
+    band = EVERYWHERE if held else (float(f[0]), float(f[-1]))
+    return SurfaceModel(law, description, band=band, frequencies=f, **fields)
+
+
+def _lossy(losses: Curve, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
+    """Return the transmission factors of losses in dB, at all angles and in phase."""
+    return np.asarray(10.0 ** (-losses(frequency) / 20.0))
 
 
 def as_transmission(
     surface_mass: float | None, frequencies: ArrayLike | None, losses_db: ArrayLike | None
-) -> TransmissionModel:
+) -> SurfaceModel:
     """Make the model of a panel from its surface mass, kg/m², or from a table of losses, dB."""
     if surface_mass is not None and frequencies is None and losses_db is None:
-        return MassLaw(as_number("surface_mass", surface_mass, at_least=_LIGHTEST, at_most=_HEAVIEST, unit="kg/m²"))
+        mass = as_number("surface_mass", surface_mass, at_least=_LIGHTEST, at_most=_HEAVIEST, unit="kg/m²")
+        return SurfaceModel(partial(limp_transmission, mass), f"limp panel of {mass:g} kg/m²", True, True)
     if surface_mass is not None or frequencies is None or losses_db is None:
         raise InputError("transmission", "must have surface_mass, or frequencies and losses_db")
     f = checked_frequencies(frequencies)
-    return LossTable(f, as_column("losses_db", losses_db, f, _MOST_LOSS, " dB"))
+    losses = Curve(f, as_column("losses_db", losses_db, f, _MOST_LOSS, " dB"))
+    beyond = "outside, the transmission loss at the nearest end is taken"
+    return of_table(f, partial(_lossy, losses), "table of transmission losses", beyond=beyond)
 
 
-@dataclass(frozen=True, eq=False)
-class Scattering:
-    """Shares (n,) of the energy sent back that are scattered, at increasing frequencies (n,), Hz; held beyond."""
-
-    frequencies: Floats
-    values: Floats
-
-    def at(self, frequency: Floats) -> NDArray[Any]:
-        """Return the shares (...) at frequencies (...), Hz."""
-        return np.asarray(np.clip(self._curve(frequency), 0.0, 1.0))
-
-    @cached_property
-    def _curve(self) -> Callable[[Floats], NDArray[Any]]:
-        return over_octaves(self.frequencies, self.values)
-
-
-def as_scattering(value: Any) -> Scattering | None:
+def as_scattering(value: Any) -> Curve | None:
     """Return a scattering coefficient: of a number, or of a pair of frequencies, Hz, and values; None for nothing."""
-    if value is None or isinstance(value, Scattering):
+    if value is None or isinstance(value, Curve):
         return value
     if not isinstance(value, str) and not hasattr(value, "__len__"):
         number = as_number("scattering", value, at_least=0.0, at_most=1.0)
-        return Scattering(np.array([1e3]), np.array([number])) if number else None
+        return Curve(np.array([1e3]), np.array([number])) if number else None
     try:
         frequencies, values = value
     except (TypeError, ValueError) as error:
@@ -112,50 +249,7 @@ def as_scattering(value: Any) -> Scattering | None:
     with inside("scattering"):
         f = checked_frequencies(frequencies)
         shares = as_column("values", values, f, 1.0)
-    return Scattering(f, shares) if np.any(shares) else None
-
-
-@runtime_checkable
-class SurfaceModel(Protocol):
-    """Protocol of reflection models; a custom model is a frozen class with all of these members."""
-
-    @property
-    def is_complex(self) -> bool:
-        """Whether factors have a phase."""
-
-    @property
-    def depends_on_angle(self) -> bool:
-        """Whether factors depend on the angle of incidence."""
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """Frequencies (low, high) in Hz that are covered; ``(0, inf)`` if all."""
-
-    @property
-    def beyond(self) -> str:
-        """Note on frequencies outside the band, where the nearest end is held; empty if they are refused."""
-
-    def factor(self, frequency: Floats, cosine: Floats, speed_of_sound: float) -> NDArray[Any]:
-        """Return factors.
-
-        Parameters
-        ----------
-        frequency : ndarray (...)
-            Hz, within the band.
-        cosine : ndarray (...)
-            Cosine of the angle of incidence; broadcasts against `frequency`.
-        speed_of_sound : float
-            In the air, m/s.
-
-        Returns
-        -------
-        ndarray
-            Float64, or complex128 if `is_complex`: of the shape to which the arguments broadcast, or, where
-            nothing depends on the angle, of that of `frequency`.
-        """
-
-    def describe(self) -> str:
-        """Return a short description."""
+    return Curve(f, shares) if np.any(shares) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,16 +259,16 @@ class ReflectingSurface:
     model: SurfaceModel
     name: str = ""
     roughness: float = 0.0
-    scattering: Scattering | None = None
-    transmission: TransmissionModel | None = None
+    scattering: Curve | None = None
+    transmission: SurfaceModel | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.model, SurfaceModel):
+        if not all(hasattr(self.model, name) for name in _MEMBERS):
             raise InputError("model", f"must have what a SurfaceModel has, but is {self.model!r:.80}")
         check_kind("name", self.name, str, "a text")
         settle(self, roughness=as_number("roughness", self.roughness, at_least=0.0, at_most=0.1, unit="m"))
         settle(self, scattering=as_scattering(self.scattering))
-        if isinstance(self.transmission, LossTable):
+        if self.transmission is not None and not self._limp:
             self._check_energy(self.transmission)
 
     @property
@@ -189,8 +283,8 @@ class ReflectingSurface:
 
     @property
     def _limp(self) -> bool:
-        """Whether the reflection is weakened by what passes."""
-        return isinstance(self.transmission, MassLaw)
+        """Whether the reflection is weakened by what passes, as by the mass law."""
+        return self.transmission is not None and self.transmission.depends_on_angle
 
     @property
     def band(self) -> tuple[float, float]:
@@ -227,12 +321,9 @@ class ReflectingSurface:
         return replace(self, roughness=math.hypot(self.roughness, rms))
 
     def transmitting(
-        self,
-        *,
-        surface_mass: float | None = None,
-        frequencies: ArrayLike | None = None,
+        self, *, surface_mass: float | None = None, frequencies: ArrayLike | None = None,
         losses_db: ArrayLike | None = None,
-    ) -> Self:
+    ) -> Self:  # fmt: skip
         """Return the material as a thin panel through which sound passes straight on.
 
         Parameters
@@ -269,18 +360,16 @@ class ReflectingSurface:
         assert self.transmission is not None
         return type(self)(self.transmission, f"transmission of {self.name}" if self.name else "")
 
-    def _check_energy(self, transmission: LossTable) -> None:
+    def _check_energy(self, transmission: SurfaceModel) -> None:
         """Refuse a table that sends on more energy than the reflection leaves."""
         own = getattr(self.model, "frequencies", np.empty(0))
         frequencies = np.concatenate([transmission.frequencies, np.clip(own, *transmission.band)])[:, None]
         sent_back = np.abs(self._smooth_factor(np.clip(frequencies, *self.model.band), _COSINES, 343.2)) ** 2
         total = np.max(sent_back + transmission.factor(frequencies, _COSINES, 343.2) ** 2, axis=1)
-        for i in np.flatnonzero(total > 1.0 + _ROUNDING)[:1]:
-            raise InputError(
-                "transmission",
-                "must leave reflected, absorbed and transmitted energy 1 together, but what is reflected and "
-                f"transmitted at {frequencies[i, 0]:.6g} Hz is {total[i]:.4g}; lower one of both",
-            )
+        for i in np.flatnonzero(total > 1.0 + ROUNDING)[:1]:
+            problem = "must leave reflected, absorbed and transmitted energy 1 together, but what is reflected and "
+            problem += f"transmitted at {frequencies[i, 0]:.6g} Hz is {total[i]:.4g}; lower one of both"
+            raise InputError("transmission", problem)
 
     def reflection_at(
         self, frequency: ArrayLike, cosine: ArrayLike = 1.0, speed_of_sound: float = 343.2
@@ -302,11 +391,6 @@ class ReflectingSurface:
             Factors of the shape to which frequency and cosine broadcast, of magnitude 1 at most: float64, or complex128
             where `is_complex`.
 
-        Raises
-        ------
-        InputError
-            If a value is out of bounds, or the material does not cover a frequency.
-
         Warns
         -----
         ClsimWarning
@@ -318,7 +402,7 @@ class ReflectingSurface:
         if self.roughness:
             factor = factor * coherent_share(self.roughness, np.clip(f, *self.model.band), cos, c)
         if self.scattering is not None:
-            factor = factor * np.sqrt(1.0 - self.scattering.at(f))
+            factor = factor * np.sqrt(1.0 - self.scattering.share(f))
         factor = factor / np.maximum(np.abs(factor), 1.0)
         return np.array(np.broadcast_to(factor, np.broadcast_shapes(f.shape, cos.shape)))
 
@@ -355,7 +439,7 @@ class ReflectingSurface:
         if self.roughness:
             kept = kept * np.square(coherent_share(self.roughness, np.clip(f, *self.model.band), cos, c))
         if self.scattering is not None:
-            kept = kept * (1.0 - self.scattering.at(f))
+            kept = kept * (1.0 - self.scattering.share(f))
         return np.asarray(1.0 - kept)
 
     def _checked(self, frequency: ArrayLike, cosine: ArrayLike, speed_of_sound: float) -> tuple[Floats, Floats, float]:
@@ -364,7 +448,7 @@ class ReflectingSurface:
         low, high = _FREQUENCIES
         for bad in f[~((f >= low) & (f <= high))].flat[:1]:
             raise InputError("frequency", f"must be from {low:g} to {high:g} Hz, but is {bad:g} Hz")
-        for bad in cos[~((cos > 0.0) & (cos <= 1.0 + _ROUNDING))].flat[:1]:
+        for bad in cos[~((cos > 0.0) & (cos <= 1.0 + ROUNDING))].flat[:1]:
             raise InputError("cosine", f"must be above 0 and at most 1, but is {bad:g}")
         c = as_number("speed_of_sound", speed_of_sound, at_least=1.0, at_most=1e5, unit="m/s")
         try:
@@ -377,7 +461,7 @@ class ReflectingSurface:
         """Return the model's factor, with frequencies outside its band held at the ends."""
         self.check_coverage(frequency)
         factor = self.model.factor(np.clip(frequency, *self.model.band), cosine, speed_of_sound)
-        if isinstance(self.transmission, MassLaw):
+        if self._limp and self.transmission is not None:
             factor = factor * (1.0 - self.transmission.factor(frequency, cosine, speed_of_sound))
         return factor
 
@@ -391,16 +475,14 @@ class ReflectingSurface:
         """
         f = np.asarray(frequency, dtype=np.float64)
         low, high = self.model.band
-        outside = (f < low * (1.0 - _ROUNDING)) | (f > high * (1.0 + _ROUNDING))
+        outside = (f < low * (1.0 - ROUNDING)) | (f > high * (1.0 + ROUNDING))
         if not np.any(outside):
             return
         called = repr(self.name) if self.name else f"({self.describe()})"
         if not self.model.beyond:
-            raise InputError(
-                "frequency",
-                f"must be from {low:.6g} to {high:.6g} Hz, which the material {called} covers, but is "
-                f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it",
-            )
+            problem = f"must be from {low:.6g} to {high:.6g} Hz, which the material {called} covers, but is "
+            problem += f"{f[outside].flat[-1]:.6g} Hz; extend it by name (outside=) or give more of it"
+            raise InputError("frequency", problem)
         warn(f"the material {called} covers {low:.6g} to {high:.6g} Hz; {self.model.beyond}")
 
 

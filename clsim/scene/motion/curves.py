@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_number, read_only, short_repr
@@ -176,12 +177,12 @@ def spline_through(times: Floats, positions: Floats, ends: Literal["not-a-knot",
     smoothing spline has. It is continued by ``x0 + v0 u + a0 u²/2`` with position, velocity and acceleration of the
     end.
     """
-    from scipy.interpolate import CubicHermiteSpline, CubicSpline
-
     if len(times) == 3 and ends == "not-a-knot":
-        spline = CubicHermiteSpline(times, positions, _parabola_slopes(np.asarray(times), np.asarray(positions)))
+        spline = scipy.interpolate.CubicHermiteSpline(
+            times, positions, _parabola_slopes(np.asarray(times), np.asarray(positions))
+        )
     else:
-        spline = CubicSpline(times, positions, bc_type=ends)
+        spline = scipy.interpolate.CubicSpline(times, positions, bc_type=ends)
     return _continued(np.asarray(spline.c, dtype=np.float64), np.asarray(times))
 
 
@@ -237,16 +238,14 @@ def kinks(times: Floats, positions: Floats) -> Floats:
 
 def _continued(coefficients: Floats, knots: Floats) -> Piecewise:
     """Add a parabola before and after cubic pieces (4, n, 3), highest power first, between knots (n + 1,)."""
-    from scipy.interpolate import PPoly
-
-    inner = PPoly(coefficients, knots)
+    inner = scipy.interpolate.PPoly(coefficients, knots)
     outer = []
     for at, shift in ((knots[0], -CONTINUATION), (knots[-1], 0.0)):  # shift of the parabola's own zero
         x, v, a = (np.asarray(inner(at, nu=order), dtype=np.float64) for order in range(3))
         outer.append(np.stack([np.zeros_like(a), a / 2, v + a * shift, x + v * shift + a / 2 * shift**2]))
     wide = np.concatenate([outer[0][:, None], coefficients, outer[1][:, None]], axis=1)
     ends = np.concatenate([[knots[0] - CONTINUATION], knots, [knots[-1] + CONTINUATION]])
-    polynomial = PPoly(read_only(wide), read_only(ends))
+    polynomial = scipy.interpolate.PPoly(read_only(wide), read_only(ends))
     return Piecewise(polynomial, polynomial.derivative())
 
 
@@ -324,8 +323,6 @@ def speed_noise(times: Floats, positions: Floats) -> float:
     The k-th difference of white noise of variance σ² has the variance ``σ² binom(2k, k)``, while that of a smooth
     motion vanishes as the step to the power k; k = 5 here. The spline turns σ into ``1.573 σ / step`` of speed.
 
-    Examples
-    --------
     >>> t = np.linspace(0.0, 10.0, 1001)
     >>> noise = np.random.default_rng(1).normal(scale=1e-4, size=(1001, 3))
     >>> round(speed_noise(t, noise + np.sin(t)[:, None]), 3)  # 1.573 * 1e-4 / 0.01
@@ -365,8 +362,6 @@ def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smooth
     """Smooth each column of values (n, k) at times (n,) until the root mean square of its residual is that given."""
     # A column that is nearer to a straight line than that becomes the line (or what is slower than 7000 steps), with
     # the smaller residual it has.
-    from scipy.optimize import brentq
-
     system = _system(times)
     residuals = np.empty_like(values)
     for column in range(values.shape[1]):
@@ -381,7 +376,7 @@ def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smooth
         elif excess(_LEAST) >= 0.0:
             best = _LEAST
         else:
-            best = brentq(excess, _LEAST, system.greatest, xtol=1e-6)
+            best = scipy.optimize.brentq(excess, _LEAST, system.greatest, xtol=1e-6)
         residuals[:, column] = system.solve(np.exp(best), y)[1]
     return _smoothed(values, residuals)
 
@@ -406,12 +401,10 @@ class _System:
 
     def solve(self, strength: float, values: Floats) -> tuple[float, Floats]:
         """Return ``ln det(R + λ QᵀQ)`` and the residual ``λ Q γ`` for values (n,) or (n, k)."""
-        from scipy.linalg import cho_solve_banded, cholesky_banded
-
-        factor = cholesky_banded(self.r + strength * self.qq, lower=True, check_finite=False)
+        factor = scipy.linalg.cholesky_banded(self.r + strength * self.qq, lower=True, check_finite=False)
         a, b, c = self.q if values.ndim == 1 else self.q[:, :, None]
         bends = a * values[:-2] + b * values[1:-1] + c * values[2:]
-        gamma = strength * cho_solve_banded((factor, True), bends, check_finite=False)
+        gamma = strength * scipy.linalg.cho_solve_banded((factor, True), bends, check_finite=False)
         residual = np.zeros_like(values)
         residual[:-2] += a * gamma
         residual[1:-1] += b * gamma

@@ -73,17 +73,9 @@ class Poses:
 
 
 def read_poses(
-    path: Any,
-    form: str,
-    *,
-    topic: str | None,
-    columns: Mapping[str, str] | None,
-    time_scale: float,
-    scale: float,
-    repair: tuple[str, ...],
-    max_speed: float,
-    max_gap: float | None,
-) -> Poses:
+    path: Any, form: str, *, topic: str | None, columns: Mapping[str, str] | None, time_scale: float, scale: float,
+    repair: tuple[str, ...], max_speed: float, max_gap: float | None,
+) -> Poses:  # fmt: skip
     """Read a file and check its rows.
 
     form: TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the quaternion
@@ -259,9 +251,8 @@ def _scaled(poses: Poses, scale: float) -> Floats:
     far = np.flatnonzero(np.any(np.abs(poses.positions) > FARTHEST / scale, axis=1))
     if len(far):
         value = np.abs(poses.positions[far[0]]).max()
-        raise InputError(
-            "path", f"{poses.where(far[0])}: positions must be within {FARTHEST:g} m, but one is {value:g}"
-        )
+        problem = f"{poses.where(far[0])}: positions must be within {FARTHEST:g} m, but one is {value:g}"
+        raise InputError("path", problem)
     return poses.positions * scale
 
 
@@ -271,9 +262,8 @@ def _with_unit_quaternions(poses: Poses) -> Poses:
     norm = np.linalg.norm(np.clip(poses.orientations, -1e100, 1e100), axis=1)
     off = np.flatnonzero(np.abs(norm - 1.0) > _UNIT_TOLERANCE)
     if len(off):
-        raise InputError(
-            "path", f"{poses.where(off[0])}: must have a unit quaternion, but its norm is {norm[off[0]]:.6g}"
-        )
+        problem = f"{poses.where(off[0])}: must have a unit quaternion, but its norm is {norm[off[0]]:.6g}"
+        raise InputError("path", problem)
     return replace(poses, orientations=poses.orientations / norm[:, None])
 
 
@@ -294,11 +284,8 @@ def _check_times(poses: Poses, repair: bool) -> Poses:
         poses = poses.without(bad, "time does not increase")
         return replace(poses, times=poses.times - poses.times[0])
     i = int(np.argmax(bad))
-    raise InputError(
-        "path",
-        f"{poses.where(i)}: time must increase strictly (by {max(least, 0.5e-9):.3g} s at least), "
-        f"but {poses.stamps[i]} follows {poses.stamps[i - 1]}",
-    )
+    problem = f"{poses.where(i)}: time must increase strictly (by {max(least, 0.5e-9):.3g} s at least), "
+    raise InputError("path", f"{problem}but {poses.stamps[i]} follows {poses.stamps[i - 1]}")
 
 
 def _check_jumps(poses: Poses, repair: bool, max_speed: float) -> Poses:
@@ -310,12 +297,9 @@ def _check_jumps(poses: Poses, repair: bool, max_speed: float) -> Poses:
         return poses
     i = int(np.argmax(speed > max_speed)) + 1
     if not repair:
-        raise InputError(
-            "path",
-            f"{poses.where(i)}: must not be faster than {max_speed:g} m/s (max_speed), but is "
-            f"{distance[i - 1]:.4g} m away from {poses.row} {poses.lines[i - 1]} after {t[i] - t[i - 1]:.4g} s, "
-            f"{speed[i - 1]:.4g} m/s",
-        )
+        problem = f"{poses.where(i)}: must not be faster than {max_speed:g} m/s (max_speed), but is "
+        problem += f"{distance[i - 1]:.4g} m away from {poses.row} {poses.lines[i - 1]} after {t[i] - t[i - 1]:.4g} s, "
+        raise InputError("path", f"{problem}{speed[i - 1]:.4g} m/s")
     bad, good = np.zeros(len(t), dtype=np.bool_), i - 1
     for row in range(i, len(t)):
         bad[row] = np.linalg.norm(x[row] - x[good]) > max_speed * (t[row] - t[good])
@@ -333,11 +317,9 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
     i = int(wide[0]) + 1
     if not repair:
         rule = f"{_LONGEST_STEP:g} median steps" if max_gap is None else "max_gap"
-        raise InputError(
-            "path",
-            f"{poses.where(i)}: must follow within {longest:.4g} s ({rule}), but {poses.stamps[i]} is "
-            f"{steps[i - 1]:.4g} s after {poses.stamps[i - 1]}; bridge it by max_gap= or repair=('gaps',)",
-        )
+        problem = f"{poses.where(i)}: must follow within {longest:.4g} s ({rule}), but {poses.stamps[i]} is "
+        problem += f"{steps[i - 1]:.4g} s after {poses.stamps[i - 1]}; bridge it by max_gap= or repair=('gaps',)"
+        raise InputError("path", problem)
     made_up = float(steps[wide].sum())
     if made_up > _LONGEST_INVENTED:
         warn(

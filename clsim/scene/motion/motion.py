@@ -257,6 +257,18 @@ class Motion:
         return best
 
 
+class Moved:
+    """Base class of what has a trajectory."""
+
+    __slots__ = ()
+    trajectory: Motion
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """The finite part of the trajectory that matters, s: from 0 to its end, or to 0 at a fixed point."""
+        return 0.0, 0.0 if math.isinf(self.trajectory.end) else self.trajectory.end
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Swung:
     """A point that swings about an axis, whose nearest point is `foot` (3,) m."""

@@ -13,35 +13,10 @@ from numpy.typing import ArrayLike
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import quaternion_from_direction
-from clsim.scene.motion.curves import (
-    Circular,
-    Placement,
-    Static,
-    Straight,
-    as_smooth,
-    fit_measured,
-    frame_about,
-    kinks,
-    legs_through,
-    spline_through,
-)
+from clsim.scene.motion import curves
+from clsim.scene.motion import orientation as checks
 from clsim.scene.motion.motion import Carried, CarriedTurning, Motion, Swung, velocity_breaks
-from clsim.scene.motion.orientation import (
-    LONGEST,
-    Hinge,
-    as_choices,
-    as_columns,
-    as_direction,
-    as_increasing,
-    as_path,
-    as_places,
-    as_quaternions,
-    as_span,
-    as_topic,
-    quaternion_product,
-    question_turns,
-    turning_between,
-)
+from clsim.scene.motion.orientation import LONGEST, Hinge, quaternion_product, turning_between
 
 _MOST_SAMPLES = 2e7  # of a function
 
@@ -92,8 +67,8 @@ class Trajectory(Motion):
         """
         turning = None
         if orientation is not None:
-            turning = turning_between(np.zeros(1), as_quaternions("orientation", orientation, (4,))[None])
-        return Trajectory(Static(as_places("position", position, (3,))), -math.inf, math.inf, turning)
+            turning = turning_between(np.zeros(1), checks.as_quaternions("orientation", orientation, (4,))[None])
+        return Trajectory(curves.Static(checks.as_places("position", position, (3,))), -math.inf, math.inf, turning)
 
     @staticmethod
     def line(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:
@@ -111,19 +86,15 @@ class Trajectory(Motion):
         >>> Trajectory.line((0, 0, 0), (1, 2, 3), duration=2.0).position(1.0)
         array([0.5, 1. , 1.5])
         """
-        first, last = as_places("start", start, (3,)), as_places("end", end, (3,))
-        duration = as_span("duration", duration)
-        return Trajectory(Straight(first, read_only((last - first) / duration)), 0.0, duration)
+        first, last = checks.as_places("start", start, (3,)), checks.as_places("end", end, (3,))
+        duration = checks.as_span("duration", duration)
+        return Trajectory(curves.Straight(first, read_only((last - first) / duration)), 0.0, duration)
 
     @staticmethod
     def circle(
-        center: ArrayLike,
-        radius: float,
-        period: float,
-        duration: float,
-        axis: ArrayLike = (0.0, 0.0, 1.0),
+        center: ArrayLike, radius: float, period: float, duration: float, axis: ArrayLike = (0.0, 0.0, 1.0),
         phase: float = 0.0,
-    ) -> Trajectory:
+    ) -> Trajectory:  # fmt: skip
         """Return a circle at constant speed, counterclockwise about its axis, from time 0 to `duration`.
 
         Parameters
@@ -141,12 +112,7 @@ class Trajectory(Motion):
         phase : float
             Angle at time 0, rad, from e1: the +x direction turned into the circle's plane (its projection),
             or +y where the axis lies along x. With the axis +z, phase 0 begins
-            at ``center + (radius, 0, 0)``.
-
-        Warns
-        -----
-        ClsimWarning
-            If the phase is beyond two turns: degrees, more often than radians.
+            at ``center + (radius, 0, 0)``. More than two turns, more often degrees, give a warning.
 
         Examples
         --------
@@ -155,18 +121,18 @@ class Trajectory(Motion):
         array([[5. , 3. , 1.5],
                [4. , 4. , 1.5]])
         """
-        e1, e2 = frame_about(as_direction("axis", axis))
+        e1, e2 = curves.frame_about(checks.as_direction("axis", axis))
         phase = as_number("phase", phase, at_least=-LONGEST, at_most=LONGEST, unit="rad")
-        question_turns("phase", abs(phase))
-        curve = Circular(
-            as_places("center", center, (3,)),
+        checks.question_turns("phase", abs(phase))
+        curve = curves.Circular(
+            checks.as_places("center", center, (3,)),
             read_only(e1),
             read_only(e2),
             as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m"),
-            2.0 * math.pi / as_span("period", period),
+            2.0 * math.pi / checks.as_span("period", period),
             phase,
         )
-        return Trajectory(curve, 0.0, as_span("duration", duration))
+        return Trajectory(curve, 0.0, checks.as_span("duration", duration))
 
     @staticmethod
     def swing(
@@ -181,17 +147,13 @@ class Trajectory(Motion):
         axis : array_like (3,)
             Its direction, of any length and without a unit; angles follow the right-hand rule.
         angles : array_like (n,)
-            rad; the cubic spline through them is the motion, so that no velocity jumps.
+            rad; the cubic spline through them is the motion, so that no velocity jumps. More than two turns, more often
+            degrees, give a warning.
         times : array_like (n,)
             Strictly increasing, s, at least two.
         origin : array_like (3,), optional
             Position of the swinging thing at angle 0, m; the axis point where left out. For a body it is the origin of
             its mesh. With 0, 0, 0 a mesh has coordinates of the room, as it is at angle 0.
-
-        Warns
-        -----
-        ClsimWarning
-            If angles are beyond two turns: degrees, more often than radians.
 
         Examples
         --------
@@ -200,19 +162,19 @@ class Trajectory(Motion):
         (array([[3.   , 0.   , 0.   ],
                [2.071, 0.997, 0.   ]]), array([0.  , 0.  , 0.75]))
         """
-        t = as_increasing(times)
+        t = checks.as_increasing(times)
         theta = as_floats("angles", angles, (len(t),), within=LONGEST, unit="rad")
-        question_turns("angles", float(np.abs(theta).max()))
-        point = as_places("axis_point", axis_point, (3,))
-        unit = as_direction("axis", axis)
+        checks.question_turns("angles", float(np.abs(theta).max()))
+        point = checks.as_places("axis_point", axis_point, (3,))
+        unit = checks.as_direction("axis", axis)
         unit = unit / np.abs(unit).max()
         unit = unit / np.linalg.norm(unit)
-        hinge = Hinge(read_only(unit), spline_through(t, theta[:, None] * np.eye(3)[0], "not-a-knot"))
-        arm = (point if origin is None else as_places("origin", origin, (3,))) - point
+        hinge = Hinge(read_only(unit), curves.spline_through(t, theta[:, None] * np.eye(3)[0], "not-a-knot"))
+        arm = (point if origin is None else checks.as_places("origin", origin, (3,))) - point
         along = arm - (arm @ unit) * unit
         foot = point + (arm @ unit) * unit
         still = np.linalg.norm(along) == 0.0
-        curve = Static(read_only(foot)) if still else Swung(foot, along, np.cross(unit, along), hinge)
+        curve = curves.Static(read_only(foot)) if still else Swung(foot, along, np.cross(unit, along), hinge)
         return Trajectory(curve, float(t[0]), float(t[-1]), hinge)
 
     @staticmethod
@@ -240,16 +202,18 @@ class Trajectory(Motion):
         (array([[0.5, 0. , 0. ],
                [1. , 1. , 0. ]]), array([1.]))
         """
-        t = as_increasing(times)
-        x = as_places("positions", positions, (len(t), 3))
+        t = checks.as_increasing(times)
+        x = checks.as_places("positions", positions, (len(t), 3))
         if not isinstance(smooth, bool | np.bool_):
             raise InputError("smooth", f"must be true or false, but is {smooth!r:.80}")
         turning = None
         if orientations is not None:
-            turning = turning_between(t, as_quaternions("orientations", orientations, (len(t), 4)))
+            turning = turning_between(t, checks.as_quaternions("orientations", orientations, (len(t), 4)))
         if smooth:
-            return Trajectory(spline_through(t, x, "not-a-knot"), float(t[0]), float(t[-1]), turning)
-        return Trajectory(legs_through(t, x), float(t[0]), float(t[-1]), turning, breaks=read_only(kinks(t, x)))
+            return Trajectory(curves.spline_through(t, x, "not-a-knot"), float(t[0]), float(t[-1]), turning)
+        return Trajectory(
+            curves.legs_through(t, x), float(t[0]), float(t[-1]), turning, breaks=read_only(curves.kinks(t, x))
+        )
 
     @staticmethod
     def sampled(function: Callable[[Floats], ArrayLike], duration: float, rate: float) -> Trajectory:
@@ -275,11 +239,11 @@ class Trajectory(Motion):
         """
         if not callable(function):
             raise InputError("function", f"must be callable, but is {function!r:.80}")
-        duration = as_span("duration", duration)
+        duration = checks.as_span("duration", duration)
         rate = as_number("rate", rate, above=0.0, at_most=_MOST_SAMPLES / duration, unit="Hz")
         times = np.linspace(0.0, duration, max(3, math.ceil(duration * rate * (1 - 1e-12))) + 1)
-        positions = as_places("function", function(times.copy()), (len(times), 3))
-        return Trajectory(spline_through(times, positions, "not-a-knot"), 0.0, duration)
+        positions = checks.as_places("function", function(times.copy()), (len(times), 3))
+        return Trajectory(curves.spline_through(times, positions, "not-a-knot"), 0.0, duration)
 
     @staticmethod
     def carried(carrier: Motion, own: Motion, aim: ArrayLike | None = None) -> Trajectory:
@@ -309,21 +273,12 @@ class Trajectory(Motion):
 
     @staticmethod
     def from_file(
-        path: str | PathLike[str],
-        format: str = "tum",
-        *,
-        topic: str | None = None,
-        columns: Mapping[str, str] | None = None,
-        time_scale: float = 1.0,
-        smooth: bool | float = True,
-        time_offset: float = 0.0,
-        rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        scale: float = 1.0,
-        translate: ArrayLike = (0.0, 0.0, 0.0),
-        repair: Sequence[str] = (),
-        max_speed: float = 20.0,
+        path: str | PathLike[str], format: str = "tum", *, topic: str | None = None,
+        columns: Mapping[str, str] | None = None, time_scale: float = 1.0, smooth: bool | float = True,
+        time_offset: float = 0.0, rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0), scale: float = 1.0,
+        translate: ArrayLike = (0.0, 0.0, 0.0), repair: Sequence[str] = (), max_speed: float = 20.0,
         max_gap: float | None = None,
-    ) -> Trajectory:
+    ) -> Trajectory:  # fmt: skip
         r"""Return a measured motion, placed into the room by ``x' = rotate(scale x) + translate``.
 
         Parameters
@@ -358,11 +313,6 @@ class Trajectory(Motion):
         max_gap : float, optional
             Step of time above which it is a gap, s; five median steps where left out.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be read or a row breaks a rule; the message gives line and value.
-
         Warns
         -----
         ClsimWarning
@@ -380,21 +330,23 @@ class Trajectory(Motion):
         """
         from clsim.scene.motion import files
 
-        strength = as_smooth(smooth)
+        strength = curves.as_smooth(smooth)
         poses = files.read_poses(
-            as_path(path),
+            checks.as_path(path),
             as_choice("format", format, files.FORMATS),
-            topic=topic if format != "rosbag" else as_topic(topic),
-            columns=as_columns(columns, files.POSE),
+            topic=topic if format != "rosbag" else checks.as_topic(topic),
+            columns=checks.as_columns(columns, files.POSE),
             time_scale=as_number("time_scale", time_scale, at_least=1e-12, at_most=1e6, unit="s"),
             scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
-            repair=as_choices("repair", repair, files.REPAIRS),
+            repair=checks.as_choices("repair", repair, files.REPAIRS),
             max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
-            max_gap=None if max_gap is None else as_span("max_gap", max_gap),
+            max_gap=None if max_gap is None else checks.as_span("max_gap", max_gap),
         )
-        place = Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
+        place = curves.Placement(
+            checks.as_quaternions("rotate", rotate, (4,)), checks.as_places("translate", translate, (3,))
+        )
         times = poses.times + as_number("time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s")
-        fit = fit_measured(times, poses.positions, strength, place)
+        fit = curves.fit_measured(times, poses.positions, strength, place)
         turning = None
         if poses.orientations is not None:
             turning = turning_between(times, quaternion_product(place.rotation, poses.orientations))

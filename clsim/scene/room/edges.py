@@ -159,8 +159,7 @@ def find_edges(walls: Walls, faces: Faces, inside: Inside | None, wall: int | No
     for line in _lines(walls):
         if wall is not None and wall not in line.walls:
             continue
-        here = [p for p in _pieces(walls, line) if _diffracts(p, faces)]
-        found += _joined(here)
+        found += _joined([p for p in _pieces(walls, line) if _diffracts(p, faces)])
     if inside is not None and found:
         step = _BESIDE * walls.size
         air = inside(np.array([p.middle + step * p.into_air for p in found]))

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_number, unique_rows
 from clsim.errors import InputError
-from clsim.scene.room.mesh_cleaning import clusters, cross_products, mesh_shape
+from clsim.scene.room.mesh_cleaning import clusters, cross_products, mesh_shape, pairs_at_edges, sides_of
 
 Ints = NDArray[np.int64]
 
@@ -33,10 +34,8 @@ class CleanMesh:
 
 def clean_mesh(vertices: Floats, triangles: NDArray[np.int64]) -> CleanMesh:
     """Weld vertices (V, 3), m, by position, and drop triangles (T, 3) without area and copies of others."""
-    from scipy.spatial import cKDTree
-
     unique, _, which = unique_rows(vertices)
-    count, vertex = clusters(len(unique), cKDTree(unique).query_pairs(WELD, output_type="ndarray"))
+    count, vertex = clusters(len(unique), scipy.spatial.cKDTree(unique).query_pairs(WELD, output_type="ndarray"))
     welded = np.empty((count, 3))
     welded[vertex[::-1]] = unique[::-1]
     corners = vertex[which][triangles]
@@ -67,7 +66,8 @@ def without_copies(vertices: Floats, triangles: Ints) -> Ints:
 def _copies(vertices: Floats, triangles: Ints) -> NDArray[np.bool_]:
     """Mask of the triangles that cover together what earlier ones cover."""
     found = np.zeros(len(triangles), dtype=bool)
-    edge, pairs = _pairs(triangles)
+    which = sides_of(triangles)[2]
+    edge, pairs = which.reshape(-1, 3), pairs_at_edges(which, _MOST_AT_EDGE)
     flat, folded = _in_one_plane(vertices, triangles, edge, pairs)
     if folded.any():
         _, patch = clusters(len(triangles), pairs[flat])
@@ -76,18 +76,6 @@ def _copies(vertices: Floats, triangles: Ints) -> NDArray[np.bool_]:
             found[mine[_covered(vertices[triangles[mine]])]] = True
         _keep_touching(found, edge, pairs)
     return found
-
-
-def _pairs(triangles: Ints) -> tuple[Ints, Ints]:
-    """Find the edge (T, 3) of each side, from a corner to the next, and pairs (n, 2) of triangles at one edge."""
-    sides = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edge = unique_rows(np.sort(sides, axis=1))[2]
-    order = np.argsort(edge, kind="stable")
-    ranked, pairs = edge[order], [np.zeros((0, 2), dtype=np.int64)]
-    for step in range(1, min(_MOST_AT_EDGE, int(np.bincount(edge).max()))):
-        same = np.flatnonzero(ranked[step:] == ranked[:-step])
-        pairs.append(np.stack([order[same], order[same + step]], axis=1) // 3)
-    return edge.reshape(-1, 3), np.concatenate(pairs)
 
 
 def _in_one_plane(
@@ -255,10 +243,8 @@ def _joined(vertices: Floats, triangles: Ints, tolerance: float, thinner: float)
 
 def _welded(vertices: Floats, tolerance: float) -> tuple[Ints, Floats, Floats]:
     """Index (V,) of the place that each vertex goes to, the places (n, 3), and how far each vertex moves (V,), m."""
-    from scipy.spatial import cKDTree
-
     vertex = np.full(len(vertices), -1)
-    near: Any = cKDTree(vertices).query_ball_point(vertices, tolerance)
+    near: Any = scipy.spatial.cKDTree(vertices).query_ball_point(vertices, tolerance)
     firsts: list[int] = []
     for i, around in enumerate(near):
         if vertex[i] < 0:
@@ -287,8 +273,7 @@ def _cut_once(
 
     result: triangles, their origin, and the corners with their distances off the sides, m.
     """
-    sides = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, _, which = unique_rows(np.sort(sides, axis=1))
+    sides, _, which = sides_of(corners)
     opened = np.flatnonzero((np.bincount(which) % 2 == 1)[which])
     candidates = np.unique(sides[opened])
     cuts: dict[int, tuple[int, int]] = {}  # triangle: which side, and the corner on it

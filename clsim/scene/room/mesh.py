@@ -16,15 +16,15 @@ from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_nu
 from clsim.errors import InputError, check_kind, meant, settle
 from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges, find_edges, numbered
-from clsim.scene.room.enclosed import enclosed_volume
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.healing import HEAL, clean_mesh, heal_mesh, healing_tolerance
 from clsim.scene.room.mesh_cleaning import (
     MeshShape,
     cross_products,
     describe_mesh,
+    enclosed_volume,
     mesh_shape,
-    panels_below,
+    panels,
     thin_panels,
 )
 from clsim.scene.room.polygons import checked_polygons, extruded_plan, triangulated
@@ -77,12 +77,6 @@ class MeshRoom:
         Topology of the triangles.
     notes : tuple of str
         Repairs, one sentence each.
-
-    Raises
-    ------
-    InputError
-        If there is no triangle with an area, an index is out of range, a material is missing, there is not one label
-        per triangle, or a value is out of bounds.
 
     Examples
     --------
@@ -139,14 +133,10 @@ class MeshRoom:
 
     @staticmethod
     def from_file(
-        path: str | os.PathLike[str],
-        scale: float = 1.0,
-        up: str = "z",
-        materials: Material | Mapping[str, Material] | None = None,
-        *,
-        flatness: float = FLATNESS,
+        path: str | os.PathLike[str], scale: float = 1.0, up: str = "z",
+        materials: Material | Mapping[str, Material] | None = None, *, flatness: float = FLATNESS,
         heal: str | float = HEAL,
-    ) -> MeshRoom:
+    ) -> MeshRoom:  # fmt: skip
         """Return a room from an AC3D file or one that trimesh reads: OBJ, STL, PLY, GLB, OFF and more.
 
         Parameters
@@ -158,20 +148,14 @@ class MeshRoom:
         up : {"x", "y", "z"}
             Axis of the file that points up.
         materials : Material or mapping
-            One for all walls, or materials by the file's own names (``usemtl`` groups of OBJ files), where
-            ``"default"`` stands for those not named.
+            One for all walls, or materials by the file's own names (``usemtl`` groups of OBJ files, which messages
+            list), where ``"default"`` stands for those not named.
         flatness : float
             As in `MeshRoom`, m; raise it for files with rounded coordinates.
         heal : {"auto", "off"} or float
             Largest distance by which corners are moved to meet others, m. Triangles are cut at corners that lie on
             them. With "auto" they are moved as far as closing the mesh takes, at most 12 mm and 2 per mille of its
             size. A mesh that is closed, or that gains nothing, keeps every bit. The notes state the changes.
-
-        Raises
-        ------
-        InputError
-            If the file is no mesh, has no faces or NaN, a group has no material (the message lists the groups), or a
-            value is out of bounds.
         """
         from clsim.scene.room.mesh_files import read_mesh
 
@@ -188,15 +172,10 @@ class MeshRoom:
 
     @staticmethod
     def from_polygons(
-        corners: ArrayLike,
-        polygons: Sequence[Sequence[int]],
-        materials: Material | Sequence[Material],
-        *,
-        double_sided: Sequence[int] = (),
-        heal: str | float = HEAL,
-        flatness: float = FLATNESS,
+        corners: ArrayLike, polygons: Sequence[Sequence[int]], materials: Material | Sequence[Material], *,
+        double_sided: Sequence[int] = (), heal: str | float = HEAL, flatness: float = FLATNESS,
         labels: Sequence[str] | None = None,
-    ) -> MeshRoom:
+    ) -> MeshRoom:  # fmt: skip
         """Make a room of polygons, as round robins of room acoustics publish theirs.
 
         Parameters
@@ -216,12 +195,6 @@ class MeshRoom:
             As in `MeshRoom`, m.
         labels : sequence of str, optional
             Names of the polygons; numbered when left out.
-
-        Raises
-        ------
-        InputError
-            If a polygon crosses itself, names no corner, or has less than three; if a material, a label or a sheet's
-            number is missing or out of range.
 
         Examples
         --------
@@ -348,14 +321,10 @@ class MeshRoom:
         )  # fmt: skip
 
     def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
-        """Return name and thickness, m, of panels below `thinner_than`, m, of which `with_sheets` makes sheets.
-
-        Returns
-        -------
-        list of (str, float)
-            Their names and thicknesses, m.
-        """
-        return panels_below(self.vertices, self.triangles, self.labels or (), thinner_than)
+        """Return name and thickness, m, of panels below `thinner_than`, m, of which `with_sheets` makes sheets."""
+        found = panels(self.vertices, self.triangles)
+        of = self.labels or ()
+        return [(of[mine[0]] or "a panel", thick) for mine, _, _, thick in found if 0.0 < thick < thinner_than]
 
     @property
     def extent(self) -> tuple[Floats, Floats]:
@@ -526,9 +495,8 @@ def by_group(groups: tuple[str, ...], name: str, materials: object) -> dict[str,
     listed = ", ".join(repr(g) for g in groups)
     for key, material in materials.items():
         if key != "default" and key not in groups:
-            raise InputError(
-                f"materials.{key}", f"is no group of {name}, whose groups are {listed}{meant(key, groups)}"
-            )
+            problem = f"is no group of {name}, whose groups are {listed}{meant(key, groups)}"
+            raise InputError(f"materials.{key}", problem)
         check_kind(f"materials.{key}", material, Material, "a Material")
     missing = [g for g in groups if g not in materials]
     if missing and "default" not in materials:

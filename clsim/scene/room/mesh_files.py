@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from clsim.arrays import FARTHEST, Floats, as_choice, as_number, read_only
 from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_BINARY, LARGEST_TEXT, check_archive, check_file, open_file, read_file
-from clsim.scene.room.ac3d_files import read_ac3d
-from clsim.scene.room.polygons import cut_polygon, new_counts, polygon_notes
+from clsim.scene.room.polygons import cut_polygon, polygon_notes, read_ac3d
 
 KNOWN_FORMATS = ("OBJ", "STL", "PLY", "GLB", "GLTF", "OFF", "3MF")
 
@@ -82,9 +81,8 @@ def _check_nodes(file: Path, header: dict[str, Any]) -> None:
     for node in reached:  # which grows meanwhile
         reached += [child for child in children[node] if parents[child] == 1]
     if len(reached) != len(children):
-        raise InputError(
-            str(file), "must hold nodes that form trees, but one has two parents, or is its own descendant"
-        )
+        problem = "must hold nodes that form trees, but one has two parents, or is its own descendant"
+        raise InputError(str(file), problem)
 
 
 def _beside(file: Path) -> Any:
@@ -168,7 +166,7 @@ def _read_obj(file: Path) -> MeshFile:
     owner = np.repeat(np.arange(len(faces)), [len(face.corners) for face in faces])
     _check_corners(file, vertices, corners, lambda i: _where(faces[owner[i]]), first=1)
     triangles, owners = [], []
-    counts = new_counts()
+    counts = Counter[str]()
     for i, face in enumerate(faces):
         if len(face.corners) == 3:
             cut = np.array([face.corners], dtype=np.int64)
@@ -263,7 +261,7 @@ def _corner(file: Path, where: str, cell: str, count: int) -> int:
 def _read_ac(file: Path) -> MeshFile:
     """Read an AC3D file in its own axes and unit; groups are materials."""
     vertices, polygons, of_polygon, materials = read_ac3d(file)
-    triangles, owner, counts = [], [], new_counts()
+    triangles, owner, counts = [], [], Counter[str]()
     for i, polygon in enumerate(polygons):
         try:
             cut = polygon[cut_polygon(vertices[polygon], counts)] if len(polygon) > 3 else polygon[None]
@@ -319,9 +317,8 @@ def _check_corners(file: Path, vertices: Floats, corners: Ints, where: Callable[
     """Refuse corners beyond the vertices, and vertices that are not finite; `first` is the file's first index."""
     for i in np.flatnonzero((corners < 0) | (corners >= len(vertices)))[:1]:
         last = len(vertices) - 1 + first
-        raise InputError(
-            str(file), f"{where(i)} must use vertices from {first} to {last}, but uses {corners[i] + first}"
-        )
+        problem = f"{where(i)} must use vertices from {first} to {last}, but uses {corners[i] + first}"
+        raise InputError(str(file), problem)
     near = np.all(np.abs(vertices) <= _FARTHEST, axis=1)
     for i in np.flatnonzero(~near[corners])[:1]:
         k = corners[i]

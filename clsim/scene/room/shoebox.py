@@ -15,6 +15,7 @@ from clsim.scene.material.material import Material
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.mesh_cleaning import cross_products
 from clsim.scene.room.protocol import Room
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")  # a wall's index is its place here
@@ -167,9 +168,8 @@ def _checked_walls(walls: object) -> tuple[Material, ...]:
     if isinstance(walls, Mapping):
         for name in walls:
             if name not in (*WALLS, "default"):
-                raise InputError(
-                    f"walls.{name}", f"is no wall; the walls are {', '.join(WALLS)} and default{meant(name, WALLS)}"
-                )
+                problem = f"is no wall; the walls are {', '.join(WALLS)} and default{meant(name, WALLS)}"
+                raise InputError(f"walls.{name}", problem)
         missing = [name for name in WALLS if name not in walls]
         if missing and "default" not in walls:
             raise InputError(f"walls.{missing[0]}", "is missing, and there is no default")
@@ -191,9 +191,7 @@ def enclosure_of(room: Room) -> tuple[float | None, Floats, tuple[Material, ...]
         x, y, z = room.size.tolist()
         return x * y * z, np.array([y * z, y * z, x * z, x * z, x * y, x * y]), room.faces.materials
     mesh = room.as_mesh()
-    corners = mesh.vertices[mesh.triangles]
-    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    triangles = 0.5 * np.linalg.norm(sides, axis=1)
+    triangles = 0.5 * np.linalg.norm(cross_products(mesh.vertices[mesh.triangles]), axis=1)
     materials = mesh.faces.materials
     areas: Floats = np.bincount(mesh.walls.of_triangle, triangles, minlength=len(materials)).astype(np.float64)
     return mesh.volume, areas, materials

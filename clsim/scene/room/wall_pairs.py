@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, spread, unique_rows
@@ -24,28 +25,19 @@ _BITS = 10  # of a place in each direction
 _PAIRS = 400_000  # of things and boxes looked at at a time
 
 
-def touching_pairs(tree: WallTree, low: Floats, high: Floats, slack: float) -> Ints:
-    """Return pairs (n, 2) of walls whose boxes, from `low` to `high` (W, 3) m, touch; the lower index first, sorted."""
-    one, other = tree.meeting_boxes(low - slack, high + slack)
-    pairs = np.stack([one, other], axis=1)[one < other]
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-
-
 def same_planes(normal: Floats, offset: Floats, hull: Floats, first_hull: Ints, size: float) -> Ints:
     """Return numbers that are equal for walls in one plane, (W,)."""
     # If all corners of each of two walls lie within a distance t of the plane of the other, the sine of the angle
     # between the planes is at most ``2 t / b``, b being the width of the broader one, and their offsets from a middle
     # of all walls differ by at most that sine times the farthest wall, and t: pairs are looked for this near to each
     # other.
-    from scipy.spatial import cKDTree
-
     tolerance = SAME_PLANE * size
     middle = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
     far = float(np.linalg.norm(hull - middle, axis=1).max())
     sine = np.minimum(1.0, 2.0 * tolerance / np.maximum(_widths(normal, hull, first_hull), 1e-300))
     place = np.column_stack([far * normal, offset - normal @ middle])
     near = 1.01 * np.hypot(1.5 * far * sine, 1.5 * far * sine + tolerance) + 1e-12 * size
-    tree = cKDTree(place)
+    tree = scipy.spatial.cKDTree(place)
     pairs = [np.empty((0, 2), dtype=np.int64)]
     for sign in (1.0, -1.0):
         found = tree.query_ball_point(sign * place, near, return_sorted=False)

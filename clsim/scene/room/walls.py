@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, firsts, spread, unique_rows
 from clsim.scene.room.faces import NEAREST
-from clsim.scene.room.mesh_cleaning import clusters, cross_products, outward_sides
-from clsim.scene.room.wall_pairs import WallTree, inwards, meeting, same_planes, straddling, touching_pairs
+from clsim.scene.room.mesh_cleaning import clusters, cross_products, pairs_at_edges, sides_of
+from clsim.scene.room.wall_pairs import WallTree, inwards, meeting, same_planes, straddling
 
 Ints = NDArray[np.int64]
 
@@ -21,6 +21,7 @@ FLATNESS = 1e-6  # m; triangles of a wall lie this near to its plane
 INSIDE = 1e-9  # of the size; points this far outside a wall's outline still are on the wall
 TOUCHING = 1e-6  # of the size; walls in one plane that are farther apart hold no point in common
 _RANGE = 64  # positions taken together
+_MOST_AT_EDGE = 4  # triangles at an edge, each pair of which are neighbours
 
 
 def plane_of_each(corners: Floats, of_triangle: Ints) -> tuple[Floats, Floats]:
@@ -86,15 +87,9 @@ def boundaries(vertices: Floats, triangles: Ints, of_triangle: Ints, normal: Flo
 
 
 def pieces(
-    corners: Floats,
-    of_triangle: Ints,
-    normal: Floats,
-    hull: Floats,
-    first_hull: Ints,
-    edge: Floats,
-    first_edge: Ints,
+    corners: Floats, of_triangle: Ints, normal: Floats, hull: Floats, first_hull: Ints, edge: Floats, first_edge: Ints,
     size: float,
-) -> tuple[Floats, Ints, Ints]:
+) -> tuple[Floats, Ints, Ints]:  # fmt: skip
     """Return walls as convex pieces: their hulls where these fill them, else their triangles; result (L, 4)."""
     sides = np.diff(first_hull)
     lines = _lines(hull, first_hull, np.repeat(normal, sides, axis=0))
@@ -160,7 +155,7 @@ class Walls:
     twin: NDArray[np.int64]  # (X,) walls of lower index in the plane that touch it and own the points that both hold
     first_twin: NDArray[np.int64]
     shell: NDArray[np.int64]  # (W,) which shell each wall is of
-    outward: NDArray[np.int64]  # (W,) 1 if its normal points out of this shell, -1 into it, 0 neither: `outward_sides`
+    outward: NDArray[np.int64]  # (W,) 1 if its normal points out of this shell, -1 into it, 0 neither
     tree: WallTree  # boxes around walls and groups of them
     crossing: bool  # whether some walls run through each other
 
@@ -189,7 +184,7 @@ def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArra
     # Neighbours are one wall if the corners of each lie within `flatness`, m, of the plane of the other.
     corners = vertices[triangles]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    neighbours = _neighbours(triangles)
+    neighbours = pairs_at_edges(sides_of(triangles)[2], _MOST_AT_EDGE)
     of_triangle = _merge(corners, neighbours, material, flatness)
     normal, offset = plane_of_each(corners, of_triangle)
     hull, first_hull = hulls(vertices, triangles, of_triangle, normal)
@@ -198,7 +193,9 @@ def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArra
     plane = same_planes(normal, offset, hull, first_hull, size)
     low, high = (f.reduceat(hull, first_hull[:-1]) for f in (np.minimum, np.maximum))
     tree = WallTree.around(low, high)
-    touching = touching_pairs(tree, low, high, TOUCHING * size)
+    touching = np.stack(tree.meeting_boxes(low - TOUCHING * size, high + TOUCHING * size), axis=1)
+    touching = touching[touching[:, 0] < touching[:, 1]]
+    touching = touching[np.lexsort((touching[:, 1], touching[:, 0]))]
     level = plane[touching[:, 0]] == plane[touching[:, 1]]
     across = straddling(normal, offset, hull, first_hull, touching[~level], size)
     lines = [line[a:b] for a, b in itertools.pairwise(first_line)]
@@ -214,7 +211,7 @@ def build_walls(vertices: Floats, triangles: NDArray[np.int64], material: NDArra
     wall = np.repeat(np.arange(len(offset)), np.diff(first_hull))
     radius = np.maximum.reduceat(np.linalg.norm(hull - centre[wall], axis=1), first_hull[:-1])
     meets = np.array([pair for pair, _ in crossings], dtype=np.int64).reshape(-1, 2)
-    shell, outward = outward_sides(corners, triangles, neighbours, of_triangle, normal, meets, touching[level])
+    shell, outward = _outward_sides(corners, triangles, neighbours, of_triangle, normal, meets, touching[level])
     return Walls(
         size, normal, offset, plane, centre, radius, of_triangle,
         hull, first_hull,
@@ -262,17 +259,35 @@ def _merge(
     return rank[again.ravel()]
 
 
-def _neighbours(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return pairs (n, 2) of triangles that share an edge."""
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    owner = np.repeat(np.arange(len(triangles)), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    edges, owner = edges[order], owner[order]
-    pairs = []
-    for apart in (1, 2, 3):  # an edge of up to four triangles: each pair of them
-        same = np.all(edges[apart:] == edges[:-apart], axis=1)
-        pairs.append(np.stack([owner[:-apart][same], owner[apart:][same]], axis=1))
-    return np.concatenate(pairs)
+def _outward_sides(
+    corners: Floats, triangles: Ints, neighbours: Ints, of_triangle: Ints, normal: Floats, crossing: Ints, level: Ints
+) -> tuple[Ints, Ints]:
+    """Return the shell (W,) of each wall, and the side (W,) of the wall on which the outside of this shell lies."""
+    # The side is 1 if the normal of the wall points out of the shell, -1 if into it, and 0 where there is no such side:
+    # in a shell that is open, runs through itself, lies on itself the other way round, or whose triangles turn both
+    # ways. Shapes: corners (T, 3, 3) m; triangles (T, 3); neighbours (n, 2); crossing (m, 2); level (k, 2).
+    count, of_face = clusters(len(triangles), neighbours)
+    shell = np.empty(len(normal), dtype=np.int64)
+    shell[of_triangle] = of_face
+    good = np.ones(count, dtype=bool)
+    directed, _, which = sides_of(triangles)
+    uses = np.bincount(which)
+    forward = np.bincount(which, weights=directed[:, 0] < directed[:, 1], minlength=len(uses))
+    good[np.repeat(of_face, 3)[(uses[which] != 2) | (forward[which] != 1.0)]] = False
+    turn = np.sign(np.einsum("ti,ti->t", cross_products(corners), normal[of_triangle]))
+    most, least = np.full(len(normal), -1.0), np.ones(len(normal))
+    np.maximum.at(most, of_triangle, turn)
+    np.minimum.at(least, of_triangle, turn)
+    good[shell[most != least]] = False
+    faces = most[:, None] * normal
+    opposed = level[np.sum(faces[level[:, 0]] * faces[level[:, 1]], axis=1) < 0.0]
+    for pairs in (crossing, opposed):
+        one, other = shell[pairs].T
+        good[one[one == other]] = False
+    about = corners - corners.reshape(-1, 3).mean(axis=0)
+    volume = np.einsum("ti,ti->t", about[:, 0], np.cross(about[:, 1], about[:, 2]))
+    outside = np.sign(np.bincount(of_face, weights=volume, minlength=count))
+    return shell, (good[shell] * outside[shell] * most).astype(np.int64)
 
 
 def first_contact(walls: Walls, positions: Floats) -> tuple[int, int] | None:

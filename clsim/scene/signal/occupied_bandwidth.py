@@ -9,6 +9,7 @@ from functools import cache, cached_property, partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats
@@ -47,9 +48,7 @@ class ShortTimeSpectra:
 
     def _gathered(self, bins: NDArray[np.int64], places: NDArray[np.int64], shares: Floats, count: int) -> Floats:
         """Return sums (W, count) of shares of the energy of bins (n,), each added at its place."""
-        from scipy.sparse import csr_array
-
-        onto = csr_array((shares, (bins, places)), shape=(len(self.frequencies), count))
+        onto = scipy.sparse.csr_array((shares, (bins, places)), shape=(len(self.frequencies), count))
         return np.asarray(self.energy @ onto)
 
     @cached_property

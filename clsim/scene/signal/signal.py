@@ -13,18 +13,7 @@ from numpy.typing import NDArray
 from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, check_kind, warn
 from clsim.files.sound import as_scale, read_sound_file
-from clsim.scene.signal.waveforms import (
-    SEQUENCES,
-    Chirp,
-    Noise,
-    Pulses,
-    Samples,
-    Sequence,
-    Tone,
-    Waveform,
-    binary_sequence,
-    most_repeats,
-)
+from clsim.scene.signal import waveforms
 
 SEGMENT_LENGTH = 8192  # samples of a segment
 _ALL_SEGMENTS = 400  # above which segments are picked
@@ -48,14 +37,9 @@ class Signal:
         Source of the samples.
     sampling_rate : float
         Hz.
-
-    Raises
-    ------
-    InputError
-        If it is given samples, which `from_array` takes.
     """
 
-    waveform: Waveform
+    waveform: waveforms.Waveform
     sampling_rate: float
 
     __repr__ = short_repr
@@ -63,11 +47,8 @@ class Signal:
     def __post_init__(self) -> None:
         given: object = self.waveform
         if isinstance(given, Signal) or not hasattr(given, "read"):
-            raise InputError(
-                "waveform",
-                f"must be a waveform, but is {type(self.waveform).__name__}; "
-                "samples are taken by Signal.from_array(samples, sampling_rate)",
-            )
+            problem = f"must be a waveform, but is {type(self.waveform).__name__}; "
+            raise InputError("waveform", f"{problem}samples are taken by Signal.from_array(samples, sampling_rate)")
 
     @property
     def count(self) -> int:
@@ -88,14 +69,14 @@ class Signal:
     @property
     def pulse_times(self) -> Floats:
         """Onsets (n,) of the pulses of a train, s; 0 for any other signal."""
-        if not isinstance(self.waveform, Pulses):
+        if not isinstance(self.waveform, waveforms.Pulses):
             return np.zeros(1)
         return np.asarray(np.arange(self.waveform.repetitions) * self.waveform.period)
 
     @property
     def pulse(self) -> Signal:
         """The repeated pulse of a train; any other signal itself."""
-        if not isinstance(self.waveform, Pulses):
+        if not isinstance(self.waveform, waveforms.Pulses):
             return self
         return Signal(self.waveform.pulse, self.waveform.pulse_rate)
 
@@ -113,7 +94,7 @@ class Signal:
             Hz, beyond which there is -120 dB of it; None unless all of these samples are at full level.
         """
         wave = self.waveform
-        if not isinstance(wave, Tone | Noise | Chirp):
+        if not isinstance(wave, waveforms.Tone | waveforms.Noise | waveforms.Chirp):
             return None
         fade = math.ceil(wave.fade * self.sampling_rate)
         inside = fade <= first and last <= self.count - 1 - fade
@@ -209,14 +190,9 @@ class Signal:
 
     @classmethod
     def tone(
-        cls,
-        frequency: float,
-        duration: float,
-        sampling_rate: float,
-        amplitude: float = 1.0,
-        phase: float = 0.0,
+        cls, frequency: float, duration: float, sampling_rate: float, amplitude: float = 1.0, phase: float = 0.0,
         fade: float = 0.0,
-    ) -> Signal:
+    ) -> Signal:  # fmt: skip
         """Return ``amplitude sin(2 pi frequency t + phase)``.
 
         Parameters
@@ -238,7 +214,7 @@ class Signal:
         rate = _rate(sampling_rate)
         duration = _duration(duration, rate)
         return cls(
-            Tone(
+            waveforms.Tone(
                 _frequency("frequency", frequency, rate), duration, _amplitude(amplitude),
                 as_number("phase", phase, at_least=-1e9, at_most=1e9, unit="rad"), _fade(fade, duration),
             ),
@@ -247,16 +223,9 @@ class Signal:
 
     @classmethod
     def chirp(
-        cls,
-        start: float,
-        stop: float,
-        duration: float,
-        sampling_rate: float,
-        method: str = "linear",
-        window: str = "none",
-        amplitude: float = 1.0,
-        fade: float = 0.0,
-    ) -> Signal:
+        cls, start: float, stop: float, duration: float, sampling_rate: float, method: str = "linear",
+        window: str = "none", amplitude: float = 1.0, fade: float = 0.0,
+    ) -> Signal:  # fmt: skip
         """Return a sweep from one frequency to another.
 
         Parameters
@@ -292,7 +261,7 @@ class Signal:
         if fade > 0.0 and window != "none":
             raise InputError("fade", f"must be left out with a window, but is {fade:g} s beside {window!r}")
         return cls(
-            Chirp(
+            waveforms.Chirp(
                 _frequency("start", start, rate), _frequency("stop", stop, rate), duration, method,
                 fade / duration or _TAPERS[window], _amplitude(amplitude),
             ),
@@ -306,16 +275,11 @@ class Signal:
         Parameters
         ----------
         pulse : Signal
-            The repeated signal.
+            The repeated signal, no train itself.
         period : float
             From one beginning to the next, a whole number of samples and not shorter than the pulse, s.
         count : int
             At least 1; the train lasts 1e7 s at most.
-
-        Raises
-        ------
-        InputError
-            If the pulse is a train itself or the period does not fit; the message names the nearest that do.
 
         Examples
         --------
@@ -323,23 +287,18 @@ class Signal:
         0.201
         """
         check_kind("pulse", pulse, Signal, "a Signal")
-        if isinstance(pulse.waveform, Pulses):
+        if isinstance(pulse.waveform, waveforms.Pulses):
             raise InputError("pulse", "must be a single pulse, but is a train")
         period = as_number("period", period, at_least=pulse.duration, at_most=_LONGEST, unit="s")
         count = as_count("count", count, at_least=1, at_most=max(1, math.floor(_LONGEST / period)))
         rate = pulse.sampling_rate
-        return cls(Pulses(pulse.waveform, rate, period, count).checked(rate), rate)
+        return cls(waveforms.Pulses(pulse.waveform, rate, period, count).checked(rate), rate)
 
     @classmethod
     def noise(
-        cls,
-        duration: float,
-        sampling_rate: float,
-        seed: int,
-        band: tuple[float, float] | None = None,
-        rms: float = 1.0,
-        fade: float = 0.0,
-    ) -> Signal:
+        cls, duration: float, sampling_rate: float, seed: int, band: tuple[float, float] | None = None,
+        rms: float = 1.0, fade: float = 0.0,
+    ) -> Signal:  # fmt: skip
         """Return Gaussian noise, the same for the same seed.
 
         Parameters
@@ -375,7 +334,7 @@ class Signal:
             as_number("band[1]", float(high), above=float(low), below=0.5 * rate, unit="Hz")
             ends = (float(low), float(high))
         return cls(
-            Noise(
+            waveforms.Noise(
                 duration, as_count("seed", seed, at_least=0, at_most=2**64 - 1), ends,
                 _rms(rms), _fade(fade, duration),
             ),
@@ -384,24 +343,15 @@ class Signal:
 
     @classmethod
     def sequence(
-        cls,
-        *,
-        carrier: float,
-        chip_rate: float,
-        sampling_rate: float,
-        kind: str = "mls",
-        bits: int = 10,
-        code: int = 0,
-        repeats: int = 1,
-        rolloff: float = 0.5,
-        amplitude: float = 1.0,
-    ) -> Signal:
+        cls, *, carrier: float, chip_rate: float, sampling_rate: float, kind: str = "mls", bits: int = 10,
+        code: int = 0, repeats: int = 1, rolloff: float = 0.5, amplitude: float = 1.0,
+    ) -> Signal:  # fmt: skip
         """Return a binary sequence on a carrier (BPSK), its chips shaped by a raised cosine.
 
         Parameters
         ----------
         carrier, chip_rate, sampling_rate : float
-            Hz; the band is ``carrier`` plus and minus ``chip_rate (1 + rolloff) / 2``.
+            Hz; the band, ``carrier`` plus and minus ``chip_rate (1 + rolloff) / 2``, fits below half the last.
         kind : {"mls", "gold"}
             Maximum-length or Gold sequence of ``2**bits - 1`` chips.
         bits : int
@@ -415,25 +365,22 @@ class Signal:
         amplitude : float
             Level of a chip at its centre, Pa; between chips it overshoots, to 1.5 times at a rolloff of 0.5.
 
-        Raises
-        ------
-        InputError
-            If a value is out of these bounds, or the band leaves 0 to half the sampling rate.
-
         Examples
         --------
         >>> Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=192e3, bits=5).count
         1489
         """
         rate = _rate(sampling_rate)
-        as_choice("kind", kind, SEQUENCES)
+        as_choice("kind", kind, waveforms.SEQUENCES)
         chip_rate = as_number("chip_rate", chip_rate, at_least=SLOWEST, below=0.5 * rate, unit="Hz")
         rolloff = as_number("rolloff", rolloff, at_least=0.05, at_most=1.0)
         half = 0.5 * chip_rate * (1.0 + rolloff)
         carrier = as_number("carrier", carrier, at_least=half, at_most=0.5 * rate - half, unit="Hz")
-        chips = len(binary_sequence(kind, bits, code))  # refuses what there is not
-        repeats = as_count("repeats", repeats, at_least=1, at_most=most_repeats(chips, chip_rate, rate))
-        return cls(Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, _amplitude(amplitude)), rate)
+        chips = len(waveforms.binary_sequence(kind, bits, code))  # refuses what there is not
+        repeats = as_count("repeats", repeats, at_least=1, at_most=waveforms.most_repeats(chips, chip_rate, rate))
+        return cls(
+            waveforms.Sequence(kind, bits, code, repeats, chip_rate, carrier, rolloff, _amplitude(amplitude)), rate
+        )
 
     @classmethod
     def from_array(cls, samples: Any, sampling_rate: float, scale: float | None = None) -> Signal:
@@ -446,12 +393,6 @@ class Signal:
         scale : float, optional
             Amplitude of a sample of 1, Pa, or V for a transducer; 1 if left out. Integers need it: they are steps of a
             converter, whose full scale is rarely 32767 Pa.
-
-        Raises
-        ------
-        InputError
-            If the samples are no finite numbers, louder than any sound, or not (n,), integers have no scale, or the
-            rate is out of bounds.
 
         Examples
         --------
@@ -491,11 +432,6 @@ class Signal:
             Amplitude of a sample of 1, Pa, or V for a transducer.
         truncated : bool
             Whether a file that ends before its header says is taken as far as it goes; else it is refused.
-
-        Raises
-        ------
-        InputError
-            If the file is missing or no sound file, has no such channel, is too long, or holds what is no finite sound.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel, truncated)
@@ -554,8 +490,8 @@ def energy_centroid(signal: Signal) -> float | None:
 
 def _with_centroid(samples: NDArray[Any], rate: float) -> Signal:
     """Return samples whose centre frequency is the centroid of their energy."""
-    centre = energy_centroid(Signal(Samples(samples, rate, None), rate))
-    return Signal(Samples(samples, rate, centre), rate)
+    centre = energy_centroid(Signal(waveforms.Samples(samples, rate, None), rate))
+    return Signal(waveforms.Samples(samples, rate, centre), rate)
 
 
 def _rate(sampling_rate: float) -> float:

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_count, read_only, short_repr
@@ -184,11 +185,8 @@ class Pulses:
         samples = self.period * sampling_rate
         if abs(samples - round(samples)) > 1e-6 * max(1.0, samples * 1e-6):
             low, high = math.floor(samples) / sampling_rate, math.ceil(samples) / sampling_rate
-            raise InputError(
-                "period",
-                f"must be a whole number of samples at {sampling_rate:g} Hz, such as {low!r} or {high!r} s, "
-                f"but is {self.period!r} s",
-            )
+            problem = f"must be a whole number of samples at {sampling_rate:g} Hz, such as {low!r} or {high!r} s, "
+            raise InputError("period", f"{problem}but is {self.period!r} s")
         return self
 
     def _step(self, sampling_rate: float) -> int:
@@ -311,11 +309,11 @@ def _white_block(seed: int, k: int) -> Floats:
 @lru_cache(maxsize=512)  # 16 MiB: planning looks at what rendering reads again
 def _noise_block(seed: int, band: tuple[float, float], sampling_rate: float, k: int) -> Floats:
     """Return block k of endless noise through a band's filter, by overlap-save: the same however it is read."""
-    from scipy.fft import irfft, rfft
-
     white = white_noise(seed, k * _NOISE_BLOCK - _NOISE_HALF, (k + 1) * _NOISE_BLOCK + _NOISE_HALF)
     length = _NOISE_BLOCK + 2 * _NOISE_HALF
-    return np.asarray(irfft(rfft(white) * _band_response(*band, sampling_rate), length)[2 * _NOISE_HALF :])
+    return np.asarray(
+        scipy.fft.irfft(scipy.fft.rfft(white) * _band_response(*band, sampling_rate), length)[2 * _NOISE_HALF :]
+    )
 
 
 @lru_cache(maxsize=16)
@@ -329,11 +327,9 @@ def _block_angles(frequency: float, sampling_rate: float) -> tuple[Floats, Float
 @lru_cache(maxsize=16)
 def _band_response(low: float, high: float, sampling_rate: float) -> NDArray[np.complex128]:
     """Return the spectrum, over one block, of a linear-phase band filter of unit noise gain."""
-    from scipy.fft import rfft
-
     half_rate = 0.5 * sampling_rate
     taps = band_pass(max(low, 0.0) / half_rate, high / half_rate, 2 * _NOISE_HALF + 1, _NOISE_SHAPE)
-    return np.asarray(rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
+    return np.asarray(scipy.fft.rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
 
 
 def _taper(out: Floats, first: int, sampling_rate: float, duration: float, fade: float) -> None:
@@ -353,10 +349,8 @@ def _count(duration: float, sampling_rate: float) -> int:
 
 def _fits(field: str, frequency: float, sampling_rate: float) -> None:
     if frequency >= 0.5 * sampling_rate:
-        raise InputError(
-            "sampling_rate",
-            f"must be above {2.0 * frequency:g} Hz, twice the signal's {field}, but is {sampling_rate:g} Hz",
-        )
+        problem = f"must be above {2.0 * frequency:g} Hz, twice the signal's {field}, but is {sampling_rate:g} Hz"
+        raise InputError("sampling_rate", problem)
 
 
 def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
@@ -365,17 +359,15 @@ def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
     code: for "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by k.
     For "mls" the number of chips by which it is rotated.
     """
-    from scipy.signal import max_len_seq
-
     bits = as_count("bits", bits, at_least=2, at_most=16)
     length = 2**bits - 1
     if kind == "mls":
         code = as_count("code", code, at_least=0, at_most=length - 1)
-        return np.asarray(np.roll(1.0 - 2.0 * max_len_seq(bits)[0], code))
+        return np.asarray(np.roll(1.0 - 2.0 * scipy.signal.max_len_seq(bits)[0], code))
     if bits not in _PREFERRED:
         raise InputError("bits", f"must be one of {', '.join(map(str, _PREFERRED))} for Gold sequences, but is {bits}")
     code = as_count("code", code, at_least=0, at_most=length + 1)
-    first, second = (1.0 - 2.0 * max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
+    first, second = (1.0 - 2.0 * scipy.signal.max_len_seq(bits, taps=np.array(taps))[0] for taps in _PREFERRED[bits])
     if code < 2:
         return np.asarray((first, second)[code])
     return np.asarray(first * np.roll(second, code - 2))
@@ -389,11 +381,8 @@ def shaped_count(chips: int, chip_rate: float, sampling_rate: float) -> int:
 def most_repeats(chips: int, chip_rate: float, sampling_rate: float) -> int:
     """Return number of periods of a sequence that can be kept, at least 1."""
     if shaped_count(chips, chip_rate, sampling_rate) > _MOST_SAMPLES:
-        raise InputError(
-            "chip_rate",
-            f"must be high enough for a period of {chips} chips to take at most {_MOST_SAMPLES} samples, "
-            f"but is {chip_rate:g} Hz",
-        )
+        problem = f"must be high enough for a period of {chips} chips to take at most {_MOST_SAMPLES} samples, "
+        raise InputError("chip_rate", f"{problem}but is {chip_rate:g} Hz")
     return max(1, int((_MOST_SAMPLES * chip_rate / sampling_rate - 2 * _HALF_CHIPS) / chips))
 
 

@@ -46,11 +46,6 @@ class Electronics:
         Sample n is taken at ``n (1 + 1e-6 clock_ppm) / sampling_rate + clock_offset``; up to 10 000 ppm and 1 s either
         way.
 
-    Raises
-    ------
-    InputError
-        If a value is out of these bounds, or one of two that belong together is missing.
-
     Notes
     -----
     A ratio to the level of the recording itself would need the whole recording before its first sample;

@@ -10,6 +10,7 @@ from os import PathLike
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.acoustics.air import absorption_iso9613
@@ -74,20 +75,18 @@ class StreamFilter:
     # `ringing` (n - 1,) is what it remembers: the part of its output so far that is still to come. The rounding is the
     # same whatever the length of the pieces that it is given.
     def __init__(self, taps: Floats, block: int) -> None:
-        from scipy.fft import next_fast_len, rfft
-
-        self._block, self._size = block, next_fast_len(block + len(taps) - 1, real=True)
-        self._spectrum = rfft(taps, self._size)
+        self._block, self._size = block, scipy.fft.next_fast_len(block + len(taps) - 1, real=True)
+        self._spectrum = scipy.fft.rfft(taps, self._size)
         self.ringing = np.zeros(len(taps) - 1)
 
     def __call__(self, samples: Floats) -> Floats:
         """Return filtered samples (n,); n is a whole number of blocks but for the last piece."""
-        from scipy.fft import irfft, rfft
-
         out = np.empty_like(samples)
         for first in range(0, len(samples), self._block):
             part = samples[first : first + self._block]
-            whole = irfft(rfft(part, self._size) * self._spectrum, self._size)[: self._block + len(self.ringing)]
+            whole = scipy.fft.irfft(scipy.fft.rfft(part, self._size) * self._spectrum, self._size)[
+                : self._block + len(self.ringing)
+            ]
             whole[: len(self.ringing)] += self.ringing
             self.ringing = whole[self._block :].copy()
             out[first : first + self._block] = whole[: len(part)]
@@ -97,17 +96,15 @@ class StreamFilter:
 @lru_cache(maxsize=_CACHED)
 def _filtered_block(filtered: Filtered, k: int, sampling_rate: float) -> Floats:
     """Return the k-th block of a filtered waveform: overlap-save with everything that reaches into it."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
     taps = filtered.response.impulse_response(sampling_rate)
     before, count = len(taps) - 1, filtered.waveform.count(sampling_rate)
-    size = next_fast_len(_BLOCK + before, real=True)
+    size = scipy.fft.next_fast_len(_BLOCK + before, real=True)
     emitted = np.zeros(size)
     start = k * _BLOCK - before
     first, last = max(start, 0), min((k + 1) * _BLOCK, count)
     if first < last:
         emitted[first - start : last - start] = filtered.waveform.read(first, last, sampling_rate)
-    made = irfft(rfft(emitted) * rfft(taps, size), size)
+    made = scipy.fft.irfft(scipy.fft.rfft(emitted) * scipy.fft.rfft(taps, size), size)
     return np.asarray(made[before : before + _BLOCK], dtype=np.float64)
 
 
@@ -130,11 +127,8 @@ class Resonance:
         # the least, which is early by up to half a sample.
         top = self.frequency + self.width
         if top > 0.5 * sampling_rate:
-            raise InputError(
-                "frequency",
-                f"must lie a width below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is "
-                f"{self.frequency:g} Hz with a width of {self.width:g} Hz",
-            )
+            problem = f"must lie a width below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is "
+            raise InputError("frequency", f"{problem}{self.frequency:g} Hz with a width of {self.width:g} Hz")
         if top <= _EASY * sampling_rate:
             return self.peak * _cut(resonance_taps(self.frequency, self.width, sampling_rate))
 
@@ -190,9 +184,7 @@ class ResponseTable:
 
         def transformed(f: Floats) -> Floats:
             """Return the impulse response that magnitude and phase at frequencies (Hz) give."""
-            from scipy.fft import irfft
-
-            return np.asarray(irfft(self.magnitude_at(f) * np.exp(1j * self.phase_at(f))), dtype=np.float64)
+            return np.asarray(scipy.fft.irfft(self.magnitude_at(f) * np.exp(1j * self.phase_at(f))), dtype=np.float64)
 
         taps = _converged(transformed, sampling_rate, acausal=True)
         return _causal(taps, "values", "delay them by what the measurement took away, or give magnitudes only")
@@ -246,9 +238,8 @@ def _causal(taps: Floats, field: str, advice: str, before: int | None = None) ->
     energy = np.square(taps)
     share = float(energy[len(taps) - size :].sum() / energy.sum())
     if share > _BEFORE:
-        raise InputError(
-            field, f"must respond after 0 s, but {10 * math.log10(share):.0f} dB of the energy come before; {advice}"
-        )
+        problem = f"must respond after 0 s, but {10 * math.log10(share):.0f} dB of the energy come before; {advice}"
+        raise InputError(field, problem)
     return _cut(taps[: len(taps) - size])
 
 
@@ -323,11 +314,9 @@ class Transducer:
         low, high = self.model.band
         if band[0] < low or band[1] > high:
             extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
-            raise InputError(
-                "transducer",
-                f"must cover the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
-                f"but covers {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}",
-            )
+            problem = f"must cover the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
+            problem += f"but covers {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}"
+            raise InputError("transducer", problem)
 
     @classmethod
     def resonance(cls, frequency: float, width: float, sensitivity: float, name: str = "") -> Transducer:
@@ -382,9 +371,8 @@ class Transducer:
         """
         f = as_floats("frequencies", frequencies, (None,))
         if len(f) < 2 or f[0] < 0.0 or np.any(np.diff(f) <= 0.0):
-            raise InputError(
-                "frequencies", f"must be two or more from 0 Hz that increase strictly, but are {f.tolist()!s:.80}"
-            )
+            problem = f"must be two or more from 0 Hz that increase strictly, but are {f.tolist()!s:.80}"
+            raise InputError("frequencies", problem)
         if outside is not None:
             as_choice("outside", outside, ("zero", "hold"))
         given = np.asarray(values)
@@ -407,11 +395,6 @@ class Transducer:
             Taps at `sampling_rate`: their spectrum ``sum h[n] exp(-2j pi f n / sampling_rate)`` is the response.
         sampling_rate : float
             Hz. At another rate the taps are resampled, flat to 0.9 of the lower Nyquist frequency.
-
-        Raises
-        ------
-        InputError
-            If the samples are all zero or not finite.
         """
         rate = as_number("sampling_rate", sampling_rate, at_least=1000.0, at_most=100e6, unit="Hz")
         taps = as_floats("samples", samples, (None,), within=LOUDEST)
@@ -431,11 +414,6 @@ class Transducer:
             As of `Signal.from_wav`.
         scale : float
             Response of a sample of 1: Pa at 1 m per V, or V per Pa.
-
-        Raises
-        ------
-        InputError
-            If the file is missing or no sound file, has no such channel, or holds NaN or silence.
         """
         channel, scale = as_count("channel", channel, at_least=0), as_scale(scale)
         samples, rate = read_sound_file(path, channel, truncated)
@@ -452,11 +430,6 @@ class Transducer:
             a resonance at 40 kHz, 2.4 kHz wide at -6 dB. MA40S4S makes 120 dB re 20 µPa at 0.3 m from 10 V rms, MA40S4R
             has -63 dB re 10 V/Pa. Frequency, level and sensitivity are the catalogue's (Murata, "Ultrasonic Sensor
             Application Manual", Cat. No. S15E), each within 3 dB; the width is a round typical value.
-
-        Raises
-        ------
-        InputError
-            If the name is unknown.
 
         Examples
         --------
