@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import ClsimError, DeviceError
-from clsim.opencl.arguments import Argument
 from clsim.opencl.device import refuse_after_fork
 from clsim.opencl.kernel_cache import Trial, TriedKernel
-from clsim.opencl.kernels import PROGRAMS, declarations, kernel_source
+from clsim.opencl.kernels import NUMBERS, PROGRAMS, Argument, declarations, kernel_source
 
 WorkItems = tuple[tuple[int, ...], tuple[int, ...]]  # in all, and in a group
 Constant = int | float | str | np.float32
@@ -149,26 +148,18 @@ def _literal(value: Constant) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-NUMBERS: dict[str, type[np.generic]] = {
-    "int": np.int32, "uint": np.uint32, "long": np.int64, "ulong": np.uint64, "float": np.float32, "double": np.float64,
-}  # fmt: skip
-
-
 class Launch:
     """A kernel that is launched with arguments by name."""
 
     def __init__(self, name: str, kernel: Callable[..., Any], arguments: Mapping[str, Argument]) -> None:
         self._name, self._kernel = name, kernel
-        structures = [a for a in arguments.values() if a.numbers]
-        direct = {n: a for n, a in arguments.items() if not a.numbers}
-        self._arguments = direct | {n: number for a in structures for n, number in a.numbers}
+        layouts = [(i, a.layout) for i, a in enumerate(arguments.values()) if a.layout is not None]
+        direct = [n for n, a in arguments.items() if a.layout is None]
+        self._known = {*direct, *(n for _, kind in layouts for n in kind.names or ())}
         self._ordered = itemgetter(*direct)
-        self._structures = [
-            (i, itemgetter(*(n for n, _ in a.numbers)), layout(a))
-            for i, a in enumerate(arguments.values()) if a.numbers
-        ]  # fmt: skip
-        places = list(enumerate(direct.values()))
-        self._numbers = [(i, NUMBERS[a.type]) for i, a in places if not a.shape]
+        self._structures = [(i, itemgetter(*(kind.names or ())), kind) for i, kind in layouts]
+        places = [(i, arguments[n]) for i, n in enumerate(direct)]
+        self._numbers = [(i, NUMBERS[a.type]) for i, a in places if not a.access]
         self._read = [(i, NUMBERS.get(a.type.rstrip("0123456789"))) for i, a in places if a.access == "in"]
 
     def __call__(self, queue: Any, items: WorkItems, /, **arguments: Any) -> Any:
@@ -182,35 +173,23 @@ class Launch:
             values = [(i, np.array(tuple(of(arguments)), kind)) for i, of, kind in self._structures]
         except KeyError:
             raise self._refusal(arguments) from None
-        if len(arguments) != len(self._arguments):
+        if len(arguments) != len(self._known):
             raise self._refusal(arguments)
         for i, number in self._numbers:
             taken[i] = number(taken[i])
         if np.ndarray in map(type, taken):  # quicker than asking every argument
             for i, element in self._read:
                 if isinstance(taken[i], np.ndarray):
-                    taken[i] = upload(queue.context, _elements(taken[i], element))
+                    given = taken[i] if element is None else taken[i].astype(element, casting="same_kind", copy=False)
+                    taken[i] = upload(queue.context, given)  # structures are as they are
         for i, value in values:
             taken.insert(i, value)
         return self._kernel(queue, *items, *taken)
 
     def _refusal(self, arguments: Mapping[str, Any]) -> ClsimError:
-        missing, unknown = self._arguments.keys() - arguments, arguments.keys() - self._arguments
+        missing, unknown = self._known - arguments.keys(), arguments.keys() - self._known
         given = [f"{what} {', '.join(sorted(n))}" for what, n in (("lacks", missing), ("has no", unknown)) if n]
         return ClsimError(f"launch of kernel {self._name}: it {' and '.join(given)}")
-
-
-def _elements(array: NDArray[Any], element: type[np.generic] | None) -> NDArray[Any]:
-    """Return an array in the type of a buffer's elements; structures are as they are."""
-    return array if element is None else array.astype(element, casting="same_kind", copy=False)
-
-
-def layout(structure: Argument) -> np.dtype[np.void]:
-    """Type of a structure that kernels take by value, laid out as in C."""
-    fields = [
-        (n, NUMBERS[a.type], int(a.shape or 1)) if a.shape else (n, NUMBERS[a.type]) for n, a in structure.numbers
-    ]
-    return np.dtype(fields, align=True)
 
 
 def upload(context: Any, array: NDArray[Any]) -> Any:
