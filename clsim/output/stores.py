@@ -28,7 +28,6 @@ from clsim.output.raw_files import (
     RawRows,
     chunk_places,
     create_file,
-    fletcher32,
 )
 from clsim.plugins import STORES as STORE_PLUGINS
 from clsim.plugins import with_plugins
@@ -231,7 +230,7 @@ class _Hdf5Store(_RowStore):
     """A netCDF-4 file whose sound is in chunks of one receiver with checksums, written past the HDF5 library."""
 
     # What the library wrote is on the disk before the first sample, and does not change any more.
-    packages = ("h5netcdf", "h5py", "xarray")
+    packages = ("h5netcdf", "h5py", "numcodecs", "xarray")
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
@@ -272,12 +271,14 @@ class _Hdf5Store(_RowStore):
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
         """Write a whole chunk `(receivers, n)` from sample `start` on, of receiver `first` and those behind it."""
+        from numcodecs.fletcher32 import Fletcher32  # the checksum of HDF5
+
         number, of_row = start // self._chunk, -(-self._sound.samples // self._chunk)
         for r, row in enumerate(samples, first):
             chunk = np.zeros(self._chunk, self._sound.sample_type)  # the last one is as long as all others
             chunk[: len(row)] = row
-            content = chunk.view(np.uint8)
-            self._rows.write(0, np.concatenate([content, fletcher32(content)])[None], r * of_row + number)
+            content = np.frombuffer(Fletcher32().encode(chunk), np.uint8)
+            self._rows.write(0, content[None], r * of_row + number)
 
     def row(self, folder: Path, row: int) -> Readable:
         import h5py

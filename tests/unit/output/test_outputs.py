@@ -19,31 +19,12 @@ from clsim.cli import main
 from clsim.files.atomic import atomic_path
 from clsim.files.sound import WavWriter
 from clsim.output import stores
-from clsim.output.raw_files import fletcher32
 from clsim.output.result_files import read_table, write_table
 from clsim.paths.path_table import PathTable
 from clsim.pictures.plots import envelope_picture, spectrogram, spectrogram_picture
 from clsim.workflow.pictures import echogram_picture
 
 h5py = pytest.importorskip("h5py")
-
-
-@pytest.mark.parametrize("size", [4, 720, 724, 73_728, 300_000])
-@pytest.mark.parametrize("kind", ["zeros", "ones", "one", "noise", "carry"])
-def test_checksums_are_those_of_the_library(kind: str, size: int, tmp_path: Path, rng: np.random.Generator) -> None:
-    """Also where sums are multiples of 65535, and over several blocks."""
-    data = np.zeros(size, np.uint8)
-    if kind == "ones":
-        data[:] = 255
-    elif kind == "one":
-        data[-1] = 1
-    elif kind == "noise":
-        data[:] = rng.integers(256, size=size)
-    elif kind == "carry":
-        data[:4] = 0, 1, 255, 254
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        found = file.create_dataset("a", data=data, chunks=(size,), fletcher32=True).id.read_direct_chunk((0,))[1]
-    assert bytes(found) == data.tobytes() + fletcher32(data).tobytes()
 
 
 SCENE = scene_text(
