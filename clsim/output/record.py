@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from clsim.errors import InputError
-from clsim.files.atomic import safe_path
+from clsim.files.atomic import safe_path, sha256_of
 
 RECORD = "clsim.json"
 _FORMAT = 1
@@ -87,8 +87,7 @@ def fingerprint(path: Path) -> Fingerprint | None:
     try:
         mode = path.lstat().st_mode
         if stat.S_ISREG(mode):
-            with path.open("rb") as file:
-                return path.stat().st_size, hashlib.file_digest(file, "sha256").hexdigest()
+            return path.stat().st_size, sha256_of(path)
         if not stat.S_ISDIR(mode):
             return None
         inside = {child.name: fingerprint(child) for child in sorted(path.iterdir())}

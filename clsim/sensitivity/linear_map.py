@@ -137,6 +137,9 @@ class TangentTracks(SceneTracks):
     here: tuple[tuple[int, ...], ...]  # parameters on which the paths to each receiver depend
     at_centre: bool  # whether responses are those at the centre frequency
     scales: Floats  # (parameters,) by which gains are divided, so that none is held less well than others
+    least_level = _LEAST  # part of the loudest tangent: B-splines begin and end with next to nothing
+    eased_db = _LESS_DB
+    on_device = False  # nodes are not of paths alone
 
     @classmethod
     def among_all(
@@ -165,21 +168,6 @@ class TangentTracks(SceneTracks):
             **columns, parameters=tuple(parameters), here=here, at_centre=at_centre, scales=np.ones(len(parameters))
         )
         return replace(made, scales=made.levels(until))
-
-    @property
-    def least_level(self) -> float:
-        """Part of the loudest tangent: B-splines begin and end with next to nothing."""
-        return _LEAST
-
-    @property
-    def eased_db(self) -> float:
-        """As much as responses of tangents."""
-        return _LESS_DB
-
-    @property
-    def on_device(self) -> bool:
-        """Whether devices make their nodes: these are not of paths alone."""
-        return False
 
     @property
     def channels(self) -> tuple[tuple[str, ...], ...]:

@@ -13,17 +13,23 @@ import pytest
 import clsim
 from clsim.opencl import launch
 from clsim.opencl.device import able_processor, find_device, list_devices
-from clsim.opencl.kernels import (
+from clsim.opencl.launch import (
+    ALONE,
     DECLARATIONS,
+    LONG_ALONE,
+    LONG_KERNELS,
     NUMBERS,
     PROGRAMS,
     Argument,
+    Launch,
     arguments_of,
+    as_built,
+    compiler_of,
     declarations,
     kernel_folder,
     kernel_source,
+    upload,
 )
-from clsim.opencl.launch import ALONE, LONG_ALONE, LONG_KERNELS, Launch, as_built, compiler_of, upload
 from clsim.paths.visibility.device import INTERVAL, SPAN, progress
 from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR
 from clsim.render.opencl.host_nodes import PAIR_RECEIVER

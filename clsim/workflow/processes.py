@@ -283,27 +283,36 @@ class WorkersLostError(ClsimError):
     """There was no worker for too long."""
 
 
-class Tasks(Protocol):
+class Tasks:
     """Numbered tasks, each a call that any worker can make."""
 
     kind: str  # of the tasks, one word
-    several: bool  # whether a process does several at a time, if it has threads for them
-    loads: tuple[str, ...]  # modules that every worker would load itself: where workers are forked, once for all
+    several = False  # whether a process does several at a time, if it has threads for them
+    loads: tuple[str, ...] = ()  # modules that every worker would load itself: where workers are forked, once for all
 
     def check(self) -> Call:
         """Return the call that checks a new worker: why it cannot work, or "", and if its device is the reason."""
+        return _is_good, ()
 
     def call(self, number: int) -> Call:
         """Return the call of a task, to which the worker appends its device; the call returns the task's row."""
+        raise NotImplementedError
 
     def found(self, number: int) -> Row | None:
         """Return the row of a task whose results are there, although its worker died before it could say so."""
+        return None
 
     def failed(self, number: int, error: BaseException) -> Row:
         """Return the row of a task that raised an error, or raise it."""
+        raise error
 
     def over(self) -> Call | None:
         """End all tasks; return a call for the workers to wait for, or None."""
+        return None
+
+
+def _is_good() -> tuple[str, bool]:
+    return "", False
 
 
 class Team(Protocol):
