@@ -29,8 +29,8 @@ from clsim.pictures.plots import (
 from clsim.recording import sweep_window
 from clsim.render.plan import Plan
 from clsim.workflow.console import progress
-from clsim.workflow.pipeline import PlannedScene
-from clsim.workflow.result_folder import MOST_DRAWN, PICTURES, ResultFolder, RunOutputs, picture
+from clsim.workflow.pipeline import MOST_DRAWN, PICTURES, PlannedScene, RunOutputs, picture
+from clsim.workflow.result_folder import ResultFolder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
