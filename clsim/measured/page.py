@@ -22,28 +22,6 @@ UNITS = {  # of pages: factor and unit
 }  # fmt: skip
 _NAMES = {"ts": "Ts"}
 _WIDTH = 100  # of the page's lines
-_HEAD = """# Measured rooms
-
-Impulse responses of these rooms were measured. clsim simulates them from the published inputs, with
-images of order 2 and the diffuse tail. Nothing was fitted to these rooms. `clsim validate` writes
-this page, also for [rooms of your own](validate.md).
-
-Differences are in just noticeable differences (JND; ISO 3382-1:2009, table A.1):
-
-| parameter | JND |
-|---|---|
-| T20, T30, EDT | 5 % |
-| D50, LF, LFC | 5 points |
-| IACC | 0.075 |
-| C80, G | 1 dB |
-| Ts | 10 ms |
-
-Values of clsim are parameters averaged over the seeds, since the noise of a single seed has a decay
-of its own. Rows are means over all pairs.
-
-Aims in JND are means over bands and pairs. Aims in % and dB are those of the worst band, in the
-mean over pairs.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +57,8 @@ def provenance() -> str:
 def page_text(rooms: Sequence[Validated], seeds: Sequence[int]) -> str:
     """Text of the page in Markdown; pictures are beside it in ``pictures``."""
     drawn = ", ".join(map(str, seeds))
-    lines = [_HEAD, f"Written with {provenance()}; seed{'s' if len(seeds) > 1 else ''} {drawn} of rays and noise.", ""]
+    head = Path(__file__).with_suffix(".md").read_text("utf-8")
+    lines = [head, f"Written with {provenance()}; seed{'s' if len(seeds) > 1 else ''} {drawn} of rays and noise.", ""]
     for one in rooms:
         lines += _room(one, len(seeds))
     return "\n".join(lines)

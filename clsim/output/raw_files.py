@@ -41,19 +41,16 @@ class RawRows:
             self.close()
             raise
 
-    def reserve(self, samples: Sequence[int]) -> None:
-        """Take the disk space of rows of given lengths beforehand, so that a full disk shows before hours of work."""
-        for path, number in self._files.items():
-            rows = zip(self._places, samples, strict=True)
-            size = max(begin + self._type.itemsize * count for (other, begin), count in rows if other == path)
+    def reserve(self, sizes: Sequence[int]) -> None:
+        """Take the disk space of the files, bytes, beforehand, so that a full disk shows before hours of work."""
+        for (path, number), size in zip(self._files.items(), sizes, strict=True):
             try:
                 if hasattr(os, "posix_fallocate"):
                     os.posix_fallocate(number, 0, size)
             except OSError as error:
                 if error.errno not in _UNKNOWN_TO_SYSTEM:
-                    raise OSError(
-                        error.errno, f"{os.strerror(error.errno or 0)} ({size / 2**20:.3g} MiB are needed)", str(path)
-                    ) from error
+                    needed = f"{os.strerror(error.errno or 0)} ({size / 2**20:.3g} MiB are needed)"
+                    raise OSError(error.errno, needed, str(path)) from error
             os.truncate(number, max(size, os.fstat(number).st_size))
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:

@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.arrays import Floats
 from clsim.errors import InputError, warn
 from clsim.files.input_files import file_names
-from clsim.output.stores import StoredSound, store_kinds
+from clsim.output.raw_files import SampleFile
+from clsim.output.stores import SoundStore, StoredSound, store_kinds
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import DirectPath, EchoTruth, body_truth, direct_path, scatterer_truth
 from clsim.paths.path_set import PathSet
@@ -186,20 +185,9 @@ def picture(receiver: str, kind: str) -> str:
     return f"{receiver}_{kind}.png"
 
 
-class Sink(Protocol):
-    """Receiver of samples, chunk by chunk."""
-
-    def open(self) -> None:
-        """Prepare for writing."""
-
-    def write(self, start: int, samples: NDArray[Any]) -> None:
-        """Write samples (receivers, n) from sample `start` on."""
-
-    def close(self) -> None:
-        """Finish writing."""
-
-
-def render_into(sinks: Sequence[Sink], plan: Plan, rendering: Rendering, first: int = 0) -> Iterator[int]:
+def render_into(
+    sinks: Sequence[SampleFile | SoundStore], plan: Plan, rendering: Rendering, first: int = 0
+) -> Iterator[int]:
     """Render a plan into sinks, in bounded memory; yield the number of samples written after each chunk."""
     with within_memory(plan.largest_field, "rendering", plan.memory_bytes), ExitStack() as stack:
         for sink in sinks:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import soundfile
 from clsim_barn.columns import Columns
+from made_results import read_table
 from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 import clsim
@@ -19,7 +20,7 @@ from clsim.cli import main
 from clsim.files.atomic import atomic_path
 from clsim.files.sound import WavWriter
 from clsim.output import stores
-from clsim.output.result_files import read_table, write_table
+from clsim.output.result_files import write_table
 from clsim.paths.path_table import PathTable
 from clsim.pictures.plots import envelope_picture, spectrogram, spectrogram_picture
 from clsim.workflow.pictures import echogram_picture
@@ -305,13 +306,6 @@ def test_table_as_parquet_has_a_row_per_path_and_time(tmp_path, table: PathTable
 def test_table_refuses_other_files(tmp_path, table: PathTable) -> None:
     with pytest.raises(clsim.InputError, match=r"\.npz or \.parquet"):
         write_table(table, tmp_path / "t.csv")
-    for content in (b"PK", b"PK\x03\x04", b"", b"PK\x03\x04" + bytes(100)):
-        (tmp_path / "no.npz").write_bytes(content)
-        with pytest.raises(clsim.InputError, match="path table"):
-            read_table(tmp_path / "no.npz")
-    np.save(tmp_path / "array.npy", np.ones(3))
-    with pytest.raises(clsim.InputError, match="path table"):
-        read_table(tmp_path / "array.npy")
 
 
 def test_table_without_paths_is_written(tmp_path, table: PathTable) -> None:
