@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_floats, as_index, as_number, short_repr, texts
 from clsim.errors import InputError, check_packages, check_pictures, counted
+from clsim.files.atomic import atomic_path
 from clsim.paths.path_set import PathSet
 from clsim.pictures.view_page import html_table, inline_sound
 from clsim.scene.ends import Receiver
@@ -151,11 +152,10 @@ class Recording:
         """
         if not str(path).lower().endswith(".wav"):
             raise InputError("path", f"must end in .wav, but is {str(path)!r:.80}")
-        from clsim.files.sound import WavWriter, as_frames
+        from clsim.files.sound import as_frames, write_wav
 
-        frames = as_frames(self.samples)
-        with WavWriter(path, self.sampling_rate, frames.shape[1], len(frames)) as writer:
-            writer.write(frames)
+        with atomic_path(path) as temporary:
+            write_wav(temporary, self.sampling_rate, as_frames(self.samples))
 
     def to_xarray(self) -> Any:
         """Return the recording as an xarray Dataset, like `open_store`.

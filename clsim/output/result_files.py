@@ -15,7 +15,7 @@ from clsim.arrays import Floats
 from clsim.errors import InputError, check_packages
 from clsim.files.atomic import atomic_path, not_written
 from clsim.files.input_files import file_names
-from clsim.files.sound import WavWriter
+from clsim.files.sound import write_wav
 from clsim.impulse_responses import ImpulseResponses
 from clsim.numerics.quaternions import rotate
 from clsim.paths.ground_truth import DirectPath, EchoTruth
@@ -101,7 +101,7 @@ def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike
     made = [folder / name for name in response_names(responses.source_names, responses.receiver_names)]
     with ExitStack() as stack:
         for path, taps in zip(made, responses.samples.reshape(sources * receivers, count), strict=True):
-            stack.enter_context(WavWriter(path, responses.sampling_rate, samples=count)).write(taps)
+            write_wav(stack.enter_context(atomic_path(path)), responses.sampling_rate, taps)
     return made
 
 
