@@ -223,7 +223,7 @@ class Recording:
         check_pictures("plot")
         from matplotlib import pyplot
 
-        from clsim.pictures.plots import draw_envelope_spectrogram, draw_spectrogram
+        from clsim.pictures.plots import draw_spectrogram
 
         row = self._row(receiver)
         if band is not None:
@@ -231,12 +231,12 @@ class Recording:
             as_number("band[0]", low, at_least=0.0, unit="Hz")
             as_number("band[1]", high, above=low, at_most=0.5 * self.sampling_rate, unit="Hz")
         figure, axes = pyplot.subplots(figsize=(10.0, 5.0), layout="constrained")
-        samples, rate, name = self.samples[row], self.sampling_rate, self.receiver_names[row]
-        if self.carrier is None:
-            segment = None if self.paths is None else sweep_window((s.signal for s in self.paths.scene.sources), rate)
-            draw_spectrogram(figure, axes, samples, rate, title=name, band=band, segment=segment, unit=self.units[row])
-        else:
-            draw_envelope_spectrogram(figure, axes, samples, rate, self.carrier, title=name)
+        signals = [] if self.paths is None or self.carrier else [s.signal for s in self.paths.scene.sources]
+        draw_spectrogram(
+            figure, axes, self.samples[row], self.sampling_rate, title=self.receiver_names[row],
+            band=None if self.carrier else band, segment=sweep_window(signals, self.sampling_rate),
+            unit=self.units[row], carrier=self.carrier,
+        )  # fmt: skip
         return figure
 
     def play(self, receiver: int | str = 0, slower: float = 10.0) -> Any:

@@ -22,7 +22,7 @@ from clsim.files.sound import wav_header, write_wav
 from clsim.output import stores
 from clsim.output.result_files import write_table
 from clsim.paths.path_table import PathTable
-from clsim.pictures.plots import envelope_picture, spectrogram, spectrogram_picture
+from clsim.pictures.plots import spectrogram, spectrogram_picture
 from clsim.workflow.pictures import echogram_picture
 
 h5py = pytest.importorskip("h5py")
@@ -158,6 +158,18 @@ def test_a_sine_has_its_level_at_its_frequency(band: tuple[float, float]) -> Non
     frequencies, _ = centres(raster)
     height = (raster.high - raster.low) / len(frequencies)
     np.testing.assert_allclose(frequencies[raster.level.argmax(axis=0)], 40.4e3, atol=height)
+
+
+@pytest.mark.parametrize("offset", [-400.0, 0.0, 300.0])
+def test_an_envelope_has_its_level_at_its_offset(offset: float) -> None:
+    envelope = np.sqrt(2.0) * np.exp(2j * np.pi * offset * np.arange(8000) / 2000.0)
+    raster = spectrogram(envelope.astype(np.complex64), 2000.0, (-1000.0, 1000.0), 200)
+    peaks, level = raster.level.max(axis=0), 20 * np.log10(1.0 / 20e-6)
+    assert np.all((peaks < level + 0.01) & (peaks > level - 1.43))
+    frequencies, _ = centres(raster)
+    height = (raster.high - raster.low) / len(frequencies)
+    np.testing.assert_allclose(frequencies[raster.level.argmax(axis=0)], offset, atol=height)
+    assert (raster.low, raster.high) == pytest.approx((-1000.0, 1000.0), abs=2 * height)
 
 
 def test_white_noise_has_its_density(rng: np.random.Generator) -> None:
@@ -318,7 +330,7 @@ def test_pictures_are_drawn(tmp_path, table: PathTable) -> None:
     tone = np.sin(2 * np.pi * 40e3 * np.arange(20_000) / 192e3)
     spectrogram_picture(tone, 192e3, tmp_path / "s.png", title="tone", band=(38e3, 42e3))
     echogram_picture(table, 0, 1, tmp_path / "e.png")
-    envelope_picture(tone, 192e3, tmp_path / "h.png", title="tone", arrivals=[(0.01, "direct", True)])
+    spectrogram_picture(np.exp(1j * tone), 192e3, tmp_path / "h.png", title="envelope", carrier=40e3)
     for name in ("s", "e", "h"):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
