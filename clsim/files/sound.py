@@ -217,7 +217,7 @@ def write_wav(path: Path, sampling_rate: float, frames: NDArray[Any]) -> None:
     header = wav_header(sampling_rate, frames.shape[1] if frames.ndim > 1 else 1, len(frames))
     with path.open("wb") as out:
         out.write(header)
-        out.write(memoryview(np.ascontiguousarray(frames, "<f4")))
+        out.write(np.ascontiguousarray(frames, "<f4").data)
 
 
 def wav_header(sampling_rate: float, channels: int, samples: int, names: Sequence[str] = ()) -> bytes:

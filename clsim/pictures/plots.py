@@ -104,7 +104,7 @@ def _power(pressure: Readable, segment: int, span: tuple[float, float], padded: 
         length = min(segment, max(int(2.0 * min(centre, count - centre)), segment // _SHORTEST, 1))
         start = min(max(0, round(centre - 0.5 * length)), max(0, count - length))
         window = _window(length)
-        part = np.asarray(pressure[start : start + length], dtype=np.complex64 if two_sided else np.float32)
+        part: Any = np.asarray(pressure[start : start + length], dtype=np.complex64 if two_sided else np.float32)
         windowed = part * window[: len(part)]
         spectrum: Any = fftshift(fft(windowed, padded)) if two_sided else rfft(windowed, padded)
         share = (0.5 if two_sided else 2.0) / float(window.sum()) ** 2

@@ -42,19 +42,11 @@ _PER_SAMPLE: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearMap:
-    """Parameters of a scene, and the functions of frequency that the tangents of its paths by all of them share.
+    """Parameters of a scene, and the functions of frequency that the tangents of its paths by all of them share."""
 
-    Attributes
-    ----------
-    plan : Plan
-        Plan of the sum over the paths themselves, sample by sample.
-    shared : Plan
-        With the filters for the responses of all tangents.
-    """
-
-    plan: Plan
+    plan: Plan  # of the sum over the paths themselves, sample by sample
     parameters: tuple[Parameter, ...]
-    shared: Plan
+    shared: Plan  # with the filters for the responses of all tangents
 
     @classmethod
     def of(cls, paths: PathSet, parameters: Sequence[Parameter], options: RenderOptions) -> LinearMap:

@@ -37,38 +37,17 @@ _WALL = re.compile(r"room\.walls\.(.+)\.(reflection|displacement)")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameter:
-    """One real parameter of a scene.
+    """One real parameter of a scene."""
 
-    Attributes
-    ----------
-    name, unit : str
-        As in errors and scene files.
-    step : float
-        By which it is varied to both sides, in its unit.
-    moved : callable
-        Takes a scene and a step; returns the scene with the parameter larger by that.
-    source, receiver : int or None
-        The only source or receiver whose paths depend on it; None for all.
-    gain_db : float
-        By how many dB per unit all these paths get louder.
-    acts : str
-        What it acts on: "shift" of an end, "clock", "start" and "gain" of one, its "turn", a "wall", its "reflection",
-        the "air"; "scene" for all else.
-    shift : Curve or None
-        Displacement of an end per unit; None for other parameters.
-    wall : int or None
-        The wall's index.
-    """
-
-    name: str
+    name: str  # as in errors and scene files
     unit: str
-    step: float
-    moved: Moved
-    source: int | None = None
-    receiver: int | None = None
-    gain_db: float = 0.0
-    acts: str = "scene"
-    shift: Curve | None = None
+    step: float  # by which it is varied to both sides, in its unit
+    moved: Moved  # takes a scene and a step; returns the scene with the parameter larger by that
+    source: int | None = None  # the only source whose paths depend on it; None for all
+    receiver: int | None = None  # likewise
+    gain_db: float = 0.0  # by how many dB per unit all these paths get louder
+    acts: str = "scene"  # "shift", "turn", "clock", "start" or "gain" of an end, a "wall", its "reflection", the "air"
+    shift: Curve | None = None  # displacement of an end per unit
     wall: int | None = None
 
     @property

@@ -104,8 +104,6 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
 class Groups:
     """Results of a study in a Zarr store with a group per member."""
 
-    names = (STORE,)
-
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 

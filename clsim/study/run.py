@@ -72,10 +72,7 @@ class Index:
                 self._take_results(member, known.get(member.number, {}))
 
     def _take_results(self, member: Member, known: dict[str, Any]) -> None:
-        """Take a member as finished, or as waiting if its results are broken; after a failure metrics are read, too.
-
-        known: its row in the index, with what its results do not tell.
-        """
+        """Take a member as finished, or as waiting if its results are broken; after a failure metrics are read, too."""
         row, failed = self.results.row_of(member.number), self.rows[member.number].status == "failed"
         group = self._folder / STORE / member.name
         if row is None or (failed and isinstance(self.results, Groups) and isinstance(metrics_of(group), str)):

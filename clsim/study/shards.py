@@ -178,8 +178,6 @@ def sounds_of(labels: dict[str, Any], files: dict[str, bytes], names: Sequence[s
 class Shards:
     """The shards of a study's folder: members' archives, joined when all of a shard are done with and none failed."""
 
-    names = (FOLDER, WAITING)
-
     def __init__(self, folder: Path, study: Study) -> None:
         assert study.shards is not None
         self._folder, self._size, self._count = folder, study.shards.members, len(study.members)

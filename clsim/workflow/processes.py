@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection as pipes
-from typing import Any, Protocol
+from typing import Any
 
 from clsim.errors import ClsimError, DeviceError, InputError, in_one_line
 
@@ -315,22 +315,6 @@ def _is_good() -> tuple[str, bool]:
     return "", False
 
 
-class Team(Protocol):
-    """Processes that do tasks."""
-
-    def workers(self) -> dict[str, int]:
-        """Return the tasks that each available worker does at a time."""
-
-    def begin(self, number: int, worker: str) -> None:
-        """Start a task on this worker and no other."""
-
-    def forget(self, number: int) -> None:
-        """Drop a task whose worker died."""
-
-    def done(self, seconds: float) -> tuple[int, Row | None] | None:
-        """Return a task that is done with and its row, None if its worker died; None if there is none in time."""
-
-
 class Dispatch:
     """Tasks that are still to be done."""
 
@@ -350,8 +334,8 @@ class Dispatch:
         self._waiting.appendleft(number)
         self.left += 1
 
-    def rows(self, team: Team, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
-        """Do the remaining tasks; yield number and row of each as it ends."""
+    def rows(self, team: Any, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
+        """Do the remaining tasks by a `ProcessTeam` or a `DaskTeam`; yield number and row of each as it ends."""
         seen = time.monotonic()
         while self.left:
             there = team.workers()
