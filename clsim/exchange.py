@@ -39,34 +39,15 @@ _CHUNK = 0.05  # s of sound in a message
 _NANOSECONDS = 1_000_000_000
 _MOST_RANGES = 64  # pairs whose ranges are written
 _ULTRASOUND = 0  # sensor_msgs/Range: radiation_type
-_RULE = "=" * 80
-_TIME = "int32 sec\nuint32 nanosec\n"
-_PARTS = {
-    "builtin_interfaces/Time": _TIME,
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
-    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
-    ),
-    "audio_common_msgs/AudioData": "uint8[] data\n",
-}
-_KINDS = {
-    "audio_common_msgs/msg/AudioDataStamped": "std_msgs/Header header\naudio_common_msgs/AudioData audio\n",
+_AUDIO = {  # messages of sound, which are not among those that come with ROS 2
+    "audio_common_msgs/msg/AudioData": "uint8[] data",
+    "audio_common_msgs/msg/AudioDataStamped": "std_msgs/Header header\naudio_common_msgs/AudioData audio",
     "audio_common_msgs/msg/AudioInfo": (
-        "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\nstring coding_format\n"
-    ),
-    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
-    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
-    "sensor_msgs/msg/Range": (
-        "std_msgs/Header header\nuint8 radiation_type\nfloat32 field_of_view\nfloat32 min_range\nfloat32 max_range\n"
-        "float32 range\n"
+        "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\nstring coding_format"
     ),
 }
-_SOUND, _INFO, _POSE, _TF, _RANGE = _KINDS
+_, _SOUND, _INFO = _AUDIO
+_POSE, _TF, _RANGE = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/Range"
 
 
 def write_flac(recording: Recording, folder: str | PathLike[str], *, full_scale: float | None = None) -> list[Path]:
@@ -286,8 +267,9 @@ def write_mcap(
     (sensor_msgs/Range: speed of sound times the true delay of the direct sound, inf where it is not active) for at most
     64 pairs. In baseband samples are real and imaginary parts in turn. Names are as files have them.
     """
-    check_packages("write_mcap", "an MCAP file", "ros", "mcap", "mcap_ros2")
+    check_packages("write_mcap", "an MCAP file", "ros", "mcap", "mcap_ros2", "rosbags")
     from mcap_ros2.writer import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     recording = as_recording(recording)
     if recording.paths is None:
@@ -299,27 +281,18 @@ def write_mcap(
     times = truth_times(recording, recording.paths.scene, rate)
     with atomic_path(path) as temporary, temporary.open("wb") as out:
         writer: Any = Writer(out)  # its methods have no types
-        kinds = {name: writer.register_msgdef(name, _definition(name)) for name in _KINDS}
+        types: Any = get_typestore(Stores.ROS2_HUMBLE)
+        for name, text in _AUDIO.items():
+            types.register(get_types_from_msg(text, name))
+        kinds = {
+            name: writer.register_msgdef(name, types.generate_msgdef(name, ros_version=2)[0])
+            for name in (_SOUND, _INFO, _POSE, _TF, _RANGE)
+        }
         streams = [_sound(recording, begin), _poses(recording.paths, times, begin, frame)]
         streams.append(_ranges(recording.paths, times, begin, frame))
         for count, (stamp, topic, kind, content) in enumerate(heapq.merge(*streams, key=lambda found: found[0])):
             writer.write_message(topic, kinds[kind], content, log_time=stamp, publish_time=stamp, sequence=count)
         writer.finish()
-
-
-def _definition(kind: str) -> str:
-    """Return the text of a message's definition with all that it is made of."""
-    parts = dict.fromkeys(_parts_of(_KINDS[kind]))
-    return _KINDS[kind] + "".join(f"{_RULE}\nMSG: {part}\n{_PARTS[part]}" for part in parts)
-
-
-def _parts_of(definition: str) -> Iterator[str]:
-    """Yield the types of the fields of a message that are messages themselves, each before its own."""
-    for line in definition.splitlines():
-        part = line.split()[0].removesuffix("[]")
-        if part in _PARTS:
-            yield part
-            yield from _parts_of(_PARTS[part])
 
 
 def _stamp(begin: int, time: float) -> int:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_floats, as_index, as_number, short_repr, texts
 from clsim.errors import InputError, check_packages, check_pictures, counted
+from clsim.files.atomic import atomic_path
 from clsim.paths.path_set import PathSet
 from clsim.pictures.view_page import html_table, inline_sound
 from clsim.scene.ends import Receiver
@@ -151,11 +152,10 @@ class Recording:
         """
         if not str(path).lower().endswith(".wav"):
             raise InputError("path", f"must end in .wav, but is {str(path)!r:.80}")
-        from clsim.files.sound import WavWriter, as_frames
+        from clsim.files.sound import as_frames, write_wav
 
-        frames = as_frames(self.samples)
-        with WavWriter(path, self.sampling_rate, frames.shape[1], len(frames)) as writer:
-            writer.write(frames)
+        with atomic_path(path) as temporary:
+            write_wav(temporary, self.sampling_rate, as_frames(self.samples))
 
     def to_xarray(self) -> Any:
         """Return the recording as an xarray Dataset, like `open_store`.
@@ -223,7 +223,7 @@ class Recording:
         check_pictures("plot")
         from matplotlib import pyplot
 
-        from clsim.pictures.plots import draw_envelope_spectrogram, draw_spectrogram
+        from clsim.pictures.plots import draw_spectrogram
 
         row = self._row(receiver)
         if band is not None:
@@ -231,12 +231,12 @@ class Recording:
             as_number("band[0]", low, at_least=0.0, unit="Hz")
             as_number("band[1]", high, above=low, at_most=0.5 * self.sampling_rate, unit="Hz")
         figure, axes = pyplot.subplots(figsize=(10.0, 5.0), layout="constrained")
-        samples, rate, name = self.samples[row], self.sampling_rate, self.receiver_names[row]
-        if self.carrier is None:
-            segment = None if self.paths is None else sweep_window((s.signal for s in self.paths.scene.sources), rate)
-            draw_spectrogram(figure, axes, samples, rate, title=name, band=band, segment=segment, unit=self.units[row])
-        else:
-            draw_envelope_spectrogram(figure, axes, samples, rate, self.carrier, title=name)
+        signals = [] if self.paths is None or self.carrier else [s.signal for s in self.paths.scene.sources]
+        draw_spectrogram(
+            figure, axes, self.samples[row], self.sampling_rate, title=self.receiver_names[row],
+            band=None if self.carrier else band, segment=sweep_window(signals, self.sampling_rate),
+            unit=self.units[row], carrier=self.carrier,
+        )  # fmt: skip
         return figure
 
     def play(self, receiver: int | str = 0, slower: float = 10.0) -> Any:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import clsim
-from clsim.pictures.plots import envelope_spectrogram
+from clsim.pictures.plots import spectrogram_picture
 
 RATE, CARRIER, DURATION = 192e3, 40e3, 8.0
 
@@ -38,9 +38,9 @@ def main() -> None:
     print("\n".join(recording.notes))
     recording.save(folder / "micro_doppler.wav")
     title = "A 40 kHz beacon on a walking robot; from 4 s on its motor runs at 22 Hz"
-    envelope_spectrogram(
-        recording.pressure[0], recording.sampling_rate, CARRIER, folder / "micro_doppler.png", title=title,
-        segment=512, shown=250.0,
+    spectrogram_picture(
+        recording.pressure[0], recording.sampling_rate, folder / "micro_doppler.png", title=title, carrier=CARRIER,
+        segment=512, band=(-250.0, 250.0),
     )  # fmt: skip
 
 

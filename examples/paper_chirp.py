@@ -9,12 +9,18 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import hilbert
 
 import clsim
-from clsim.pictures.plots import envelope_picture
+from clsim.pictures.plots import DIRECT, new_figure, save_figure
 
 RATE = 192e3  # Hz
 AMPLITUDE = 10.0 * 2**0.5  # V
+
+
+def envelope(samples: np.ndarray) -> np.ndarray:
+    """Return the Hilbert envelope."""
+    return np.abs(hilbert(samples, 2 * len(samples))[: len(samples)])
 
 
 def main() -> None:
@@ -30,16 +36,26 @@ def main() -> None:
     table = paths.table([0.0])
     gain = np.abs(table.gain[:, 0])
     strong = np.flatnonzero((gain > 0.08 * gain.max()) & (table.delay[:, 0] < 0.019))
-    arrivals = [
-        (float(table.delay[p, 0]), "direct" if table.direct[p] else "reflected", bool(table.direct[p]))
-        for p in strong[np.argsort(table.delay[strong, 0])]
-    ]
-    envelope_picture(
-        recording.voltage[0], RATE, folder / "paper_chirp.png",
-        title="39 to 41 kHz chirp of 1.3 ms in a hard room, MA40S4S to MA40S4R; lines: predicted arrivals",
-        arrivals=arrivals, unit="V",
-        beside=("transducers without resonance", even.pressure[0] * microphone.sensitivity),
-    )  # fmt: skip
+    figure, axes = new_figure(4.5)
+    times = np.arange(recording.voltage.shape[1]) / RATE * 1e3
+    grey = 1e3 * envelope(even.pressure[0] * microphone.sensitivity)
+    axes.fill_between(times, grey, color="#c6c6c6", linewidth=0.0, label="transducers without resonance")
+    axes.plot(times, 1e3 * envelope(recording.voltage[0]), color="black", linewidth=1.0)
+    for kind, colour, line in ((True, DIRECT, "-"), (False, "#1f77b4", "--")):
+        arriving = 1e3 * table.delay[strong[table.direct[strong] == kind], 0]
+        axes.vlines(
+            arriving,
+            0.0,
+            1.0,
+            colour,
+            line,
+            label="direct" if kind else "reflected",
+            transform=axes.get_xaxis_transform(),
+        )
+    axes.set(xlabel="time (ms)", ylabel="envelope (mV)", xlim=(times[0], times[-1]), ylim=(0.0, None))
+    axes.set_title("39 to 41 kHz chirp of 1.3 ms in a hard room, MA40S4S to MA40S4R; lines: predicted arrivals")
+    figure.legend(loc="outside lower center", ncols=4)
+    save_figure(figure, folder / "paper_chirp.png")
     print(folder / "paper_chirp.png")
 
 

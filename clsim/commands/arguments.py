@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from clsim.render.options import RenderOptions
 
@@ -19,6 +19,17 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Add the option to overwrite a file."""
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
+
+
+def add_output(parser: argparse.ArgumentParser, text: str, default: str | None = None, **more: Any) -> None:
+    """Add the output, and the option to overwrite it."""
+    if default is not None:
+        more, text = (
+            more | {"default": Path(default)},
+            f"{text} (default: {default})" if text else f"default: {default}",
+        )
+    parser.add_argument("-o", "--output", type=as_path, **{"metavar": "FILE"} | more, help=text)
+    add_force(parser)
 
 
 def add_render_option(parser: argparse.ArgumentParser, name: str, text: str) -> None:

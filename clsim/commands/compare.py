@@ -11,7 +11,7 @@ import numpy as np
 
 from clsim.acoustics.room_acoustics import before_noise, decay_curve, is_clipped
 from clsim.arrays import Floats, as_index
-from clsim.commands.arguments import add_force, as_path, as_whole
+from clsim.commands.arguments import add_output, as_whole
 from clsim.errors import InputError, check_pictures, warn
 from clsim.files.atomic import NewFile, atomic_path
 from clsim.files.sound import read_sound_file
@@ -43,11 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--receiver", metavar="NAME", help="receiver of the scene (default: the first)")
     parser.add_argument("--bands", choices=tuple(BANDS), default="octave", help="default: octave")
     parser.add_argument("--seed", type=as_whole, default=0, metavar="N", help="seed of the tail (default: 0)")
-    parser.add_argument(
-        "-o", "--output", type=as_path, default=Path("comparison.png"), metavar="FILE",
-        help="the picture; a table of reflections is beside it, as CSV (default: comparison.png)",
-    )  # fmt: skip
-    add_force(parser)
+    add_output(parser, "the picture; a table of reflections is beside it, as CSV", "comparison.png")
 
 
 def execute(options: argparse.Namespace) -> int:

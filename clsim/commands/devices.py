@@ -7,6 +7,7 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -86,35 +87,22 @@ def put_to_test(wanted: str | None = None, notify: Callable[[str], None] = lambd
 
 
 class _TimedEngine(OpenclEngine):
-    """Engine that measures the time spent on making nodes."""
+    """Engine that measures the time spent on making nodes, s."""
 
-    def __init__(self, plan: Plan) -> None:
-        super().__init__(plan)
-        self.seconds = 0.0
-        self._timed: dict[int, _TimedMaker] = {}
+    seconds = 0.0
 
     def maker(self, pair: int) -> Any:
         """Return the node maker of a pair, timed."""
-        found = super().maker(pair)
-        return self._timed.setdefault(id(found), _TimedMaker(self, found))
+        found, queue = super().maker(pair), self._queue
 
-    def finish(self) -> None:
-        """Wait for the device's queue."""
-        self._queue.finish()
+        def nodes(*arguments: Any) -> Nodes:
+            queue.finish()
+            begun = time.perf_counter()
+            made: Nodes = found.nodes(*arguments)
+            self.seconds += time.perf_counter() - begun
+            return made
 
-
-class _TimedMaker:
-    def __init__(self, engine: _TimedEngine, maker: Any) -> None:
-        self._engine, self._maker = engine, maker
-        self.prepare = maker.prepare
-
-    def nodes(self, *arguments: Any) -> Nodes:
-        """Make nodes, and add the time taken (s) to the engine's."""
-        self._engine.finish()
-        begun = time.perf_counter()
-        made: Nodes = self._maker.nodes(*arguments)
-        self._engine.seconds += time.perf_counter() - begun
-        return made
+        return SimpleNamespace(prepare=found.prepare, nodes=nodes)
 
 
 def _rates(device: str) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import argparse
 
 import numpy as np
 
-from clsim.commands.arguments import add_force, as_path
+from clsim.commands.arguments import add_output
 from clsim.errors import InputError, check_pictures, meant
 from clsim.files.atomic import NewFile
 from clsim.output.plots import reflection_loss, reflection_losses
@@ -16,8 +16,7 @@ from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "List the built-in materials, with sources and uncertainty, or draw what they send back."
     parser.add_argument("names", nargs="*", metavar="NAME", help="material (default: all)")
-    parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="draw them to this PNG instead")
-    add_force(parser)
+    add_output(parser, "draw them to this PNG instead")
     parser.add_argument(
         "--frequency", type=float, default=40e3, metavar="HZ", help="frequency of the angles shown (default: 40000)"
     )

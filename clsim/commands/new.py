@@ -24,37 +24,6 @@ _SIZE = (8.0, 6.0, 3.0)  # m, of a room of which nothing is known
 _MARGIN = 1.0  # m, about a trajectory
 _LONGEST = 2.0  # s of sound
 _NANOSECONDS = 10**15  # from which on a first number is one of EuRoC's stamps
-_TEMPLATE = """\
-# A scene of clsim. Lengths are m, times s, frequencies Hz, pressures Pa; `clsim schema` tells all fields.
-#   clsim check {name}                what would be computed, and with which error
-#   clsim view {name}                 the room and the paths, in a browser
-#   clsim run {name} -o out/          sound, path table, pictures
-format = 1
-
-{room}
-
-[air]
-temperature_celsius = 20.0
-relative_humidity = 0.5
-
-[[sources]]
-name = "robot"
-# The signal is the sound pressure at 1 m on the axis. Other kinds: "chirp", "pulses", "noise", "sequence", "wav".
-signal = {{ kind = "tone", frequency = 40e3, duration = {duration:g}, sampling_rate = 192e3, fade = {fade:g} }}
-{trajectory}
-# directivity = {{ kind = "piston", radius = 0.0047 }}   # or "first-order", "table", "sofa"; aim = "forward"
-
-[[receivers]]
-name = "ceiling"
-trajectory = {{ kind = "fixed", position = {receiver} }}
-# electronics = {{ self_noise_db = 20.0, adc_bits = 12, adc_full_scale = 1.0 }}
-
-[paths]
-max_order = {order}          # reflections
-
-[render]
-sampling_rate = 192e3
-"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,7 +65,7 @@ def execute(options: argparse.Namespace) -> int:
         gap = "" if options.max_gap is None else f", max_gap = {options.max_gap:g}"
         file = f'kind = "file", path = {named}, format = "{motion[0]}"{gap}'
         trajectory = f"trajectory = {{ {file}, translate = {_text(moved)} }}"
-    text = _TEMPLATE.format(
+    text = Path(__file__).with_suffix(".toml").read_text("utf-8").format(
         name=shown(options.scene.name), room=room, duration=duration, fade=min(0.005, 0.1 * duration),
         trajectory=trajectory, receiver=_text(places[1]), order=3 if options.mesh is None else 2,
     )  # fmt: skip

@@ -6,7 +6,7 @@ import argparse
 
 import numpy as np
 
-from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
+from clsim.commands.arguments import add_output, add_scene, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile
 from clsim.output.result_files import check_table, write_table
@@ -19,10 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
     parser.add_argument("--limit", type=as_whole, default=40, metavar="ROWS", help="paths listed at most (default: 40)")
-    parser.add_argument(
-        "-o", "--output", type=as_path, metavar="FILE", help="write all of them to a .npz or .parquet file"
-    )
-    add_force(parser)
+    add_output(parser, "write all of them to a .npz or .parquet file")
 
 
 def execute(options: argparse.Namespace) -> int:

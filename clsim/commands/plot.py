@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from clsim.arrays import Floats, as_number
-from clsim.commands.arguments import add_force, as_path
+from clsim.commands.arguments import add_output
 from clsim.errors import InputError, check_pictures, inside, not_one_of, with_field
 from clsim.files.atomic import NewFile
 from clsim.output.plots import DirectivityDiagram, air_picture, directivity_picture
@@ -49,9 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--humidity", type=float, nargs="+", default=[0.1, 0.3, 0.5, 0.7, 0.9], metavar="H", help="relative, 0 to 1"
     )
     for picture in (directivity, air):
-        file = Path(f"{picture.prog.split()[-1]}.png")
-        picture.add_argument("-o", "--output", type=as_path, default=file, metavar="FILE", help=f"default: {file}")
-        add_force(picture)
+        add_output(picture, "", f"{picture.prog.split()[-1]}.png")
 
 
 def execute(options: argparse.Namespace) -> int:

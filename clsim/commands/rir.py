@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
+from clsim.commands.arguments import add_output, add_scene, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile
 from clsim.impulse_responses import TAILS, as_response_band, impulse_responses
@@ -22,11 +22,8 @@ _ENDINGS_OF_FILES = ("npz", "sofa", "wav", "mat", "h5", "hdf5", "csv", "txt", "f
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
-    parser.add_argument(
-        "-o", "--output", type=as_path, required=True, metavar="PATH",
-        help="a folder for a WAV file per source and receiver, or a .npz or .sofa file",
-    )  # fmt: skip
-    add_force(parser)
+    text = "a folder for a WAV file per source and receiver, or a .npz or .sofa file"
+    add_output(parser, text, required=True, metavar="PATH")
     parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of reception (default: 0)")
     parser.add_argument(
         "--format", choices=("wav", "npz", "sofa"), help="default: by the ending of the output, else wav"

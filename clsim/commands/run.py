@@ -6,7 +6,6 @@ import argparse
 import sys
 from pathlib import Path
 
-from clsim.cluster.workers import Workers
 from clsim.commands.arguments import add_render_option, add_scene, as_path, as_whole
 from clsim.errors import InputError, check_packages
 from clsim.files.atomic import safe_path
@@ -16,8 +15,9 @@ from clsim.scene_file import load_scene
 from clsim.scene_file.scene import SceneFile
 from clsim.workflow.checkpoint import render_sound, run_identity
 from clsim.workflow.console import progress
-from clsim.workflow.pipeline import check_table_size, input_files, plan_scene, table_times
-from clsim.workflow.result_folder import COMPLETED, GROUND_TRUTH, ResultFolder, RunOutputs
+from clsim.workflow.pipeline import GROUND_TRUTH, RunOutputs, check_table_size, input_files, plan_scene, table_times
+from clsim.workflow.result_folder import COMPLETED, ResultFolder
+from clsim.workflow.workers import Workers
 
 _OVERRIDES = {  # of the scene file's [render]
     "device": "OpenCL device, by id or part of its name (see `clsim devices`)",

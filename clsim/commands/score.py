@@ -7,7 +7,7 @@ import csv
 
 import numpy as np
 
-from clsim.commands.arguments import add_force, as_path
+from clsim.commands.arguments import add_output, as_path
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile, atomic_path
 from clsim.scene_file import load_scene
@@ -23,8 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--source", metavar="NAME", help="source of the pulses (default: the first)")
     parser.add_argument("--method", choices=METHODS, default="matched-filter", help="default: matched-filter")
     parser.add_argument("--max-range", type=float, metavar="M", help="largest range at which pulses are sought, m")
-    parser.add_argument("-o", "--output", type=as_path, metavar="FILE", help="CSV file with one row per range")
-    add_force(parser)
+    add_output(parser, "CSV file with one row per range")
 
 
 def execute(options: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clsim.commands.arguments import add_force, as_path, as_whole
+from clsim.commands.arguments import add_output, as_path, as_whole
 from clsim.errors import InputError, check_pictures, not_one_of
 from clsim.files.atomic import NewFile, atomic_path
 from clsim.measured.page import Validated, draw, page_text, picture_names, summary
@@ -25,11 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seeds", type=as_whole, nargs="+", default=[0], metavar="N", help="seeds of rays and noise (default: 0)"
     )
-    parser.add_argument(
-        "-o", "--output", type=as_path, default=Path("measured_rooms"), metavar="FOLDER",
-        help=f"for {_PAGE} and its pictures (default: measured_rooms)",
-    )  # fmt: skip
-    add_force(parser)
+    add_output(parser, f"for {_PAGE} and its pictures", "measured_rooms", metavar="FOLDER")
 
 
 def execute(options: argparse.Namespace) -> int:

@@ -6,9 +6,9 @@ import argparse
 
 from clsim.commands.arguments import as_path
 from clsim.errors import InputError
-from clsim.output import record as runs
 from clsim.study import member as studies
 from clsim.study import shards
+from clsim.workflow import result_folder as runs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

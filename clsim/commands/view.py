@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import webbrowser
 
-from clsim.commands.arguments import add_force, add_scene, as_path, as_whole
+from clsim.commands.arguments import add_output, add_scene, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile
 from clsim.files.input_files import shown
@@ -20,10 +20,7 @@ _MOST_PATHS = 100_000  # drawn at a time
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
-    parser.add_argument(
-        "-o", "--output", type=as_path, metavar="FILE", help="the page (default: beside the scene file)"
-    )
-    add_force(parser)
+    add_output(parser, "the page (default: beside the scene file)")
     parser.add_argument(
         "--frames", type=as_whole, default=120, metavar="N", help="instants to choose from (default: 120)"
     )

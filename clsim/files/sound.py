@@ -1,8 +1,7 @@
-"""Sound files: reading of users' files, and WAV files of 32-bit floats written chunk by chunk."""
+"""Sound files: reading of users' files, and WAV files of 32-bit floats."""
 
 from __future__ import annotations
 
-import errno
 import mmap
 import os
 import re
@@ -10,7 +9,6 @@ import struct
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -18,7 +16,6 @@ from numpy.typing import NDArray
 
 from clsim.arrays import LOUDEST, as_flag, as_number
 from clsim.errors import InputError, warn
-from clsim.files.atomic import not_written, temporary_path
 from clsim.files.input_files import check_file
 
 _BIT_RATES = {  # kbit/s of layer III, by whether it is MPEG 1
@@ -215,59 +212,12 @@ def _channel(file: Any, channel: int, path: str | PathLike[str], truncated: bool
     return np.concatenate(parts)
 
 
-class WavWriter:
-    """Writes a WAV file of 32-bit floats; it gets its name when the block ends well, and is deleted otherwise."""
-
-    def __init__(
-        self, path: str | PathLike[str], sampling_rate: float, channels: int = 1, samples: int | None = None
-    ) -> None:
-        import soundfile
-
-        rate = _whole_rate(sampling_rate)
-        self._path = Path(path)
-        self._temporary = temporary_path(self._path)
-        self._frame_bytes = 4 * channels
-        self._large = samples is not None and self._frame_bytes * samples > _LARGEST_WAV
-        try:
-            if self._path.is_dir():
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            self._temporary.touch()  # tells why it cannot be written, which libsndfile does not
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(self._path)) from error
-        try:
-            self._file = soundfile.SoundFile(
-                self._temporary, "w", samplerate=rate, channels=channels, subtype="FLOAT",
-                format="RF64" if self._large else "WAV",
-            )  # fmt: skip
-        except soundfile.LibsndfileError as error:
-            failed = not_written(self._path, error)
-            self._temporary.unlink(missing_ok=True)
-            raise failed from error
-
-    def write(self, samples: NDArray[Any]) -> None:
-        """Append samples (n,) or (n, channels)."""
-        before = self._file.frames
-        if not self._large and self._frame_bytes * (before + len(samples)) > _LARGEST_WAV:
-            raise OSError(f"cannot write {self._path}: above 4 GiB, the number of samples must be given beforehand")
-        try:
-            self._file.write(np.ascontiguousarray(samples, dtype=np.float32))
-        except (RuntimeError, AssertionError) as error:  # libsndfile reports a full disk as a short write
-            raise not_written(self._path, error) from error
-        if self._file.frames - before != len(samples):
-            raise OSError(f"cannot write {self._path}: disk full")
-
-    def __enter__(self) -> WavWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            self._file.close()
-            if kind is None:
-                self._temporary.replace(self._path)
-        finally:
-            self._temporary.unlink(missing_ok=True)
+def write_wav(path: Path, sampling_rate: float, frames: NDArray[Any]) -> None:
+    """Write frames (n,) or (n, channels) into a WAV file of 32-bit floats."""
+    header = wav_header(sampling_rate, frames.shape[1] if frames.ndim > 1 else 1, len(frames))
+    with path.open("wb") as out:
+        out.write(header)
+        out.write(np.ascontiguousarray(frames, "<f4").data)
 
 
 def wav_header(sampling_rate: float, channels: int, samples: int, names: Sequence[str] = ()) -> bytes:

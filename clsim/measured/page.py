@@ -22,28 +22,6 @@ UNITS = {  # of pages: factor and unit
 }  # fmt: skip
 _NAMES = {"ts": "Ts"}
 _WIDTH = 100  # of the page's lines
-_HEAD = """# Measured rooms
-
-Impulse responses of these rooms were measured. clsim simulates them from the published inputs, with
-images of order 2 and the diffuse tail. Nothing was fitted to these rooms. `clsim validate` writes
-this page, also for [rooms of your own](validate.md).
-
-Differences are in just noticeable differences (JND; ISO 3382-1:2009, table A.1):
-
-| parameter | JND |
-|---|---|
-| T20, T30, EDT | 5 % |
-| D50, LF, LFC | 5 points |
-| IACC | 0.075 |
-| C80, G | 1 dB |
-| Ts | 10 ms |
-
-Values of clsim are parameters averaged over the seeds, since the noise of a single seed has a decay
-of its own. Rows are means over all pairs.
-
-Aims in JND are means over bands and pairs. Aims in % and dB are those of the worst band, in the
-mean over pairs.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,8 +56,9 @@ def provenance() -> str:
 
 def page_text(rooms: Sequence[Validated], seeds: Sequence[int]) -> str:
     """Text of the page in Markdown; pictures are beside it in ``pictures``."""
-    drawn = ", ".join(map(str, seeds))
-    lines = [_HEAD, f"Written with {provenance()}; seed{'s' if len(seeds) > 1 else ''} {drawn} of rays and noise.", ""]
+    head = Path(__file__).with_suffix(".md").read_text("utf-8")
+    seeded = f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}"
+    lines = [head, f"Written with {provenance()}; {seeded} of rays and noise.", ""]
     for one in rooms:
         lines += _room(one, len(seeds))
     return "\n".join(lines)
@@ -96,8 +75,7 @@ def draw(one: Validated, folder: Path) -> None:
     """Draw parameters by band, a picture for each state, and mean differences among those of other programs."""
     room, panels = one.room, []
     for (state, found), name in zip(one.states(), picture_names(room), strict=False):
-        of_state = [_panel(state, found, parameter) for parameter in found.values[0]]
-        parameters_picture(room.frequencies, of_state, folder / name, f"{room.name}, {state.name}: means over pairs")
+        parameters_picture(room, state, found, folder / name)
     for aim in room.aims:
         others = _others(aim, one)
         if others and aim.unit == "JND":
@@ -164,11 +142,9 @@ def _aims(one: Validated, seeds: int) -> list[str]:
 def _table(room: MeasuredRoom, state: MeasuredState, found: Simulated) -> list[str]:
     """Table of all parameters by band: measured, clsim, the mean difference, and that of the median participant."""
     has_others = bool(state.participants)
-    heads = ["", "Hz", "measured", "clsim", "clsim - measured", "mean JND"] + [
-        "median participant - measured"
-    ] * has_others
     eyring = "t20" in found.values[0]
-    heads += ["Eyring"] if eyring else []
+    heads = ["", "Hz", "measured", "clsim", "clsim - measured", "mean JND"]
+    heads += ["median participant - measured"] * has_others + ["Eyring"] * eyring
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name in found.values[0]:
         scale, unit = UNITS[name]
@@ -185,18 +161,6 @@ def _table(room: MeasuredRoom, state: MeasuredState, found: Simulated) -> list[s
             cells += [f"{found.eyring[b]:.3g}" if name in ("t20", "t30") else ""] * eyring
             lines.append("| " + " | ".join(cells) + " |")
     return [*lines, ""]
-
-
-def _panel(state: MeasuredState, found: Simulated, name: str) -> ParameterPanel:
-    """Panel of a parameter."""
-    scale, unit = UNITS[name]
-    spread = scale * state.deviation[name].mean(axis=1) if name in state.deviation else None
-    others = [scale * values[name].mean(axis=1) for values in state.participants.values() if name in values]
-    empty = np.empty((0, len(state.mean[name])))
-    return ParameterPanel(
-        _word(name), unit, scale * state.mean[name].mean(axis=1), spread, scale * np.mean(found.mean(name), axis=1),
-        np.array(others) if others else empty,
-    )  # fmt: skip
 
 
 def _of(aim: Aim, room: MeasuredRoom, state: MeasuredState, values: dict[str, Floats]) -> float:
@@ -252,47 +216,39 @@ _CLSIM_COLOUR, _MEASURED_COLOUR, _OTHERS = "#c1272d", "#111111", "#9bb7cc"
 _RANGE_DB = 60.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ParameterPanel:
-    """A parameter by band: means over pairs."""
-
-    title: str
-    unit: str
-    measured: Floats  # (bands,)
-    deviation: Floats | None  # (bands,) standard deviation of measurements
-    clsim: Floats  # (bands,)
-    others: Floats  # (programs, bands)
-
-
-def parameters_picture(frequencies: Floats, panels: Sequence[ParameterPanel], path: Path, title: str) -> None:
-    """Draw measured parameters by band, clsim's, and those of other programs behind them."""
+def parameters_picture(room: MeasuredRoom, state: MeasuredState, found: Simulated, path: Path) -> None:
+    """Draw means over pairs by band: measured parameters, clsim's, and those of other programs behind them."""
     from matplotlib.figure import Figure
 
     from clsim.pictures.plots import save_figure
 
-    rows = -(-len(panels) // _PANELS)
+    names, frequencies = list(found.values[0]), room.frequencies
+    rows = -(-len(names) // _PANELS)
     figure = Figure(figsize=(10.0, 0.6 + 2.5 * rows), layout="constrained")
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(f"{room.name}, {state.name}: means over pairs", fontsize=13)
     every: Any = figure.subplots(rows, _PANELS, squeeze=False).ravel()
-    for axes, panel in zip(every, panels, strict=False):
-        for i, other in enumerate(panel.others):
-            axes.semilogx(
-                frequencies, other, color=_OTHERS, lw=0.8, label=None if i else f"{len(panel.others)} other programs"
-            )
+    for axes, name in zip(every, names, strict=False):
+        scale, unit = UNITS[name]
+        others = [scale * values[name].mean(axis=1) for values in state.participants.values() if name in values]
+        for i, other in enumerate(others):
+            label = None if i else f"{len(others)} other programs"
+            axes.semilogx(frequencies, other, color=_OTHERS, lw=0.8, label=label)
+        spread = scale * state.deviation[name].mean(axis=1) if name in state.deviation else None
         axes.errorbar(
-            frequencies, panel.measured, panel.deviation, color=_MEASURED_COLOUR, marker="o", ms=4, lw=1.2, capsize=3,
-            label="measured" if panel.deviation is None else "measured, with standard deviation",
+            frequencies, scale * state.mean[name].mean(axis=1), spread, color=_MEASURED_COLOUR, marker="o", ms=4,
+            lw=1.2, capsize=3, label="measured" if spread is None else "measured, with standard deviation",
         )  # fmt: skip
-        axes.semilogx(frequencies, panel.clsim, color=_CLSIM_COLOUR, marker="s", ms=4, lw=1.8, label="clsim")
-        axes.set_title(panel.title, fontsize=11)
-        axes.set_ylabel(panel.unit)
+        own = scale * np.mean(found.mean(name), axis=1)
+        axes.semilogx(frequencies, own, color=_CLSIM_COLOUR, marker="s", ms=4, lw=1.8, label="clsim")
+        axes.set_title(_word(name), fontsize=11)
+        axes.set_ylabel(unit)
         ticks = frequencies[:: max(1, len(frequencies) // 6)]
         axes.set_xticks(ticks, [f"{f:g}" if f < 1000 else f"{f / 1000:.3g}k" for f in ticks.round()])
         axes.minorticks_off()
         axes.grid(alpha=0.25, linewidth=0.6)
-    for axes in every[len(panels) :]:
+    for axes in every[len(names) :]:
         axes.axis("off")
-    for axes in every[max(0, len(panels) - _PANELS) : len(panels)]:
+    for axes in every[max(0, len(names) - _PANELS) : len(names)]:
         axes.set_xlabel("Hz")
     figure.legend(*every[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=10)
     save_figure(figure, path)

@@ -178,25 +178,6 @@ _SURFACES = ("concrete", "windows", "ceiling", "plaster", "floor")  # of which t
 _MEASURED = {"T20": ("t20", 1.0), "EDT": ("edt", 1.0), "C80": ("c80", 1.0), "D50": ("d50", 0.01)}  # to SI units
 _AIR = {"temperature_celsius": 19.5, "relative_humidity": 0.417}
 _RATE = 48e3  # Hz
-_STATES = ("as measured",)
-_AIMS = (
-    Aim(("t20",), _STATES, 500.0, 4000.0, 5.0, "%"),
-    Aim(("c80",), _STATES, 500.0, 4000.0, 0.5, "dB"),
-    Aim(("t20",), _STATES, 125.0, 125.0, 15.0, "%", "beyond what the data explain"),
-    Aim(("t20",), _STATES, 250.0, 250.0, 15.0, "%", "beyond what the data explain"),
-)
-_NOTES = (
-    "The absorption coefficients were fitted so that Eyring's formula gives the measured reverberation times, as the "
-    "column of Eyring's times shows. With the stated scattering of 5 % alone, rays decay more slowly in this geometry: "
-    "T20 is 7 to 22 % too long from 125 Hz to 1 kHz. Here walls also scatter by their limited size.",
-    "Filters of thirds pass part of their neighbours. Sound lasts 1.4 times as long at 315 Hz as at 250 Hz, and both "
-    "bands hold its end.",
-    "C80 is off where measured values step by some 1 dB from one third to the next, as at 2520 Hz. Coefficients that "
-    "vary little from third to third do not give such steps.",
-    "The worst band in C80 is 2520 Hz with 0.77 dB. The mean over the ten bands is 0.35 dB. The worst band in T20 is "
-    "794 Hz with 4.8 %.",
-    "Measured values are means over the ten pairs, and so are clsim's.",
-)
 
 
 def bras_room(folder: Path) -> MeasuredRoom:
@@ -221,10 +202,11 @@ def bras_room(folder: Path) -> MeasuredRoom:
         scene = build_scene(content, _found(folder, _MESH).parent)
     except InputError as error:
         raise InputError(f"--bras: {error.field}", error.problem) from error
-    state = MeasuredState(_STATES[0], scene, values, {}, {})
-    source = "seminar room CR2 of the BRAS (Aspöck, Brinkmann, Ackermann, Weinzierl, Vorländer), RWTH Aachen"
+    path = data_folder() / "bras_cr2" / "about.toml"
+    about, states = _read(path, _File), [MeasuredState("as measured", scene, values, {}, {})]
     return MeasuredRoom(
-        NAME, "BRAS seminar room CR2", source, _NOTES, "third-octave", frequencies, (), (state,), _AIMS
+        NAME, about.name, about.source, tuple(about.notes), about.bands, frequencies, (), tuple(states),
+        tuple(_aim(path, i, aim, states) for i, aim in enumerate(about.aims)),
     )  # fmt: skip
 
 

@@ -134,7 +134,6 @@ def checked(samples: Floats, rate: float, path: object) -> Floats:
 # Just noticeable differences, relative or absolute (ISO 3382-1:2009, table A.1; LFC, which it does not have, as LF).
 _RELATIVE = {"t20": 0.05, "t30": 0.05, "edt": 0.05}
 _ABSOLUTE = {"d50": 0.05, "lf": 0.05, "lfc": 0.05, "c80": 1.0, "g": 1.0, "ts": 0.01, "iacc": 0.075}
-NOTICEABLE = (*_RELATIVE, *_ABSOLUTE)
 COMPARED = ("t30", "t20", "edt", "d50", "c80", "ts", "g")
 LATERAL = ("lf", "lfc", "iacc")  # of ambisonic components, and of the ears of a rigid sphere, that face the source
 

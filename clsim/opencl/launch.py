@@ -1,4 +1,7 @@
-"""Programs of one context, each text built once and adapted to PoCL, and launches by the names of their arguments."""
+"""Kernels: their programs, each built once for a context and adapted to PoCL, and launches by the names of arguments.
+
+Arguments and compile-time constants are read from the text. ``kernels/README.md`` says what each program does.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,159 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
 from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import ClsimError, DeviceError
-from clsim.opencl.arguments import Argument
 from clsim.opencl.device import refuse_after_fork
 from clsim.opencl.kernel_cache import Trial, TriedKernel
-from clsim.opencl.kernels import PROGRAMS, declarations, kernel_source
+
+NUMBERS: dict[str, type[np.generic]] = {
+    "int": np.int32, "uint": np.uint32, "long": np.int64, "ulong": np.uint64, "float": np.float32, "double": np.float64,
+}  # fmt: skip
+_OPENCL_C = {"CLK_LOCAL_MEM_FENCE", "OPENCL", "FP_CONTRACT", "OFF"}  # words that are no constants of a program
+_NO_CODE = re.compile(r'//[^\n]*|/\*.*?\*/|"[^"]*"', re.DOTALL)
+_STRUCTURE = r"typedef struct {{([^{{}}]*)}} {};"
+_SIGNATURE = r"__kernel\b[^;{{]*?\bvoid\s+{}\s*\(([^{{]*)\)\s*{{"
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """An argument of a kernel."""
+
+    type: str  # in OpenCL C: of the number, or of the elements of the buffer
+    access: str = ""  # "in" of a buffer that is only read, "out" of another one; empty for a number
+    layout: np.dtype[np.void] | None = None  # of a structure by value, whose numbers launches are given by name
+
+
+def arguments_of(program: str, text: str) -> dict[str, Argument]:
+    """Read the arguments of a kernel from the text of its program, by name in the order of the signature."""
+    code, found = _NO_CODE.sub("", text), {}
+    (signature,) = re.findall(_SIGNATURE.format(program), code)
+    for declared in signature.split(","):
+        *words, name = re.findall(r"\w+|\*", declared)
+        (kind,) = {*words} - {"__global", "__constant", "const", "restrict", "*"}
+        if "*" in words:
+            found[name] = Argument(kind, "in" if {"const", "__constant"} & {*words} else "out")
+        else:
+            found[name] = Argument(kind, layout=None if kind in NUMBERS else _layout(kind, code))
+    return found
+
+
+def _layout(structure: str, code: str) -> np.dtype[np.void]:
+    """Type of a structure of numbers and arrays of them, laid out as in C."""
+    (body,) = re.findall(_STRUCTURE.format(structure), code)
+    fields: list[tuple[str, type[np.generic], tuple[int, ...]]] = []
+    for kind, names in re.findall(r"(\w+) ([^;]+);", body):
+        fields += [
+            (n, NUMBERS[kind], (int(count),) if count else ()) for n, count in re.findall(r"(\w+)(?:\[(\d+)\])?", names)
+        ]
+    return np.dtype(fields, align=True)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program of one kernel, which has its name."""
+
+    name: str
+    files: list[str]  # joined in this order
+
+    @cached_property
+    def arguments(self) -> dict[str, Argument]:
+        """Arguments by name, in the order of the signature."""
+        return arguments_of(self.name, kernel_source(self.name))
+
+    @cached_property
+    def constants(self) -> set[str]:
+        """Constants that are given at compile time (``-D``), all of them at every build."""
+        code = _NO_CODE.sub("", kernel_source(self.name))
+        defined = set(re.findall(r"#define\s+(\w+)", code))
+        return set(re.findall(r"\b[A-Z][A-Z_]+\b", code)) - defined - _OPENCL_C
+
+
+_TRIPLES = "common/float64.h common/triple.h "
+_PROPAGATION = _TRIPLES + "common/side_by_side.h paths/trajectory.h paths/delay.h "
+_PATHS = (
+    "paths/pose.h nodes/path.h nodes/legs/static.h nodes/legs/moving.h nodes/legs/events.h nodes/vertices/edge.h "
+    "nodes/vertices/ellipsoid.h nodes/vertices/capsule.h nodes/vertices/scatterer.h nodes/vertices/scattered_legs.h "
+)
+_FIELDS = (
+    "nodes/prediction.h nodes/vertices/transition.h nodes/solve.h nodes/vertices/angles.h nodes/vertices/edge_end.h "
+    "nodes/vertices/edge_field.h nodes/vertices/outline.h nodes/vertices/strings.h nodes/vertices/outline_field.h "
+    "nodes/vertices/shade.h nodes/vertices/silhouette.h nodes/vertices/capsule_field.h nodes/vertices/sphere.h "
+    "nodes/vertices/scattered_field.h nodes/legs/mirrored_field.h nodes/node_gains.h "
+)
+_RESPONSE = (
+    "common/rounding.h common/gains.h nodes/spectrum.h nodes/lookup_tables.h nodes/harmonics.h nodes/response.h "
+)
+_POLYNOMIALS, _WALLS = "common/polynomials.h ", "paths/wall_tree.h paths/walls.h "
+_INTERVALS = _PROPAGATION + _WALLS + "paths/wall_walk.h paths/trajectory_tables.h paths/unfolded.h paths/visibility.h "
+_EDGES = "paths/edge.h paths/edge_gap.h paths/edge_evaluate.h paths/gap_evaluate.h "
+_VECTORS = "common/rounding.h common/vector.h "
+
+DECLARATIONS = "common/opencl_c.h"  # joined by the compiler, where that pays
+
+# The files before the one of the kernel, by folder and name of that one.
+_FILES = {
+    "render/emit": "",
+    "render/branches": _VECTORS,
+    "nodes/coarse_delays": _PROPAGATION + _PATHS,
+    "nodes/tracks": _PROPAGATION + _RESPONSE + _PATHS + _FIELDS + _POLYNOMIALS
+    + "nodes/delay_polynomials.h nodes/block.h nodes/smooth.h nodes/cell.h common/mask.h nodes/activity.h",
+    "nodes/pair_tracks": "common/float32.h common/triple.h common/pairs.h " + _RESPONSE + "nodes/pair_delay.h "
+    + _POLYNOMIALS + "nodes/block.h common/mask.h nodes/activity.h",
+    "paths/meetings": _TRIPLES + _WALLS,
+    "paths/crossings": _TRIPLES + _WALLS,
+    "paths/intervals": _INTERVALS + "paths/evaluate.h paths/spans.h",
+    "paths/edge_intervals": _INTERVALS + _EDGES + "paths/spans.h",
+    "rays/rays": "rays/philox.h rays/next_wall.h rays/energies.h rays/scatter.h",
+    "render/fades": _POLYNOMIALS + "render/phases.h render/transition.h",
+    "render/trim_activity": "common/mask.h render/transition.h",
+    "render/clear_gains": _POLYNOMIALS,
+    "render/taper_gains": _VECTORS + _POLYNOMIALS + "common/taper.h",
+    "render/render": _VECTORS + _POLYNOMIALS
+    + "common/gains.h common/mask.h render/phases.h render/subblock.h render/farrow.h",
+    "render/moments": _VECTORS + _POLYNOMIALS + "render/phases.h render/transition.h",
+    "channels/scatter": _VECTORS + _POLYNOMIALS + "common/taper.h",
+    "render/plane_waves": _VECTORS,
+    "render/baseband": _VECTORS + _POLYNOMIALS
+    + "common/mask.h render/carrier.h render/group.h render/branch_powers.h",
+    "render/baseband_fades": _VECTORS + _POLYNOMIALS + "render/carrier.h render/transition.h",
+}  # fmt: skip
+PROGRAMS = {
+    path.partition("/")[2]: Program(path.partition("/")[2], [*files.split(), f"{path}.cl"])
+    for path, files in _FILES.items()
+}
+
+
+def kernel_folder() -> Path:
+    """Return the folder of the kernels: in the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    if (package / "kernels").is_dir():
+        return package / "kernels"
+    if (package.parent / "pyproject.toml").is_file():
+        return package.parent / "kernels"
+    raise ClsimError(f"no kernels beside {package}: install clsim again")
+
+
+@cache
+def declarations() -> str:
+    """Return declarations of the OpenCL C functions that kernels use, for compilers that skip its header."""
+    return (kernel_folder() / DECLARATIONS).read_text("utf-8")
+
+
+@cache
+def kernel_source(program: str) -> str:
+    """Text of a program: its files in order, each behind a ``#line`` that names it."""
+    folder = kernel_folder()
+    return "\n".join(f'#line 1 "{n}"\n{(folder / n).read_text("utf-8")}' for n in PROGRAMS[program].files)
+
 
 WorkItems = tuple[tuple[int, ...], tuple[int, ...]]  # in all, and in a group
 Constant = int | float | str | np.float32
@@ -94,7 +239,9 @@ class Compiler:
             if constants.keys() != PROGRAMS[program].constants:
                 wrong = ", ".join(sorted(constants.keys() ^ PROGRAMS[program].constants))
                 raise ClsimError(f"constants of program {program}: missing or unknown {wrong}")
-            kernels[key] = self._launch(program, tuple(f"-D{n}={_literal(v)}" for n, v in sorted(constants.items())))
+            # Python's numbers are int and double in OpenCL C, NumPy's float32 is float.
+            texts = {n: f"{v!s}f" if isinstance(v, np.float32) else str(v) for n, v in sorted(constants.items())}
+            kernels[key] = self._launch(program, tuple(f"-D{n}={text}" for n, text in texts.items()))
         return kernels[key]
 
     def _launch(self, program: str, options: tuple[str, ...]) -> Launch:
@@ -142,33 +289,18 @@ class Compiler:
         ) from failed
 
 
-def _literal(value: Constant) -> str:
-    """Return the OpenCL C literal of a constant: Python numbers are int and double, float32 is float."""
-    if isinstance(value, np.float32):
-        return f"{value!s}f"
-    return repr(value) if isinstance(value, float) else str(value)
-
-
-NUMBERS: dict[str, type[np.generic]] = {
-    "int": np.int32, "uint": np.uint32, "long": np.int64, "ulong": np.uint64, "float": np.float32, "double": np.float64,
-}  # fmt: skip
-
-
 class Launch:
     """A kernel that is launched with arguments by name."""
 
     def __init__(self, name: str, kernel: Callable[..., Any], arguments: Mapping[str, Argument]) -> None:
         self._name, self._kernel = name, kernel
-        structures = [a for a in arguments.values() if a.numbers]
-        direct = {n: a for n, a in arguments.items() if not a.numbers}
-        self._arguments = direct | {n: number for a in structures for n, number in a.numbers}
+        layouts = [(i, a.layout) for i, a in enumerate(arguments.values()) if a.layout is not None]
+        direct = [n for n, a in arguments.items() if a.layout is None]
+        self._known = {*direct, *(n for _, kind in layouts for n in kind.names or ())}
         self._ordered = itemgetter(*direct)
-        self._structures = [
-            (i, itemgetter(*(n for n, _ in a.numbers)), layout(a))
-            for i, a in enumerate(arguments.values()) if a.numbers
-        ]  # fmt: skip
-        places = list(enumerate(direct.values()))
-        self._numbers = [(i, NUMBERS[a.type]) for i, a in places if not a.shape]
+        self._structures = [(i, itemgetter(*(kind.names or ())), kind) for i, kind in layouts]
+        places = [(i, arguments[n]) for i, n in enumerate(direct)]
+        self._numbers = [(i, NUMBERS[a.type]) for i, a in places if not a.access]
         self._read = [(i, NUMBERS.get(a.type.rstrip("0123456789"))) for i, a in places if a.access == "in"]
 
     def __call__(self, queue: Any, items: WorkItems, /, **arguments: Any) -> Any:
@@ -182,35 +314,23 @@ class Launch:
             values = [(i, np.array(tuple(of(arguments)), kind)) for i, of, kind in self._structures]
         except KeyError:
             raise self._refusal(arguments) from None
-        if len(arguments) != len(self._arguments):
+        if len(arguments) != len(self._known):
             raise self._refusal(arguments)
         for i, number in self._numbers:
             taken[i] = number(taken[i])
         if np.ndarray in map(type, taken):  # quicker than asking every argument
             for i, element in self._read:
                 if isinstance(taken[i], np.ndarray):
-                    taken[i] = upload(queue.context, _elements(taken[i], element))
+                    given = taken[i] if element is None else taken[i].astype(element, casting="same_kind", copy=False)
+                    taken[i] = upload(queue.context, given)  # structures are as they are
         for i, value in values:
             taken.insert(i, value)
         return self._kernel(queue, *items, *taken)
 
     def _refusal(self, arguments: Mapping[str, Any]) -> ClsimError:
-        missing, unknown = self._arguments.keys() - arguments, arguments.keys() - self._arguments
+        missing, unknown = self._known - arguments.keys(), arguments.keys() - self._known
         given = [f"{what} {', '.join(sorted(n))}" for what, n in (("lacks", missing), ("has no", unknown)) if n]
         return ClsimError(f"launch of kernel {self._name}: it {' and '.join(given)}")
-
-
-def _elements(array: NDArray[Any], element: type[np.generic] | None) -> NDArray[Any]:
-    """Return an array in the type of a buffer's elements; structures are as they are."""
-    return array if element is None else array.astype(element, casting="same_kind", copy=False)
-
-
-def layout(structure: Argument) -> np.dtype[np.void]:
-    """Type of a structure that kernels take by value, laid out as in C."""
-    fields = [
-        (n, NUMBERS[a.type], int(a.shape or 1)) if a.shape else (n, NUMBERS[a.type]) for n, a in structure.numbers
-    ]
-    return np.dtype(fields, align=True)
 
 
 def upload(context: Any, array: NDArray[Any]) -> Any:

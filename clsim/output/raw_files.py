@@ -20,10 +20,8 @@ _UNKNOWN_TO_SYSTEM = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS)
 CHECKSUM_BYTES = 4
 LARGEST_CHUNK = 2**32 - 1 - CHECKSUM_BYTES  # bytes: its length is a number of 32 bits
 _PAGE = 1 << 14  # bytes
-_COLUMNS, _ROWS = 1 << 10, 1 << 5  # of integers of four words that are added at a time: 256 KiB
 _HEAP = struct.Struct("<4s4xQ")  # signature and version of a global heap, its bytes
 _OBJECT = struct.Struct("<H6xQ")  # index of an object in it, 0 for free space, and its bytes
-_LANES = np.uint64(0x0000FFFF0000FFFF)  # every other word
 
 
 class RawRows:
@@ -43,19 +41,16 @@ class RawRows:
             self.close()
             raise
 
-    def reserve(self, samples: Sequence[int]) -> None:
-        """Take the disk space of rows of given lengths beforehand, so that a full disk shows before hours of work."""
-        for path, number in self._files.items():
-            rows = zip(self._places, samples, strict=True)
-            size = max(begin + self._type.itemsize * count for (other, begin), count in rows if other == path)
+    def reserve(self, sizes: Sequence[int]) -> None:
+        """Take the disk space of the files, bytes, beforehand, so that a full disk shows before hours of work."""
+        for (path, number), size in zip(self._files.items(), sizes, strict=True):
             try:
                 if hasattr(os, "posix_fallocate"):
                     os.posix_fallocate(number, 0, size)
             except OSError as error:
                 if error.errno not in _UNKNOWN_TO_SYSTEM:
-                    raise OSError(
-                        error.errno, f"{os.strerror(error.errno or 0)} ({size / 2**20:.3g} MiB are needed)", str(path)
-                    ) from error
+                    needed = f"{os.strerror(error.errno or 0)} ({size / 2**20:.3g} MiB are needed)"
+                    raise OSError(error.errno, needed, str(path)) from error
             os.truncate(number, max(size, os.fstat(number).st_size))
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
@@ -258,40 +253,6 @@ def _check_heaps(data: bytes) -> None:
             if place > end or not (index or size):
                 raise ValueError("the list of its strings is damaged")
         at = data.find(b"GCOL", max(place, at + 4))
-
-
-def fletcher32(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Fletcher's checksum of an even number of bytes as HDF5 stores it, shape (4,)."""
-    # H5_checksum_fletcher32 of the HDF5 library: sums of big-endian 16-bit words, and of these sums, modulo 65535. Four
-    # words at a time are added, each in 32 bits of an integer: in rows and in columns, from which the sum of sums
-    # follows. Modulo 65535 a factor of 256 exchanges the bytes of a word.
-    missing = -len(data) % (8 * _COLUMNS)
-    if missing:  # zeros before the first word change neither sum
-        data = np.concatenate([np.zeros(missing, np.uint8), data])
-    quads = data.view("<u8").reshape(-1, _COLUMNS)
-    rows, columns = np.empty(len(quads), np.int64), np.zeros((_COLUMNS, 4), np.int64)
-    for i in range(0, len(quads), _ROWS):
-        part = quads[i : i + _ROWS]
-        even = part & _LANES
-        odd = part >> np.uint64(16)
-        odd &= _LANES
-        for first, words in enumerate((even, odd)):
-            columns[:, first::2] += _lanes(words.sum(axis=0))
-        even += odd
-        rows[i : i + _ROWS] = _lanes(even.sum(axis=1)).sum(axis=1)
-    # Exact: below 2^63 with remainders, for as many rows as a chunk can have.
-    rows, sums = rows % 65535, columns.ravel() % 65535
-    following = np.arange(len(rows))[::-1]
-    within = int(np.arange(len(sums), 0, -1) @ sums)
-    first, second = int(rows.sum()), len(sums) * int(following @ rows) + within
-    # Sums with an end-around carry: a multiple of 65535 is 65535, and only zeros have the sum 0.
-    first, second = ((256 * s - 1) % 65535 + 1 if data.any() else 0 for s in (first, second))
-    return np.array([second << 16 | first], "<u4").view(np.uint8)
-
-
-def _lanes(sums: NDArray[np.uint64]) -> NDArray[np.int64]:
-    """Lower and upper 32 bits of numbers (n,), shape (n, 2)."""
-    return sums.astype("<u8").view("<u4").reshape(-1, 2).astype(np.int64)
 
 
 ALL_CHUNKS = {"clsim_chunks": "all"}  # attribute of groups whose chunks of zeros are files, too

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import zipfile
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,14 +15,13 @@ from clsim.arrays import Floats
 from clsim.errors import InputError, check_packages
 from clsim.files.atomic import atomic_path, not_written
 from clsim.files.input_files import file_names
-from clsim.files.sound import WavWriter
+from clsim.files.sound import write_wav
 from clsim.impulse_responses import ImpulseResponses
 from clsim.numerics.quaternions import rotate
 from clsim.paths.ground_truth import DirectPath, EchoTruth
 from clsim.paths.path_table import PathTable, long_columns
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import row_receivers
-from clsim.scene.room.protocol import Room
 from clsim.scene.scene import Scene
 from clsim.version import __version__
 
@@ -65,17 +63,6 @@ def write_ground_truth(found: DirectPath, path: str | os.PathLike[str], echoes: 
         np.savez_compressed(temporary, **columns)
 
 
-def read_table(path: str | os.PathLike[str]) -> PathTable:
-    """Read a path table that `write_table` wrote as ``.npz``."""
-    try:
-        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            columns = {f.name: file[f.name] for f in dataclasses.fields(PathTable)}
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError("path", f"must be a path table (.npz), but {str(path)!r} is none: {error}") from error
-    arguments: dict[str, Any] = {k: tuple(map(str, v)) if k in _NAMES else v for k, v in columns.items()}
-    return PathTable(**arguments)
-
-
 def _write_parquet(table: PathTable, path: str | os.PathLike[str]) -> None:
     import pyarrow as pa
     from pyarrow import parquet
@@ -114,7 +101,7 @@ def write_response_sounds(responses: ImpulseResponses, folder: str | os.PathLike
     made = [folder / name for name in response_names(responses.source_names, responses.receiver_names)]
     with ExitStack() as stack:
         for path, taps in zip(made, responses.samples.reshape(sources * receivers, count), strict=True):
-            stack.enter_context(WavWriter(path, responses.sampling_rate, samples=count)).write(taps)
+            write_wav(stack.enter_context(atomic_path(path)), responses.sampling_rate, taps)
     return made
 
 
@@ -198,7 +185,8 @@ def _describe_room(sofa: Any, scene: Scene) -> None:
     ]  # fmt: skip
     sofa.RoomTemperature = scene.air.state[0] + 273.15
     sofa.RoomTemperature_Units = "kelvin"
-    if _is_box(scene.room):
+    across = np.sort(np.abs(scene.room.faces.normals), axis=1)
+    if scene.room.is_convex and np.array_equal(across, np.tile([0.0, 0.0, 1.0], (6, 1))):  # a box along the axes
         sofa.GLOBAL_RoomType = "shoebox"
         sofa.RoomCornerA, sofa.RoomCornerB = (corner[None] for corner in scene.room.extent)
         unknown = unknown[:-2]
@@ -207,9 +195,3 @@ def _describe_room(sofa: Any, scene: Scene) -> None:
         unknown += ["RoomCornerA", "RoomCornerB"]
     for name in unknown:
         sofa.delete(name)
-
-
-def _is_box(room: Room) -> bool:
-    """Return True for a room that is a box along the axes."""
-    across = np.sort(np.abs(room.faces.normals), axis=1)
-    return room.is_convex and np.array_equal(across, np.tile([0.0, 0.0, 1.0], (6, 1)))

@@ -28,7 +28,6 @@ from clsim.output.raw_files import (
     RawRows,
     chunk_places,
     create_file,
-    fletcher32,
 )
 from clsim.plugins import STORES as STORE_PLUGINS
 from clsim.plugins import with_plugins
@@ -137,6 +136,8 @@ class SoundStore(ABC):
 class _RowStore(SoundStore):
     """A store whose samples are rows at known places of files."""
 
+    _row_type = ""  # of what is written, if that is not the samples themselves
+
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
         super().__init__(folder, sound, receivers)
         self._rows = RawRows([])
@@ -145,26 +146,14 @@ class _RowStore(SoundStore):
     def places(self) -> list[tuple[Path, int]]:
         """Return file and byte at which each row begins."""
 
-    @property
-    def _row_type(self) -> str:
-        return self._sound.sample_type
-
-    @property
-    def _row_lengths(self) -> list[int]:
-        return [self._row_length] * len(self.places())
-
-    @property
-    def _row_length(self) -> int:
-        return self._sound.samples
-
     def open(self) -> None:
-        self._rows = RawRows(self.places(), self._row_type)
+        self._rows = RawRows(self.places(), self._row_type or self._sound.sample_type)
 
-    def reserve(self) -> None:
-        """Take the disk space of all samples."""
+    def reserve(self, sizes: Sequence[int]) -> None:
+        """Take the disk space of all files, bytes."""
         self.open()
         try:
-            self._rows.reserve(self._row_lengths)
+            self._rows.reserve(sizes)
             self._rows.to_disk()
         finally:
             self.close()
@@ -204,11 +193,9 @@ class _WavStore(_RowStore):
         """Write the headers and take the room of all samples, which are zeros."""
         for path, header in zip(self.paths, self._headers, strict=True):
             path.write_bytes(header)
-        self.reserve()
-
-    @property
-    def _row_lengths(self) -> list[int]:
-        return [self._sound.samples * count for count in np.diff(self._first).tolist()]
+        each = np.dtype(self._sound.sample_type).itemsize * self._sound.samples
+        counts = np.diff(self._first).tolist()
+        self.reserve([len(header) + each * count for header, count in zip(self._headers, counts, strict=True)])
 
     def places(self) -> list[tuple[Path, int]]:
         return [(path, len(header)) for path, header in zip(self.paths, self._headers, strict=True)]
@@ -231,7 +218,8 @@ class _Hdf5Store(_RowStore):
     """A netCDF-4 file whose sound is in chunks of one receiver with checksums, written past the HDF5 library."""
 
     # What the library wrote is on the disk before the first sample, and does not change any more.
-    packages = ("h5netcdf", "h5py", "xarray")
+    packages = ("h5netcdf", "h5py", "numcodecs", "xarray")
+    _row_type = "|u1"
 
     @staticmethod
     def names(receivers: Sequence[str]) -> list[str]:
@@ -249,22 +237,15 @@ class _Hdf5Store(_RowStore):
 
     def create(self) -> None:
         """Write all but the samples, whose chunks, of zeros, have their places in the file."""
-        sound, size = self._sound, self._row_length
+        sound = self._sound
+        size = np.dtype(sound.sample_type).itemsize * self._chunk + CHECKSUM_BYTES
         if size > LARGEST_CHUNK:
             raise InputError(
                 "chunk", f"must take less than 4 GiB of a receiver for --store hdf5, but takes {size} bytes"
             )
         shape = len(sound.receiver_names), sound.samples
         create_file(self.paths[0], sound.coordinates(), shape, self._chunk, sound.sample_type, sound.sound_attributes)
-        self.reserve()
-
-    @property
-    def _row_type(self) -> str:
-        return "|u1"
-
-    @property
-    def _row_length(self) -> int:
-        return np.dtype(self._sound.sample_type).itemsize * self._chunk + CHECKSUM_BYTES
+        self.reserve([self.paths[0].stat().st_size])
 
     def places(self) -> list[tuple[Path, int]]:
         """Return the file and the byte at which each chunk begins, those of the first receiver first."""
@@ -272,12 +253,14 @@ class _Hdf5Store(_RowStore):
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
         """Write a whole chunk `(receivers, n)` from sample `start` on, of receiver `first` and those behind it."""
+        from numcodecs.fletcher32 import Fletcher32  # the checksum of HDF5
+
         number, of_row = start // self._chunk, -(-self._sound.samples // self._chunk)
         for r, row in enumerate(samples, first):
             chunk = np.zeros(self._chunk, self._sound.sample_type)  # the last one is as long as all others
             chunk[: len(row)] = row
-            content = chunk.view(np.uint8)
-            self._rows.write(0, np.concatenate([content, fletcher32(content)])[None], r * of_row + number)
+            content = np.frombuffer(Fletcher32().encode(chunk), np.uint8)
+            self._rows.write(0, content[None], r * of_row + number)
 
     def row(self, folder: Path, row: int) -> Readable:
         import h5py
@@ -359,17 +342,12 @@ class _ZarrStore(SoundStore):
         return _ArrayRow(zarr.open_group(folder / self.paths[0].name, mode="r")["sound"], row)
 
 
-class _MemberStore(_ZarrStore):
-    """Sound of a member of a study, whose group gets all else when it is finished, and is flushed then."""
+class MemberStore(_ZarrStore):
+    """Sound of a member of a study in an empty folder, whose group gets all else when it is finished."""
 
     def create(self) -> None:
         """Write an array without chunks yet, alone."""
         self._create_array("w-")
-
-
-def member_store(folder: Path, sound: StoredSound) -> SoundStore:
-    """Return a store for the sound of a member of a study in an empty folder: without coordinates."""
-    return _MemberStore(folder, sound, ())
 
 
 class _ArrayRow:

@@ -1,4 +1,4 @@
-"""Plots of sound: waveform, spectrogram, Hilbert envelope, spectrogram of a complex envelope."""
+"""Plots of sound: waveform, and spectrogram of pressure or of a complex envelope."""
 
 from __future__ import annotations
 
@@ -33,8 +33,7 @@ _REFERENCES = {"Pa": ("20 µPa", 0.0), "V": ("1 V", -93.9794)}  # levels come re
 DIRECT = "#c1272d"
 _REFLECTED = "#1f77b4"
 _OVERLAYS = ("#ffffff", "#4dd0e1", "#a5e887", "#8ab4ff", "#ffe680")  # seen on magma, black below them
-_MILLI = 0.1  # envelopes below are shown in thousandths
-_COLUMNS = 1600  # of the picture at most
+_TURNING = 0.1  # s of an envelope in a window
 _REFERENCE = 20e-6  # Pa, of the envelope's rms
 
 
@@ -59,7 +58,10 @@ class Spectrogram:
 def spectrogram(
     pressure: Readable, sampling_rate: float, band: tuple[float, float], segment: int | None = None
 ) -> Spectrogram:
-    """Return the level of pressure (n,), Pa, over time and frequency in a band (low, high), Hz, dB re 20 µPa rms."""
+    """Return the level of pressure (n,), Pa, over time and frequency in a band (low, high), Hz, dB re 20 µPa rms.
+
+    Frequencies of a complex envelope are offsets from the carrier.
+    """
     # A pixel is the mean over the windows inside it and the largest of the frequencies inside it, so that neither
     # moves a line's level.
     count = len(pressure)
@@ -72,8 +74,9 @@ def spectrogram(
     while padded < _PADDING * segment and width / sampling_rate * padded < _RASTER_ROWS:
         padded *= 2
     step = sampling_rate / padded
-    first = max(0, math.floor(band[0] / step))
-    bins = slice(first, max(first, min(padded // 2, math.ceil(band[1] / step))) + 1)
+    zero = padded // 2 if np.iscomplexobj(pressure[0:1]) else 0  # bin of frequency 0
+    first = max(0, math.floor(band[0] / step) + zero)
+    bins = slice(first, max(first, min(padded // 2 + max(zero - 1, 0), math.ceil(band[1] / step) + zero)) + 1)
     pool = math.ceil((bins.stop - bins.start) / _RASTER_ROWS)
     columns = max(1, min(_RASTER_COLUMNS, math.ceil(_OVERLAP * count / segment)))
     rows = -(-(bins.stop - bins.start) // pool)
@@ -83,27 +86,29 @@ def spectrogram(
         power = _power(pressure, segment, span, padded)
         peaks = np.maximum.reduceat(power[bins], np.arange(0, bins.stop - bins.start, pool))
         level[:, column] = 10.0 * np.log10(np.maximum(peaks, _FLOOR) / _REFERENCE**2)
-    low = (bins.start - 0.5) * step
+    low = (bins.start - zero - 0.5) * step
     return Spectrogram(level, low, low + rows * pool * step, count / sampling_rate)
 
 
 def _power(pressure: Readable, segment: int, span: tuple[float, float], padded: int) -> NDArray[np.float64]:
     """Return the mean power spectrum, Pa² of a sine in each bin, of the windows centred in a span of samples."""
-    from scipy.fft import rfft
+    from scipy.fft import fft, fftshift, rfft
 
-    count = len(pressure)
+    count, two_sided = len(pressure), np.iscomplexobj(pressure[0:1])
     most = max(1, _BUDGET // (_RASTER_COLUMNS * padded))
     number = min(most, max(1, round(2.0 * (span[1] - span[0]) / segment)))
-    total = np.zeros(padded // 2 + 1)
+    total = np.zeros(padded if two_sided else padded // 2 + 1)
     for k in range(number):
         centre = span[0] + (k + 0.5) * (span[1] - span[0]) / number
         # Near the ends windows are shorter: they stay about their centre, and inside the sound.
         length = min(segment, max(int(2.0 * min(centre, count - centre)), segment // _SHORTEST, 1))
         start = min(max(0, round(centre - 0.5 * length)), max(0, count - length))
         window = _window(length)
-        part = np.asarray(pressure[start : start + length], dtype=np.float32)
-        spectrum: Any = rfft(part * window[: len(part)], padded)
-        total += (np.square(spectrum.real) + np.square(spectrum.imag)) * (2.0 / float(window.sum()) ** 2)
+        part: Any = np.asarray(pressure[start : start + length], dtype=np.complex64 if two_sided else np.float32)
+        windowed = part * window[: len(part)]
+        spectrum: Any = fftshift(fft(windowed, padded)) if two_sided else rfft(windowed, padded)
+        share = (0.5 if two_sided else 2.0) / float(window.sum()) ** 2
+        total += (np.square(spectrum.real) + np.square(spectrum.imag)) * share
     return total / number
 
 
@@ -131,15 +136,23 @@ def draw_spectrogram(
     overlay: list[tuple[Floats, Floats, str]] | None = None,
     segment: int | None = None,
     unit: str = "Pa",
+    carrier: float | None = None,
 ) -> None:
-    """Draw the level of pressure (n,), Pa, into axes, over it lines of times, s, and frequencies, Hz, with labels."""
-    low, high = band or (0.0, 0.5 * sampling_rate)
+    """Draw the level of pressure (n,), Pa, into axes, over it lines of times, s, and frequencies, Hz, with labels.
+
+    carrier: of a complex envelope, Hz; the band is then about it.
+    """
+    if carrier is not None:
+        segment = min(segment or max(16, round(_TURNING * sampling_rate)), max(16, len(pressure)))
+    low, high = band or (0.0 if carrier is None else -0.5 * sampling_rate, 0.5 * sampling_rate)
     raster = spectrogram(pressure, sampling_rate, (low, high), segment)
     against, offset = _REFERENCES[unit]
     level = raster.level + np.float32(offset)
     peak = float(level.max())
     axes.grid(visible=False)
-    kilo = 1e3 if high >= 2e3 else 1.0
+    axes.title.set_parse_math(False)  # names may hold what looks like a formula
+    kilo = 1e3 if high >= 2e3 and carrier is None else 1.0
+    shown_frequency = "frequency" if carrier is None else f"frequency - {carrier / 1e3:g} kHz"
     milli = 1e3 if raster.duration < 0.5 else 1.0
     shown = axes.imshow(
         level, origin="lower", aspect="auto", cmap="magma", vmin=peak - RANGE_DB, vmax=peak,
@@ -153,7 +166,7 @@ def draw_spectrogram(
     if overlay:
         figure.legend(loc="outside lower center", ncols=8, framealpha=1.0, facecolor="#222222", labelcolor="white")
     axes.set(
-        xlabel="time (ms)" if milli > 1.0 else "time (s)", ylabel="frequency (kHz)" if kilo > 1.0 else "frequency (Hz)",
+        xlabel="time (ms)" if milli > 1.0 else "time (s)", ylabel=f"{shown_frequency} ({'k' * (kilo > 1.0)}Hz)",
         title=title, xlim=(0.0, raster.duration * milli), ylim=(low / kilo, high / kilo),
     )  # fmt: skip
     figure.colorbar(shown, ax=axes, pad=0.015, aspect=30).set_label(f"level (dB re {against})", fontsize=12)
@@ -176,47 +189,6 @@ def draw_waveform(axes: Axes, samples: Readable, sampling_rate: float, *, title:
     axes.margins(x=0.0)
 
 
-def envelope_picture(
-    pressure: NDArray[Any],
-    sampling_rate: float,
-    path: str | os.PathLike[str],
-    *,
-    title: str,
-    arrivals: list[tuple[float, str, bool]],
-    unit: str = "Pa",
-    beside: tuple[str, NDArray[Any]] | None = None,
-) -> None:
-    """Draw the Hilbert envelope of pressure (n,), Pa, over time, with predicted arrivals: time, s, label, if direct."""
-    figure, axes = new_figure(4.5)
-    times = np.arange(len(pressure)) / sampling_rate * 1e3
-    sound, other = _magnitude(pressure), None if beside is None else _magnitude(beside[1])
-    milli = 1e3 if float(sound.max(initial=0.0)) < _MILLI else 1.0
-    axes.plot(times, milli * sound, color="black", linewidth=1.0, zorder=3)
-    if beside is not None and other is not None:
-        axes.fill_between(times, milli * other, color="#c6c6c6", linewidth=0.0, zorder=1, label=beside[0])
-    seen = set()
-    for time, label, direct in arrivals:
-        axes.axvline(
-            time * 1e3, color=DIRECT if direct else _REFLECTED, linewidth=1.3, zorder=2,
-            linestyle="-" if direct else "--", label=label if label not in seen else None,
-        )  # fmt: skip
-        seen.add(label)
-    axes.set(xlabel="time (ms)", title=title, xlim=(times[0], times[-1]), ylim=(0.0, None))
-    axes.set_ylabel(f"envelope ({'m' * (milli > 1.0)}{unit})")
-    if arrivals or beside:
-        figure.legend(loc="outside lower center", ncols=4)
-    save_figure(figure, path)
-
-
-def _magnitude(samples: NDArray[Any]) -> Floats:
-    """Return the Hilbert envelope of samples (n,)."""
-    from scipy.fft import next_fast_len
-    from scipy.signal import hilbert
-
-    analytic: Any = hilbert(np.asarray(samples, dtype=np.float64), next_fast_len(2 * len(samples)))  # far from its end
-    return np.asarray(np.abs(analytic[: len(samples)]))
-
-
 def new_figure(height: float) -> tuple[Figure, Axes]:
     """Return a figure of its own, 10 inches wide, and its axes."""
     figure = Figure(figsize=(10.0, height), layout="constrained")
@@ -236,51 +208,3 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: int = 130) ->
     canvas: Any = FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
         canvas.print_png(temporary)  # `savefig` would draw all of it twice, first without colours to lay it out
-
-
-def envelope_spectrogram(
-    envelope: NDArray[np.complex64], sampling_rate: float, carrier: float, path: str | os.PathLike[str], **options: Any
-) -> None:
-    """Draw the level of a complex envelope into a file; the options are those of `draw_envelope_spectrogram`."""
-    figure, axes = new_figure(5.0)
-    axes.grid(visible=False)
-    draw_envelope_spectrogram(figure, axes, envelope, sampling_rate, carrier, **options)
-    save_figure(figure, path)
-
-
-def draw_envelope_spectrogram(
-    figure: Figure,
-    axes: Axes,
-    envelope: NDArray[np.complex64],
-    sampling_rate: float,
-    carrier: float,
-    *,
-    title: str,
-    segment: int | None = None,
-    shown: float | None = None,
-) -> None:
-    """Draw the level of a complex envelope (n,), Pa, over time and offset from the carrier into axes."""
-    from scipy.signal import ShortTimeFFT
-    from scipy.signal.windows import hann
-
-    length = min(segment or max(16, round(0.1 * sampling_rate)), max(16, len(envelope)))
-    hop = max(length // 8, math.ceil(len(envelope) / _COLUMNS), 1)
-    window = hann(length, sym=False)
-    size = 2 ** math.ceil(math.log2(2 * length))
-    transform = ShortTimeFFT(window / window.sum(), hop, sampling_rate, fft_mode="centered", mfft=size)
-    padded = np.pad(envelope, (0, max(0, length - len(envelope))))
-    spectrum = np.abs(transform.stft(padded)).astype(np.float32)
-    # The rms of a tone is its amplitude over the root of two.
-    level = 20.0 * np.log10(np.maximum(spectrum / math.sqrt(2.0), 1e-30) / _REFERENCE)
-    peak = float(level.max())
-    half, end = 0.5 * sampling_rate, len(envelope) / sampling_rate
-    axes.title.set_parse_math(False)  # names may hold what looks like a formula
-    image = axes.imshow(
-        level, origin="lower", aspect="auto", cmap="magma", vmin=peak - RANGE_DB, vmax=peak,
-        extent=(float(transform.t(len(padded))[0]), float(transform.t(len(padded))[-1]), -half, half),
-    )  # fmt: skip
-    axes.set(
-        xlabel="time (s)", ylabel=f"frequency - {carrier / 1e3:g} kHz (Hz)", title=title, xlim=(0.0, end),
-        ylim=(-(shown or half), shown or half),
-    )  # fmt: skip
-    figure.colorbar(image, ax=axes, pad=0.015, aspect=30).set_label("level (dB re 20 µPa)", fontsize=12)

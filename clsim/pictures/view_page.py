@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats
-from clsim.errors import InputError, check_packages, check_rising
+from clsim.errors import check_packages
 
 # Okabe and Ito's colours, then darker ones: told apart by colour-blind people too.
 _MATERIALS = (
@@ -111,9 +111,6 @@ def page_text(
 
     Shapes: times (F,) s; edges (E, 2, 3) m.
     """
-    _check_times(times, ends, frames)
-    for i, frame in enumerate(frames):
-        _check_paths(f"frames[{i}]", frame)
     content = _document(walls, ends, times, frames, edges, bodies, flaws)
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     parts = {
@@ -124,37 +121,6 @@ def page_text(
     }
     # In one go: what is put in is not searched again, whatever the names in it are.
     return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], (_HERE / "view_page.html").read_text("utf-8"))
-
-
-def _check_times(times: Floats, ends: Sequence[ViewedEnd], frames: Sequence[ViewedPaths]) -> None:
-    if len(times) == 0:
-        raise InputError("times", "must not be empty")
-    rule = f"must be one per time, {len(times)}, for paths and positions alike, but"
-    if len(frames) != len(times):
-        raise InputError("frames", f"{rule} there are {len(frames)}")
-    for i, end in enumerate(ends):
-        if end.positions.shape != (len(times), 3):
-            shape = " x ".join(map(str, end.positions.shape))
-            raise InputError("frames", f"{rule} ends[{i}].positions has the shape {shape}")
-    for i in np.flatnonzero(~np.isfinite(times))[:1]:
-        raise InputError(f"times[{i}]", f"must be finite, but is {times[i]}")
-    check_rising("times", times, np.diff(times) > 0.0, " s")
-
-
-def _check_paths(field: str, paths: ViewedPaths) -> None:
-    for name in ("order", "labels", "pairs", "levels"):
-        count = len(getattr(paths, name))
-        if count != len(paths.vertices):
-            raise InputError(f"{field}.{name}", f"must be one per path, {len(paths.vertices)}, but there are {count}")
-    for p, (vertices, order) in enumerate(zip(paths.vertices, paths.order, strict=True)):
-        if order < 0:
-            raise InputError(f"{field}.order[{p}]", f"must be at least 0, but is {order}")
-        if vertices.shape != (order + 2, 3):
-            shape = " x ".join(map(str, vertices.shape))
-            problem = f"must have the shape {order + 2} x 3 for a path of order {order}, but has {shape}"
-            raise InputError(f"{field}.vertices[{p}]", problem)
-        if not np.isfinite(vertices).all():
-            raise InputError(f"{field}.vertices[{p}]", "must be finite")
 
 
 def _document(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -185,46 +186,21 @@ def shifted(material: Material, by: float) -> Material:
     return _Shifted(**own, by=by)
 
 
+def members_of(own: str, *names: str) -> Any:
+    """Properties that have the values, methods too, of an attribute's members."""
+    return tuple(property(attrgetter(f"{own}.{name}")) for name in names)
+
+
 class ByFunctions(ChannelDirectivity):
     """Directivities of several channels whose paths are rendered by functions of frequency; all else is theirs."""
 
     __slots__ = ("_own", "arriving")
     by_functions = True
+    channels, is_complex, band, reach = members_of("_own", "channels", "is_complex", "band", "reach")
+    gain_towards, lateness, aligned = members_of("_own", "gain_towards", "lateness", "aligned")
 
     def __init__(self, own: ChannelDirectivity, arriving: bool) -> None:
         self._own, self.arriving = own, arriving  # whether gains are those at the frequencies that arrive
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-        return self._own.channels
-
-    @property
-    def is_complex(self) -> bool:
-        """Whether gains have a phase."""
-        return self._own.is_complex
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """Frequencies that are covered, Hz."""
-        return self._own.band
-
-    @property
-    def reach(self) -> float:
-        """Bound of the lateness, s."""
-        return self._own.reach
-
-    def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
-        """Return the gains (..., C)."""
-        return self._own.gain_towards(direction, frequency, speed_of_sound)
-
-    def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
-        """Return the lateness (..., C), s."""
-        return self._own.lateness(direction, speed_of_sound)
-
-    def aligned(self, direction: Floats, frequencies: Floats, speed_of_sound: float, channels: range) -> NDArray[Any]:
-        """Return the gains (C, ..., F) without the phase of the lateness."""
-        return self._own.aligned(direction, frequencies, speed_of_sound, channels)
 
 
 class TangentResponse(SceneResponse):

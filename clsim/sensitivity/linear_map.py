@@ -42,19 +42,11 @@ _PER_SAMPLE: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearMap:
-    """Parameters of a scene, and the functions of frequency that the tangents of its paths by all of them share.
+    """Parameters of a scene, and the functions of frequency that the tangents of its paths by all of them share."""
 
-    Attributes
-    ----------
-    plan : Plan
-        Plan of the sum over the paths themselves, sample by sample.
-    shared : Plan
-        With the filters for the responses of all tangents.
-    """
-
-    plan: Plan
+    plan: Plan  # of the sum over the paths themselves, sample by sample
     parameters: tuple[Parameter, ...]
-    shared: Plan
+    shared: Plan  # with the filters for the responses of all tangents
 
     @classmethod
     def of(cls, paths: PathSet, parameters: Sequence[Parameter], options: RenderOptions) -> LinearMap:
@@ -137,6 +129,9 @@ class TangentTracks(SceneTracks):
     here: tuple[tuple[int, ...], ...]  # parameters on which the paths to each receiver depend
     at_centre: bool  # whether responses are those at the centre frequency
     scales: Floats  # (parameters,) by which gains are divided, so that none is held less well than others
+    least_level = _LEAST  # part of the loudest tangent: B-splines begin and end with next to nothing
+    eased_db = _LESS_DB
+    on_device = False  # nodes are not of paths alone
 
     @classmethod
     def among_all(
@@ -165,21 +160,6 @@ class TangentTracks(SceneTracks):
             **columns, parameters=tuple(parameters), here=here, at_centre=at_centre, scales=np.ones(len(parameters))
         )
         return replace(made, scales=made.levels(until))
-
-    @property
-    def least_level(self) -> float:
-        """Part of the loudest tangent: B-splines begin and end with next to nothing."""
-        return _LEAST
-
-    @property
-    def eased_db(self) -> float:
-        """As much as responses of tangents."""
-        return _LESS_DB
-
-    @property
-    def on_device(self) -> bool:
-        """Whether devices make their nodes: these are not of paths alone."""
-        return False
 
     @property
     def channels(self) -> tuple[tuple[str, ...], ...]:

@@ -23,19 +23,6 @@ from clsim.sensitivity.displaced import Knot, Ramp, displaced, turned, varied, w
 
 Moved = Callable[[Scene, float], Scene]
 
-# What has no derivative, and what is done instead.
-WITHOUT_DERIVATIVE = {
-    "starts and ends of paths": "the interval in which a path is active stays as it is; the field is continuous "
-    "there with diffraction only",
-    "healing and simplification of meshes": "walls and edges stay those that were found",
-    "displacement of walls next to edges": "refused in scenes with diffracted paths",
-    "single corners of meshes": "no parameter: walls are displaced as a whole",
-    "emitted signals in baseband": "refused, as are tensors' renders in baseband: envelopes are those of a band",
-    '`aim="forward"` and `aim_at`': "orientations stay as they were while positions and points of trajectories change",
-    "noise and converters of receivers": "left out: the derivative is that of the signal before noise and rounding",
-    "the diffuse tail": "left out, which a note says: the derivative is that of the sound over paths",
-    "ends that bodies carry": "they stay where they are as `bodies[i].position` changes",
-}
 _AXES = "xyz"
 _STEP = 1e-5  # m: a phase of 0.7 mrad at 40 kHz; rounding of delays is then below 1e-7 of their derivative
 _DAMP = 1e-6  # step of the humidity, and what it is away from 0 and 1 at least
@@ -50,38 +37,17 @@ _WALL = re.compile(r"room\.walls\.(.+)\.(reflection|displacement)")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameter:
-    """One real parameter of a scene.
+    """One real parameter of a scene."""
 
-    Attributes
-    ----------
-    name, unit : str
-        As in errors and scene files.
-    step : float
-        By which it is varied to both sides, in its unit.
-    moved : callable
-        Takes a scene and a step; returns the scene with the parameter larger by that.
-    source, receiver : int or None
-        The only source or receiver whose paths depend on it; None for all.
-    gain_db : float
-        By how many dB per unit all these paths get louder.
-    acts : str
-        What it acts on: "shift" of an end, "clock", "start" and "gain" of one, its "turn", a "wall", its "reflection",
-        the "air"; "scene" for all else.
-    shift : Curve or None
-        Displacement of an end per unit; None for other parameters.
-    wall : int or None
-        The wall's index.
-    """
-
-    name: str
+    name: str  # as in errors and scene files
     unit: str
-    step: float
-    moved: Moved
-    source: int | None = None
-    receiver: int | None = None
-    gain_db: float = 0.0
-    acts: str = "scene"
-    shift: Curve | None = None
+    step: float  # by which it is varied to both sides, in its unit
+    moved: Moved  # takes a scene and a step; returns the scene with the parameter larger by that
+    source: int | None = None  # the only source whose paths depend on it; None for all
+    receiver: int | None = None  # likewise
+    gain_db: float = 0.0  # by how many dB per unit all these paths get louder
+    acts: str = "scene"  # "shift", "turn", "clock", "start" or "gain" of an end, a "wall", its "reflection", the "air"
+    shift: Curve | None = None  # displacement of an end per unit
     wall: int | None = None
 
     @property
@@ -192,15 +158,15 @@ def _of_wall(paths: PathSet, name: str, wall: str, what: str) -> Parameter:
     if wall not in names:
         raise InputError("wrt", f"must name a wall of the room ({', '.join(names[:12])}), but has {name!r:.80}")
     index = names.index(wall)
+
+    def changed(scene: Scene, by: float) -> Scene:
+        return varied(scene, room=with_wall(scene.room, index, **{"along" if what == "displacement" else what: by}))
+
     if what == "reflection":
-        return Parameter(name, "1", 1e-6, partial(_with_wall, index, "reflection"), acts="reflection", wall=index)
+        return Parameter(name, "1", 1e-6, changed, acts="reflection", wall=index)
     if bool((paths.interactions == DIFFRACTION).any()):
         raise InputError("wrt", f"must not have {name!r} in scenes with diffracted paths: edges move with walls")
-    return Parameter(name, "m", _STEP, partial(_with_wall, index, "along"), acts="wall", wall=index)
-
-
-def _with_wall(wall: int, what: str, scene: Scene, by: float) -> Scene:
-    return varied(scene, room=with_wall(scene.room, wall, **{what: by}))
+    return Parameter(name, "m", _STEP, changed, acts="wall", wall=index)
 
 
 def _of_thing(scene: Scene, name: str, kind: str, index: int, what: str) -> Iterator[Parameter]:
@@ -217,17 +183,18 @@ def _of_thing(scene: Scene, name: str, kind: str, index: int, what: str) -> Iter
             yield _shifted(label, knot, with_thing, acts, own)
     elif what == "orientation" and own:
         for axis in range(3):
-            change = partial(with_thing, partial(_turned, axis))
+            change = partial(with_thing, lambda thing, by, axis=axis: turned(thing, axis, math.radians(by)))
             yield Parameter(f"{name}.{_AXES[axis]}", "°", 1e-3, change, **own, acts="turn")
     elif what == "start" and kind == "sources":
-        yield Parameter(name, "s", 1e-7, partial(with_thing, _started), **own, acts="start")
+        later = partial(with_thing, lambda thing, by: varied(thing, start=thing.start + by))
+        yield Parameter(name, "s", 1e-7, later, **own, acts="start")
     elif what == "gain_db" and kind == "sources":
-        yield Parameter(name, "dB", 1e-3, _unmoved, **own, gain_db=1.0, acts="gain")
+        yield Parameter(name, "dB", 1e-3, lambda scene, by: scene, **own, gain_db=1.0, acts="gain")
     elif what.removeprefix("electronics.") in _OF_ELECTRONICS and kind == "receivers":
         field = what.removeprefix("electronics.")
         unit, step = _OF_ELECTRONICS[field]
         if field == "gain_db":
-            yield Parameter(name, unit, step, _unmoved, **own, gain_db=1.0, acts="gain")
+            yield Parameter(name, unit, step, lambda scene, by: scene, **own, gain_db=1.0, acts="gain")
         else:
             yield Parameter(name, unit, step, partial(with_thing, partial(_clocked, field)), **own, acts="clock")
     else:
@@ -235,7 +202,7 @@ def _of_thing(scene: Scene, name: str, kind: str, index: int, what: str) -> Iter
 
 
 def _shifted(name: str, shift: Curve, with_thing: Any, acts: str, own: dict[str, Any]) -> Parameter:
-    change = partial(with_thing, partial(_displaced, shift))
+    change = partial(with_thing, lambda end, by: varied(end, trajectory=displaced(end.trajectory, shift, by)))
     return Parameter(name, "m", _STEP, change, **own, acts=acts, shift=shift)
 
 
@@ -288,22 +255,6 @@ def _with_thing(kind: str, index: int, change: Callable[[Any, float], Any], scen
     things = list(getattr(scene, kind))
     things[index] = change(things[index], by)
     return varied(scene, **{kind: tuple(things)})
-
-
-def _unmoved(scene: Scene, by: float) -> Scene:
-    return scene
-
-
-def _displaced(shift: Curve, thing: Any, by: float) -> Any:
-    return varied(thing, trajectory=displaced(thing.trajectory, shift, by))
-
-
-def _turned(axis: int, thing: Any, by: float) -> Any:
-    return turned(thing, axis, math.radians(by))
-
-
-def _started(thing: Any, by: float) -> Any:
-    return varied(thing, start=thing.start + by)
 
 
 def _clocked(field: str, thing: Any, by: float) -> Any:

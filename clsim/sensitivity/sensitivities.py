@@ -7,14 +7,16 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.arrays import LOUDEST, QUIETEST, Complexes, Floats, as_floats, read_only, short_repr
 from clsim.errors import InputError, check_packages, not_one_of
 from clsim.paths.path_set import PathSet
 from clsim.render.options import RenderOptions
-from clsim.render.plan import within_memory
-from clsim.sensitivity.adjoint import adjoint, adjoint_signal
-from clsim.sensitivity.linear_map import LinearMap, plan_of
+from clsim.render.plan import Plan, within_memory
+from clsim.render.source_filters import SourceFilters
+from clsim.sensitivity.adjoint import RUN, adjoint, arriving
+from clsim.sensitivity.linear_map import FilteredTracks, LinearMap, plan_of, scene_tracks, through_ends
 from clsim.sensitivity.parameters import Parameter, check_names, check_once, parameters_of
 
 _WITHOUT_TAIL = "the diffuse tail is left out: derivatives are those of the sound over paths"
@@ -243,11 +245,40 @@ def gradient(
         if not of_name:
             plan = plan_of(paths, settings)
             rows = _of_rows(weights, plan.row_count)
-            found[name] = scale * adjoint_signal(plan, _source_of(paths, name, settings), rows)
+            found[name] = scale * _adjoint_signal(plan, _source_of(paths, name, settings), rows)
             continue
         part: Any = np.array([next(values) for _ in of_name])
         found[name] = part.reshape(-1, 3) if name.endswith(".trajectory") else part if len(part) > 1 else part[0]
     return found
+
+
+def _adjoint_signal(plan: Plan, source: int, weights: Floats) -> Floats:
+    """Return the transpose of a render as a function of what a source emits, at the sampling rate of the recording."""
+    weights = through_ends(plan, np.array(weights, dtype=np.float64), transposed=True)
+    filters, tracks = plan.source_filters[source], FilteredTracks.of(scene_tracks(plan))
+    samples, half = filters.oversampling * filters.signal.count, filters.filter_half
+    streams = np.zeros((len(filters.basis), samples + 2 * half))  # from sample -half on
+    for i, pair in enumerate(plan.tracks.pairs):
+        for start in range(0, plan.samples if pair.source == source else 0, RUN):
+            times, emitted, mu, weight, _ = arriving(plan, i, filters, start, min(start + RUN, plan.samples))
+            rows = weights[plan.rows_of_pair(i), None, None, start : start + len(times)]
+            taken = np.sum(tracks.evaluate(i, times, filters.basis)[2] * weight * rows, axis=0)
+            for p in np.flatnonzero(weight.any(axis=1)).tolist():
+                _scatter(plan, filters, emitted[p], mu[p], taken[:, p], streams)
+    each = [np.convolve(stream, taps[::-1], "valid") for stream, taps in zip(streams, filters.filters, strict=True)]
+    return np.asarray(np.sum(each, axis=0)[:: filters.oversampling])
+
+
+def _scatter(
+    plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, taken: Floats, streams: Floats
+) -> None:
+    """Add values (K, n) to streams (K, m) where taps would read them."""
+    taps = plan.options.interpolator.taps(filters.bank, mu)
+    places = emitted[:, None] + filters.bank.centre - np.arange(taps.shape[1]) + filters.filter_half
+    inside = (places >= 0) & (places < streams.shape[1])
+    for stream, values in zip(streams, taken, strict=True):
+        spread = (taps * values[:, None])[inside]
+        stream += np.bincount(places[inside], weights=spread, minlength=len(stream))
 
 
 def options_of(sampling_rate: float, options: dict[str, Any]) -> RenderOptions:

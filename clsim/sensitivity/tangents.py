@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
+from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import PairPaths, PathFamily, Rows
 from clsim.paths.response import NEPERS, SceneResponse
 from clsim.scene.scene import Scene
-from clsim.sensitivity.displaced import Knot, TangentResponse
+from clsim.sensitivity.displaced import Knot, TangentResponse, members_of
 from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back
 from clsim.sensitivity.parameters import Parameter, along
 
@@ -212,16 +212,16 @@ class TangentPaths(PathFamily):
     parameter: Parameter
     kinematics: Kinematics  # of the rendering
     at_centre: bool  # whether it takes responses at the centre frequency
+    arrivals, vertices, lengths = members_of("base", "arrivals", "vertices", "lengths")
+    delay_bounds, max_rate, varies, moves = members_of("base", "delay_bounds", "max_rate", "varies", "moves")
+    is_complex = True  # a derivative by time has a phase
+    shapes_channels = True  # by the changes of their gains
 
     @classmethod
     def of(cls, base: PathFamily, parameter: Parameter, kinematics: Kinematics, at_centre: bool) -> Self:
         """Return the tangents of paths by a parameter."""
         own: dict[str, Any] = {f.name: getattr(base, f.name) for f in fields(PathFamily)}
         return cls(**own, base=base, parameter=parameter, kinematics=kinematics, at_centre=at_centre)
-
-    def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
-        """Return the arrivals of the paths themselves."""
-        return self.base.arrivals(rows, times, kinematics)
 
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Complexes:
         """Return the response (P, T, F) of the derivative, per unit of the parameter; of channels together."""
@@ -233,42 +233,6 @@ class TangentPaths(PathFamily):
         """Return the same by channel of the receiver, (C, P, T, F)."""
         own = TangentResponse(self.scene, paths.source, at.frequencies, self.at_centre)
         return Tangents.of(replace(paths, family=self.base), times, found, own, self.kinematics).by(self.parameter)
-
-    def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
-        """Return the vertices of the paths themselves."""
-        return self.base.vertices(rows, time, kinematics)
-
-    def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
-        """Return the lengths of the paths themselves."""
-        return self.base.lengths(rows, source, receiver)
-
-    def delay_bounds(self, rows: Rows, start: Any, end: Any, speeds: Any) -> tuple[Floats, Floats]:
-        """Return the bounds of the paths themselves."""
-        return self.base.delay_bounds(rows, start, end, speeds)
-
-    def max_rate(self, source_speed: float, receiver_speed: float) -> float:
-        """Return the bound of the paths themselves."""
-        return self.base.max_rate(source_speed, receiver_speed)
-
-    @property
-    def is_complex(self) -> bool:
-        """Whether responses have phases: that of a derivative by time."""
-        return True
-
-    @property
-    def shapes_channels(self) -> bool:
-        """Whether responses of channels that are alike differ over frequency: by the changes of their gains."""
-        return True
-
-    @property
-    def varies(self) -> bool:
-        """Whether those of the paths do."""
-        return self.base.varies
-
-    @property
-    def moves(self) -> bool:
-        """Whether the paths do."""
-        return self.base.moves
 
     def hashed(self) -> Iterator[tuple[str, Any]]:
         """Yield names and values of the columns, and the parameter's name."""

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import as_count, as_number
-from clsim.cluster.processes import Call, Dispatch, Row
-from clsim.cluster.workers import Workers
 from clsim.errors import ClsimError, ClsimWarning, InputError, check_kind, in_one_line, warn
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import DirectPath, direct_path
@@ -23,6 +21,8 @@ from clsim.render.options import RenderOptions
 from clsim.render.planning import plan_paths
 from clsim.render.render import record
 from clsim.scene.scene import Scene
+from clsim.workflow.processes import Call, Dispatch, Row, Tasks, local_devices
+from clsim.workflow.workers import Workers
 
 _AHEAD = 2  # scenes that are taken for each worker: one that it renders, and the next
 
@@ -145,8 +145,6 @@ def _here(scenes: Iterator[tuple[int, Scene]], how: _How) -> Iterator[RenderedSc
 
 
 def _by_processes(scenes: Iterator[tuple[int, Scene]], how: _How, workers: int) -> Iterator[RenderedScene]:
-    from clsim.cluster.processes import local_devices
-
     tasks, dispatch, done, wanted = _BatchTasks(how), Dispatch([]), dict[int, Any](), 0
 
     def take() -> None:
@@ -224,32 +222,19 @@ def _result(index: int, row: Row) -> RenderedScene:
     raise error
 
 
-class _BatchTasks:
+class _BatchTasks(Tasks):
     """The scenes of a batch, as processes render them."""
 
-    kind, several = "scene", False
-    loads: tuple[str, ...] = ("scipy.fft", "scipy.linalg", "pyopencl.invoker")
+    kind = "scene"
+    loads = ("scipy.fft", "scipy.linalg", "pyopencl.invoker", __name__)
 
     def __init__(self, how: _How) -> None:
         self._how = how
         self.scenes: dict[int, bytes] = {}  # those that are taken and not handed on
 
-    def check(self) -> Call:
-        return _ready, ()
-
     def call(self, number: int) -> Call:
         return _row, (self._how, number, self.scenes[number])
-
-    def found(self, number: int) -> None:
-        """Nothing of a scene is left by a process that died."""
 
     def failed(self, number: int, error: BaseException) -> Row:
         """Return the row of a scene whose call raised an error."""
         return {"error": error}
-
-    def over(self) -> None:
-        """Let processes be: they write nothing."""
-
-
-def _ready() -> tuple[str, bool]:
-    return "", False

@@ -23,7 +23,7 @@ from clsim.errors import ClsimWarning, InputError
 from clsim.impulse_responses import impulse_responses
 from clsim.opencl.device import find_device
 from clsim.output.raw_files import SampleFile
-from clsim.output.stores import SoundStore, member_store
+from clsim.output.stores import MemberStore, SoundStore
 from clsim.paths.ground_truth import SCALARS, VECTORS, DirectPath, EchoTruth
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import ATTRIBUTES, PathTable
@@ -35,7 +35,7 @@ from clsim.scene.scene import Scene
 from clsim.study.draws import NoiseModel
 from clsim.study.file import PARTS, SOUNDS, TAKEN, Member, Study
 from clsim.workflow.checkpoint import run_identity
-from clsim.workflow.pipeline import PlannedScene, Sink, check_table_size, plan_scene, render_into, table_times
+from clsim.workflow.pipeline import PlannedScene, check_table_size, plan_scene, render_into, table_times
 
 _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 
@@ -60,7 +60,7 @@ def computed(study: Study, member: Member, device: str | None, folder: Path) -> 
     content.attrs |= {
         "parameters": json.dumps(member.parameters), "identity": json.dumps(run_identity(planned)),
     }  # fmt: skip
-    store = member_store(folder, sound)
+    store = MemberStore(folder, sound, ())
     wanted = set(study.keep) & SOUNDS
     streamed = wanted == {"recording"} and noise is None and study.shards is None
     whole = bool(study.metrics or (wanted and not streamed))
@@ -82,7 +82,7 @@ def computed(study: Study, member: Member, device: str | None, folder: Path) -> 
 def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | None) -> Recording | None:
     """Render into a store, and into a file of a folder from which the recording is read; either may be None."""
     plan, rendering = planned.plan, Rendering(planned.plan)
-    sinks: list[Sink] = []
+    sinks: list[SampleFile | SoundStore] = []
     if store is not None:
         store.create()
         sinks.append(store)

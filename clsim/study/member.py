@@ -15,31 +15,33 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from clsim.cluster.processes import Call, Row
 from clsim.errors import ClsimWarning, DeviceError, check_packages, in_one_line
 from clsim.files.atomic import to_disk, tree_to_disk
 from clsim.numerics.blas import with_blas_threads
 from clsim.output.raw_files import arrays_with_missing_chunks, is_sealed, seal
 from clsim.output.stores import STORE_FORMAT, write_zarr
 from clsim.study.content import Computed, computed, metrics_function
-from clsim.study.file import Member, ShardsModel, Study
+from clsim.study.file import Study
 from clsim.study.shards import Shards
 from clsim.version import __version__
+from clsim.workflow.processes import Call, Row, Tasks
 
 STORE = "study.zarr"
 INDEX = "index.jsonl"
 SETTINGS = "study.json"
 PARTIAL = ".partial"
 DONE = ("finished", "failed")
+_STUDY = TypeAdapter(Study)
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-class MemberTasks:
+class MemberTasks(Tasks):
     """The members of a study, as workers do them."""
 
     kind, several = "member", True
-    loads: tuple[str, ...] = ("xarray", "dask.array", "zarr", "scipy.fft", "scipy.linalg", "pyopencl.invoker")
+    loads = ("xarray", "dask.array", "zarr", "scipy.fft", "scipy.linalg", "pyopencl.invoker")
 
     def __init__(self, study: Study, folder: Path) -> None:
         render = study.content.get("render", {})
@@ -64,9 +66,6 @@ class MemberTasks:
         if is_disk_full(error):
             raise error
         return {"member": number, "status": "failed", "error": in_one_line(error), "seconds": 0.0}
-
-    def over(self) -> None:
-        """Let workers be: a group appears whole or not at all."""
 
 
 def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
@@ -104,8 +103,6 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
 
 class Groups:
     """Results of a study in a Zarr store with a group per member."""
-
-    names = (STORE,)
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -205,22 +202,14 @@ def _settings(folder: str) -> Study:
 def _read_settings(folder: str, changed: int) -> Study:
     """Return the study of a folder; `changed` makes a file that is another one now be read again."""
     settings = json.loads((Path(folder) / SETTINGS).read_text("utf-8"))
-    members = tuple(Member(n, **member) for n, member in enumerate(settings["members"]))
-    return Study(
-        settings["content"], Path(settings["base"]), Path(settings["folder"]), tuple(settings["keep"]),
-        settings["metrics"], settings["table_rate"], members, settings["seed"],
-        None if settings["shards"] is None else ShardsModel(**settings["shards"]),
-    )  # fmt: skip
+    members = [member | {"number": n} for n, member in enumerate(settings["members"])]
+    return _STUDY.validate_python(settings | {"members": members})
 
 
 def study_to_settings(study: Study) -> dict[str, Any]:
     """Return a study as values for JSON."""
-    members = [{"parameters": m.parameters, "changes": m.changes} for m in study.members]
-    return {
-        "content": study.content, "base": str(study.base), "folder": str(study.folder), "keep": list(study.keep),
-        "metrics": study.metrics, "table_rate": study.table_rate, "members": members, "seed": study.seed,
-        "shards": None if study.shards is None else study.shards.arguments(),
-    }  # fmt: skip
+    settings: dict[str, Any] = _STUDY.dump_python(study, mode="json", exclude={"members": {"__all__": {"number"}}})
+    return settings
 
 
 def discard(group: Path) -> None:

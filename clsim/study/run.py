@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
@@ -15,10 +14,8 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import texts
-from clsim.cluster.processes import Dispatch
-from clsim.cluster.workers import Workers
 from clsim.errors import InputError, in_one_line, warn
-from clsim.files.atomic import locked, remove_leftovers, safe_path, uninterrupted
+from clsim.files.atomic import locked, remove_leftovers, safe_path, sha256_of, uninterrupted
 from clsim.output.raw_files import is_sealed, seal
 from clsim.output.stores import write_zarr
 from clsim.study.content import metrics_function
@@ -39,7 +36,9 @@ from clsim.study.shards import FOLDER as SHARDS
 from clsim.study.shards import WAITING, Shards
 from clsim.version import __version__
 from clsim.workflow.console import Progress, no_progress
+from clsim.workflow.processes import Dispatch, local_devices
 from clsim.workflow.result_folder import first_difference
+from clsim.workflow.workers import Workers
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +72,7 @@ class Index:
                 self._take_results(member, known.get(member.number, {}))
 
     def _take_results(self, member: Member, known: dict[str, Any]) -> None:
-        """Take a member as finished, or as waiting if its results are broken; after a failure metrics are read, too.
-
-        known: its row in the index, with what its results do not tell.
-        """
+        """Take a member as finished, or as waiting if its results are broken; after a failure metrics are read, too."""
         row, failed = self.results.row_of(member.number), self.rows[member.number].status == "failed"
         group = self._folder / STORE / member.name
         if row is None or (failed and isinstance(self.results, Groups) and isinstance(metrics_of(group), str)):
@@ -323,7 +319,7 @@ def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
     named = sorted(files | ({module} if study.metrics and module.exists() else set()))
     made_by = {
         "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": version("scipy")},
-        "contents": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in named},
+        "contents": {str(path): sha256_of(path) for path in named},
     }
     settings = study_to_settings(study) | {"made_by": made_by}
     path = folder / SETTINGS
@@ -362,8 +358,6 @@ def _undo(folder: Path) -> None:
 
 def _run(tasks: MemberTasks, dispatch: Dispatch, index: Index, workers: Workers, progress: Progress) -> None:
     """Run members on workers, and record their results."""
-    from clsim.cluster.processes import local_devices
-
     if not dispatch.left:
         return
     devices = local_devices() if tasks.needs_device and workers.scheduler is None else []

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clsim.errors import InputError, check_packages, warn
 from clsim.exchange import decoded_frames, flac_bytes
-from clsim.files.atomic import safe_path
+from clsim.files.atomic import safe_path, sha256_of
 from clsim.files.sound import as_frames, wav_header
 from clsim.study.content import Computed
 from clsim.study.file import Study
@@ -178,8 +178,6 @@ def sounds_of(labels: dict[str, Any], files: dict[str, bytes], names: Sequence[s
 class Shards:
     """The shards of a study's folder: members' archives, joined when all of a shard are done with and none failed."""
 
-    names = (FOLDER, WAITING)
-
     def __init__(self, folder: Path, study: Study) -> None:
         assert study.shards is not None
         self._folder, self._size, self._count = folder, study.shards.members, len(study.members)
@@ -255,15 +253,10 @@ class Shards:
                     with tarfile.open(self.path_of(number), "r:") as one:
                         for about in one:
                             archive.addfile(about, one.extractfile(about))
-            digest = _digest(temporary)
+            digest = sha256_of(temporary).encode()
         with safe_path(table) as temporary:
             _write_table(temporary, rows, digest)
         self._known[shard] = set(members)
-
-
-def _digest(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest().encode()
 
 
 def _write_table(path: Path, rows: list[dict[str, Any]], digest: bytes) -> None:
@@ -293,7 +286,7 @@ def read_table(path: Path, whole: bool = True) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = file.read().to_pylist()
         if about.get(_FORMAT) != b"1":
             raise DamagedError("", f"{path} is no table of clsim's shards of format 1")
-        if not tar.is_file() or (whole and _digest(tar) != about[_DIGEST]):
+        if not tar.is_file() or (whole and sha256_of(tar).encode() != about[_DIGEST]):
             raise DamagedError("", f"{tar} is not what was written")
     except _BROKEN as error:
         if isinstance(error, InputError):

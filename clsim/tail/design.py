@@ -147,7 +147,7 @@ def find_tail(
     )  # fmt: skip
     arrivals, departures = fibonacci_sphere(options.directions), fibonacci_sphere(DEPARTURES)
     radius = of_receivers.radius
-    volumes = np.array([volume_within(scene.room, centre, radius) for centre in of_receivers.centres])
+    volumes = np.array([volume_within(room, tuple(centre), radius) for centre in of_receivers.centres.tolist()])
     spheres = Spheres(of_receivers.centres, volumes, radius, arrivals, departures)
     pairs: dict[tuple[int, int], TailEnergy] = {}
     rays, error_db, escapes = 0, 0.0, ""

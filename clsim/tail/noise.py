@@ -39,10 +39,7 @@ class Responses:
 
 
 def plane_waves(tail: SourceTail, pair: tuple[int, int], source: int, rate: float, *, moves: bool) -> Responses:
-    """Return the responses of a zone's streams, one for each direction of arrival, at the middle of the zone.
-
-    Shapes: pair (int, int).
-    """
+    """Return the responses of a zone's streams, one for each direction of arrival, at the middle of the zone."""
     energy = tail.pairs[pair]
     rng = np.random.default_rng([tail.seed, source, *pair, _SHAPED])
     streams = np.arange(energy.energy.shape[1])

@@ -298,14 +298,9 @@ def smoothed_windows(energy: Floats, first: int) -> Floats:
     return np.asarray(np.einsum("vw,szwb->szvb", share / share.sum(axis=1, keepdims=True), energy, optimize=True))
 
 
-def volume_within(room: Any, centre: Floats, radius: float) -> float:
-    """Return the volume of a sphere's part inside a room, m³; all of it where the room is not closed."""
-    return _volume_within(room, tuple(centre.tolist()), radius)
-
-
 @lru_cache(maxsize=4096)
-def _volume_within(room: Any, centre: tuple[float, ...], radius: float) -> float:
-    """Measure it by points on spirals of equal volume."""
+def volume_within(room: Any, centre: tuple[float, ...], radius: float) -> float:
+    """Return the volume of a sphere's part inside a room, m³; all of it where the room is not closed."""
     whole = 4.0 / 3.0 * np.pi * radius**3
     if not room.is_closed:
         return whole

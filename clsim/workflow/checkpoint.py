@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import re
@@ -13,10 +12,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from clsim.cluster.processes import Call, Dispatch, Row, local_devices
-from clsim.cluster.workers import Workers
 from clsim.errors import ClsimError, InputError, warn
-from clsim.files.atomic import remove_leftovers
+from clsim.files.atomic import remove_leftovers, sha256_of
 from clsim.output.stores import SoundStore
 from clsim.render.contributions import State
 from clsim.render.plan import Plan, within_memory
@@ -26,7 +23,9 @@ from clsim.scene_file.scene import referenced_files
 from clsim.workflow.console import progress
 from clsim.workflow.pieces import Handed, Piece, PlanFile, check_worker, device_of, do_piece, idle, versions
 from clsim.workflow.pipeline import PlannedScene, render_into
+from clsim.workflow.processes import Call, Dispatch, Tasks, local_devices
 from clsim.workflow.result_folder import ResultFolder
+from clsim.workflow.workers import Workers
 
 _PERIOD = 1.0  # s between checkpoints, at least: the loss of a killed run beside its current chunk
 _PIECE_WORK = 2e9  # path-samples of a piece, about: seconds, so that handing it out costs nothing
@@ -112,17 +111,12 @@ def run_identity(planned: PlannedScene) -> dict[str, Any]:
     content["render"].pop("device", None)
     return {
         "scene": content,
-        "contents": {os.path.relpath(path, file.base): _digest(path) for path in referenced_files(file)},
+        "contents": {os.path.relpath(path, file.base): sha256_of(path) for path in referenced_files(file)},
         "device": device_of(plan),
         "versions": versions(),
         "paths": paths.digest(),
         "contributions": {contribution.name: contribution.digest() for contribution in plan.contributions},
     }
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def render_on_workers(
@@ -167,14 +161,14 @@ def render_on_workers(
     receivers.warn()
 
 
-class Pieces:
+class Pieces(Tasks):
     """All pieces of a run, which of them can be done, and what is whole."""
 
     # Pieces are numbered stretch by stretch: pressure first, then each block of receivers in which something rings on.
     # Behind all of these stands what several stretches are made of alike. A chain is a block's pieces, or those of
     # pressure where a contribution remembers something.
-    kind, several = "piece", False
-    loads: tuple[str, ...] = ("zarr", "scipy.fft", "pyopencl.invoker", "clsim.scene.scene")
+    kind = "piece"
+    loads = ("zarr", "scipy.fft", "pyopencl.invoker", "clsim.scene.scene")
 
     def __init__(self, handed: Handed, file: PlanFile, done: int, state: State) -> None:
         plan = handed.plan
@@ -243,14 +237,6 @@ class Pieces:
         return do_piece, (
             self.file, self.piece(number), {n: v for n, v in state.items() if n.startswith(tuple(mine))},
         )  # fmt: skip
-
-    def found(self, number: int) -> Row | None:
-        """Return None: a piece's result is known from its worker alone."""
-        return None
-
-    def failed(self, number: int, error: BaseException) -> Row:
-        """Raise the error: no other worker would do better."""
-        raise error
 
     def over(self) -> Call:
         """Stop workers from writing; return a call that waits until they have stopped."""

@@ -17,13 +17,12 @@ from clsim.errors import InputError, check_packages, not_one_of
 from clsim.files.input_files import file_names
 from clsim.files.sound import EnvelopeFile, SoundFile
 from clsim.output.raw_files import arrays_with_missing_chunks, check_attributes, missing_chunks
-from clsim.output.record import changed_results, load_record
 from clsim.output.stores import STORE_FORMAT, STORES
 from clsim.recording import Recording, with_times
 from clsim.scene.receiver_array import row_receivers
 from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
-from clsim.workflow.result_folder import COMPLETED
+from clsim.workflow.result_folder import COMPLETED, changed_results, load_record
 
 
 def load_recording(

@@ -21,7 +21,6 @@ from clsim.pictures.plots import (
     DIRECT,
     RANGE_DB,
     Readable,
-    envelope_spectrogram,
     new_figure,
     save_figure,
     spectrogram_picture,
@@ -29,8 +28,8 @@ from clsim.pictures.plots import (
 from clsim.recording import sweep_window
 from clsim.render.plan import Plan
 from clsim.workflow.console import progress
-from clsim.workflow.pipeline import PlannedScene
-from clsim.workflow.result_folder import MOST_DRAWN, PICTURES, ResultFolder, RunOutputs, picture
+from clsim.workflow.pipeline import MOST_DRAWN, PICTURES, PlannedScene, RunOutputs, picture
+from clsim.workflow.result_folder import ResultFolder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,7 +82,7 @@ def _draw(kind: str, planned: PlannedScene, times: Floats, sound: Readable, r: i
             overlay=_theory(planned, times, r),
         )  # fmt: skip
     else:
-        envelope_spectrogram(sound[0 : plan.samples], rate, plan.carrier, path, title=title)
+        spectrogram_picture(sound, rate, path, title=title, carrier=plan.carrier)
 
 
 def _theory(planned: PlannedScene, times: Floats, r: int) -> list[tuple[Floats, Floats, str]]:
@@ -153,11 +152,8 @@ def echogram_picture(table: PathTable, receiver: int, index: int, path: str | os
     save_figure(figure, path)
 
 
-def history_picture(table: PathTable, receiver: int, path: str | os.PathLike[str], *, title: str | None = None) -> None:
-    """Draw the delay of every path to a receiver over time: lines begin and end where paths do.
-
-    title: above the picture; the receiver's name and its number of paths when left out.
-    """
+def history_picture(table: PathTable, receiver: int, path: str | os.PathLike[str]) -> None:
+    """Draw the delay of every path to a receiver over time: lines begin and end where paths do."""
     rows = np.flatnonzero((table.receiver == receiver) & np.isfinite(table.delay).any(axis=1))
     level = 20.0 * np.log10(np.maximum(np.abs(np.nan_to_num(table.gain[rows])), 1e-15))
     top = float(level.max(initial=-300.0))
@@ -177,7 +173,7 @@ def history_picture(table: PathTable, receiver: int, path: str | os.PathLike[str
         ).set_label("order (reflections)", fontsize=12)
     axes.set(
         xlabel="time (s)", ylabel="delay (ms)", xlim=(table.times[0], table.times[-1]),
-        title=title or f"{table.receiver_names[receiver]}: {len(rows)} intervals in which a path is heard",
+        title=f"{table.receiver_names[receiver]}: {len(rows)} intervals in which a path is heard",
     )  # fmt: skip
     save_figure(figure, path)
 

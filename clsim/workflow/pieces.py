@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from clsim.cluster.processes import Row
 from clsim.errors import ClsimError, ClsimWarning, DeviceError, in_one_line
 from clsim.files.atomic import atomic_path, safe_path, temporary_path
 from clsim.numerics.blas import blas_threads, with_blas_threads
@@ -36,6 +35,7 @@ from clsim.render.plan import Plan, within_memory
 from clsim.render.planning import on_device
 from clsim.render.render import PressureSum, ReceiverChain, receivers_with_ends
 from clsim.version import __version__
+from clsim.workflow.processes import Row
 
 _busy = threading.Lock()  # a process does one piece at a time: engines are not shared
 

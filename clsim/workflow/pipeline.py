@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.arrays import Floats
 from clsim.errors import InputError, warn
-from clsim.output.stores import StoredSound
+from clsim.files.input_files import file_names
+from clsim.output.raw_files import SampleFile
+from clsim.output.stores import SoundStore, StoredSound, store_kinds
 from clsim.paths.find_paths import find_paths
 from clsim.paths.ground_truth import DirectPath, EchoTruth, body_truth, direct_path, scatterer_truth
 from clsim.paths.path_set import PathSet
@@ -27,6 +27,7 @@ from clsim.scene.scene import Scene
 from clsim.scene_file.scene import SceneFile, completed_scene, referenced_files
 from clsim.version import __version__
 from clsim.workflow.console import Progress, no_progress
+from clsim.workflow.result_folder import COMPLETED
 
 LARGEST_TABLE = 2_000_000  # paths times instants
 _OF_SCENE = {field.name for field in fields(Scene)}  # as the tables of a scene file are called
@@ -144,20 +145,49 @@ def shares(advance: Callable[[float], None]) -> Callable[[float], None]:
     return report
 
 
-class Sink(Protocol):
-    """Receiver of samples, chunk by chunk."""
-
-    def open(self) -> None:
-        """Prepare for writing."""
-
-    def write(self, start: int, samples: NDArray[Any]) -> None:
-        """Write samples (receivers, n) from sample `start` on."""
-
-    def close(self) -> None:
-        """Finish writing."""
+GROUND_TRUTH = "ground_truth.npz"
+MOST_DRAWN = 16  # receivers
+PICTURES = ("paths", "spectrogram", "echogram")  # of each, the first only where paths come and go
 
 
-def render_into(sinks: Sequence[Sink], plan: Plan, rendering: Rendering, first: int = 0) -> Iterator[int]:
+@dataclass(frozen=True, slots=True)
+class RunOutputs:
+    """Files that a run may write into its folder."""
+
+    receivers: list[str]  # names of the receivers, as files are called
+    sounds: list[str]  # names of receivers and arrays, as files of sound are called
+    sound: list[str]  # files or folders of the sound
+    table: str  # the path table; empty if none is wanted
+    drawn: list[str]  # receivers whose pictures are drawn, by their names
+
+    @classmethod
+    def of(cls, file: SceneFile, store: str, table: str, *, pictures: bool) -> RunOutputs:
+        """Return the outputs of a scene file for a kind of store and of table ("none" for no table)."""
+        names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
+        sounds = file_names(tuple(dict.fromkeys(row for end in file.scene.receivers for row, _ in end.rows)))
+        file_of_table = "" if table == "none" else f"paths.{table}"
+        sound, drawn = store_kinds()[store].names(sounds), names[:MOST_DRAWN] if pictures else []
+        return cls(names, sounds, sound, file_of_table, drawn)
+
+    def beside_sound(self, changing: bool = True) -> list[str]:
+        """Return the files made after the sound, the completed scene last; `changing`: paths come and go."""
+        tables = [self.table, GROUND_TRUTH] if self.table else [GROUND_TRUTH]
+        kinds = PICTURES if changing else PICTURES[1:]
+        return [*tables, *(picture(name, kind) for name in self.drawn for kind in kinds), COMPLETED]
+
+    def all(self) -> list[str]:
+        """Return all files that may be written."""
+        return [*self.sound, *self.beside_sound()]
+
+
+def picture(receiver: str, kind: str) -> str:
+    """Return the name of a picture of a receiver."""
+    return f"{receiver}_{kind}.png"
+
+
+def render_into(
+    sinks: Sequence[SampleFile | SoundStore], plan: Plan, rendering: Rendering, first: int = 0
+) -> Iterator[int]:
     """Render a plan into sinks, in bounded memory; yield the number of samples written after each chunk."""
     with within_memory(plan.largest_field, "rendering", plan.memory_bytes), ExitStack() as stack:
         for sink in sinks:

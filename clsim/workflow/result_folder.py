@@ -7,15 +7,17 @@ what will be moved. So whatever moment a process dies at, each file is clsim's b
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import re
 import shutil
+import stat
 import time
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,53 +32,89 @@ from clsim.files.atomic import (
     refuse_inputs,
     remove_leftovers,
     safe_path,
+    sha256_of,
     temporary_path,
     to_disk,
 )
-from clsim.files.input_files import file_names
-from clsim.output.record import RECORD, Record, fingerprint, load_record, save_record
-from clsim.output.stores import store_kinds
-from clsim.scene_file.scene import SceneFile
 
 COMPLETED = "scene.completed.toml"
-GROUND_TRUTH = "ground_truth.npz"
-MOST_DRAWN = 16  # receivers
-PICTURES = ("paths", "spectrogram", "echogram")  # of each, the first only where paths come and go
+RECORD = "clsim.json"
+_FORMAT = 1
+Fingerprint = tuple[int, str]  # bytes, and SHA-256 in hexadecimal
 
 
 @dataclass(frozen=True, slots=True)
-class RunOutputs:
-    """Files that a run may write into its folder."""
+class Record:
+    """Files that clsim wrote into a folder."""
 
-    receivers: list[str]  # names of the receivers, as files are called
-    sounds: list[str]  # names of receivers and arrays, as files of sound are called
-    sound: list[str]  # files or folders of the sound
-    table: str  # the path table; empty if none is wanted
-    drawn: list[str]  # receivers whose pictures are drawn, by their names
+    identity: dict[str, Any] = field(default_factory=dict)  # of the run, as JSON keeps it; empty where there is none
+    finished: bool = False  # whether all of it was made
+    files: dict[str, Fingerprint] = field(default_factory=dict)  # fingerprints of results by name, folders among them
+    replaced: tuple[tuple[str, Fingerprint], ...] = ()  # earlier results in whose place others are being put
 
-    @classmethod
-    def of(cls, file: SceneFile, store: str, table: str, *, pictures: bool) -> RunOutputs:
-        """Return the outputs of a scene file for a kind of store and of table ("none" for no table)."""
-        names = file_names(tuple(receiver.name for receiver in file.scene.receivers))
-        sounds = file_names(tuple(dict.fromkeys(row for end in file.scene.receivers for row, _ in end.rows)))
-        file_of_table = "" if table == "none" else f"paths.{table}"
-        sound, drawn = store_kinds()[store].names(sounds), names[:MOST_DRAWN] if pictures else []
-        return cls(names, sounds, sound, file_of_table, drawn)
+    def fingerprints(self, name: str) -> list[Fingerprint]:
+        """Return the possible fingerprints of one of clsim's files."""
+        now = [self.files[name]] if name in self.files else []
+        return now + [mark for other, mark in self.replaced if other == name]
 
-    def beside_sound(self, changing: bool = True) -> list[str]:
-        """Return the files made after the sound, the completed scene last; `changing`: paths come and go."""
-        tables = [self.table, GROUND_TRUTH] if self.table else [GROUND_TRUTH]
-        kinds = PICTURES if changing else PICTURES[1:]
-        return [*tables, *(picture(name, kind) for name in self.drawn for kind in kinds), COMPLETED]
+    def names(self) -> list[str]:
+        """Return the names of all that is clsim's."""
+        return list(dict.fromkeys([*self.files, *(name for name, _ in self.replaced)]))
 
-    def all(self) -> list[str]:
-        """Return all files that may be written."""
-        return [*self.sound, *self.beside_sound()]
+    def outdated(self) -> Record:
+        """Return the record of a folder in which another run is begun."""
+        marks = tuple((name, mark) for name in self.names() for mark in self.fingerprints(name))
+        return Record({}, self.finished, {}, marks)
 
 
-def picture(receiver: str, kind: str) -> str:
-    """Return the name of a picture of a receiver."""
-    return f"{receiver}_{kind}.png"
+def load_record(folder: Path, requested_by: str = "--output") -> Record:
+    """Return the record of a folder, which a field or an option named; an empty one where there is none."""
+    path = folder / RECORD
+    if not os.path.lexists(path):
+        return Record()
+    try:
+        if path.is_symlink():
+            raise ValueError("it is a link")
+        read = json.loads(path.read_text("utf-8"))
+        if read.pop("format") != _FORMAT:
+            raise ValueError("it has another format")
+        files = {_plain(name): (int(size), str(digest)) for name, (size, digest) in read["files"].items()}
+        replaced = tuple((_plain(name), (int(size), str(digest))) for name, (size, digest) in read["replaced"])
+        return Record(dict(read["identity"]), bool(read["finished"]), files, replaced)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise InputError(
+            requested_by, f"must hold no {RECORD} of others, but {path} cannot be read: {error}"
+        ) from error
+
+
+def changed_results(folder: Path, record: Record, names: Iterable[str] | None = None) -> list[str]:
+    """List results, all or those of given names, that are missing or differ from their record."""
+    wanted = record.files if names is None else [name for name in names if name in record.files]
+    return [name for name in wanted if fingerprint(folder / name) != record.files[name]]
+
+
+def _plain(name: Any) -> str:
+    """Return the name of a file in the folder itself."""
+    if not isinstance(name, str) or name in ("", ".", "..", RECORD) or "/" in name or os.sep in name:
+        raise ValueError(f"{name!r:.80} is no name of a result")
+    return name
+
+
+def fingerprint(path: Path) -> Fingerprint | None:
+    """Return size and digest of a file or folder; None if it is missing, a link or a device."""
+    try:
+        mode = path.lstat().st_mode
+        if stat.S_ISREG(mode):
+            return path.stat().st_size, sha256_of(path)
+        if not stat.S_ISDIR(mode):
+            return None
+        inside = {child.name: fingerprint(child) for child in sorted(path.iterdir())}
+    except FileNotFoundError:
+        return None
+    if None in inside.values():
+        return None
+    size = sum(mark[0] for mark in inside.values() if mark is not None)
+    return size, hashlib.sha256(json.dumps(inside).encode()).hexdigest()
 
 
 State = dict[str, "NDArray[Any]"]
@@ -95,10 +133,6 @@ class Journal:
     def exists(self) -> bool:
         """Whether there is a checkpoint."""
         return self._path.exists()
-
-    def discard(self) -> None:
-        """Delete the checkpoint."""
-        self._path.unlink(missing_ok=True)
 
     def save(self, identity: dict[str, Any], done: int, state: State) -> None:
         """Record that `done` samples are on the disk, with the state of the receivers after them."""
@@ -225,7 +259,8 @@ class ResultFolder:
 
     def _save(self, record: Record) -> None:
         self._record = record
-        save_record(self.folder, record, self.work)
+        with safe_path(self.folder / RECORD, self.work) as temporary:  # on the disk itself
+            temporary.write_text(json.dumps({"format": _FORMAT, **asdict(record)}, indent=1) + "\n", "utf-8")
 
     def _make_room(self, name: str) -> None:
         """Set aside an earlier result; one that somebody changed is kept under another name."""

@@ -25,6 +25,13 @@ static int write_delay(const pair* delay, const float* rate, __global const pair
     return (int)whole;
 }
 
+typedef struct {
+    float knot_rate, speed_of_sound, emitted_first, emitted_last, angular_frequency, origin, max_rate;
+    int knot_count;
+    float subblock_share;
+    int function_count, angular, nodes, blocks, block_samples, segment_blocks, subblock_samples, cells;
+} pair_run_numbers;
+
 __kernel void pair_tracks(const pair_run_numbers run,         // as in tracks.cl, times from the first knot
                           __global const float2* image_matrix,  // [9][slots]
                           __global const float2* image_offset,  // [3][slots]

@@ -1,6 +1,20 @@
 // What a path has besides images, one structure for each slot: by its leg (LEG: STATIC or MOVING, of at most MIRRORS mirrors that
 // move) and its vertex (VERTEX: NONE, EDGE or SCATTERER).
 
+// Numbers of a launch, as its arguments of these names; those of `run` are explained in tracks.cl.
+typedef struct {
+    double first_knot, knot_rate, first_pose, pose_rate, start, speed_of_sound, wind[3];
+    int knot_count, pose_count;
+} motion_numbers;
+
+typedef struct {
+    double sampling_rate, delay_samples, emitted_first, emitted_last, origin, max_rate, middle;
+    float angular_frequency, smooth;
+    int first_segment, oversampling;
+    float subblock_share;
+    int function_count, angular, nodes, blocks, block_samples, segment_blocks, subblock_samples, cells;
+} run_numbers;
+
 typedef struct {
     double source_turn[9], source_shift[3];      // from the room to across, out and along the edge, seen by the walls between
     double receiver_turn[9], receiver_shift[3];

@@ -3,7 +3,7 @@
 // depends on which others are solved: where signals pause (SPARSE), blocks in which nothing is active are left out.
 // Node n is one block before the start of block n; the slope of a block's gain needs the node before and after its own.
 
-// Numbers come in structures that clsim/opencl/arguments.py declares. Of `motion`: `start` is the time of the run's first
+// Numbers come in structures of path.h. Of `motion`: `start` is the time of the run's first
 // sample, s. Of `run`: `nodes` are those of whole segments and some more, the first one before the run; `first_segment` is one segment
 // before the run's first sample; `delay_samples` are added to the delay; nothing is active outside of `emitted_first` and
 // `emitted_last`, s; `angular_frequency` is the largest of the signal, rad/s; `smooth` is the square of the allowed relative

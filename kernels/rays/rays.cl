@@ -3,6 +3,13 @@
 #define OCTETS ((BANDS + 7) / 8)
 typedef float8 __attribute__((aligned(4))) loose_float8;
 
+typedef struct {
+    float radius, off, scale, escape_scale, rain, floor_share, bins_per_metre, windows_per_metre, origin[3];
+    int count, first_ray, groups, bands, zone_count, bins, early_bins;
+    int window_count, arrival_count, departure_count, walls, max_order;
+    uint stream, key[2];
+} ray_numbers;
+
 // Whether what a wall scatters at a place reaches a zone directly by the closed form: the mean of cos/(pi d²) over a
 // sphere is its value in the middle, for it is harmonic, where all of the sphere is before the wall.
 static int is_rained_on(float far, float height, float radius, float length, float until)

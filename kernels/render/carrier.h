@@ -17,6 +17,11 @@ static void half_turns(vec x, vec* cosine, vec* sine)
     *sine = AS_VEC(AS_IVEC(i) ^ odd);
 }
 
+typedef struct {
+    float tilt_per_sample, stretch, per_stretch;
+    int first_stretch, stretches;
+} tilt_numbers;
+
 // The stretch of delays in which one lies that is `beyond` their beginning, samples, and how far from its middle: see `Stretches`
 // in render/tilt.py. In the middle an imaginary delay is 0, which stands for air that absorbs evenly more over the band.
 static int stretch_of(float beyond, int stretches, float length, float per_length, float* from_middle)

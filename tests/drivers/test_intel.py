@@ -12,7 +12,7 @@ import pytest
 from driver_scenes import SCENES
 from drivers import EVERYTHING, INTEL, OPTIONS, PARITY_DB, Driver, apart_db, launched, render
 
-from clsim.opencl.kernels import PROGRAMS
+from clsim.opencl.launch import PROGRAMS
 
 AS_USERS = [
     "crowd.cpu",

@@ -27,7 +27,7 @@ from drivers import (
 )
 from exhaustive import exhaustive, few
 
-from clsim.opencl.kernels import PROGRAMS
+from clsim.opencl.launch import PROGRAMS
 
 # Every kernel with every option is in these: `doubled` does what `plain` does.
 FEW = [name for name in SCENES if EVERYTHING or name != "plain"]

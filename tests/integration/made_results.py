@@ -6,6 +6,7 @@ import numpy as np
 import soundfile
 
 from clsim.cli import main
+from clsim.paths.path_table import PathTable
 
 SCENE = """
 format = 1
@@ -56,3 +57,9 @@ def wav_input(folder: Path, name: str) -> Path:
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
     soundfile.write(folder / name, np.hanning(320) * np.sin(np.arange(320)), 16_000, subtype="FLOAT")
     return write_scene(folder / "s.toml", WAV % name)
+
+
+def read_table(path: Path) -> PathTable:
+    with np.load(path) as file:
+        columns = {name: file[name] for name in PathTable.__dataclass_fields__}
+    return PathTable(**{k: tuple(map(str, v)) if k.endswith("_names") else v for k, v in columns.items()})

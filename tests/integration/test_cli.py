@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from made_results import read_table
 from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 from clsim.cli import main
-from clsim.output.result_files import read_table
 
 SCENE = scene_text(
     source_at("robot", tone_of(40e3, "%s", fade=0.005), along((1, 1, 1), (2, 1, 1), 40.0)),

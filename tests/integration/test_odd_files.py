@@ -12,7 +12,7 @@ from made_results import SCENE, TONE, run, write_scene
 from clsim.cli import main
 from clsim.files.atomic import remove_leftovers, temporary_path
 from clsim.files.input_files import file_names
-from clsim.output.record import fingerprint
+from clsim.workflow.result_folder import fingerprint
 
 
 def test_pictures_and_tables_that_fail_cost_no_sound(tmp_path: Path, capsys, monkeypatch) -> None:

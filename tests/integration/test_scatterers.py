@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 from failing import stopped_and_resumed
+from made_results import read_table
 from made_sonar import RATE, SCENE, level_db, sonar, sonar_paths
 
 import clsim
 from clsim.cli import main
-from clsim.output.result_files import read_table, write_table
+from clsim.output.result_files import write_table
 from clsim.paths.path_set import PathSet
 from clsim.paths.view import viewed
 from clsim.render.methods.static import pairs_at_rest

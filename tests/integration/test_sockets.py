@@ -17,9 +17,9 @@ from made_tasks import MadeTasks, listening, tree
 from test_resume import SCENE, command
 
 from clsim.cli import main
-from clsim.cluster.processes import Dispatch, local_team
-from clsim.cluster.workers import Workers
 from clsim.errors import ClsimWarning
+from clsim.workflow.processes import Dispatch, local_team
+from clsim.workflow.workers import Workers
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc tells on Linux who listens")
 CONNECT = "import os, socket, sys; os.setuid(65534); socket.socket(socket.AF_UNIX).connect(sys.argv[1])"
@@ -228,7 +228,7 @@ def test_a_scheduler_with_certificates_serves_who_has_them(
 
 def test_a_scheduler_elsewhere_without_certificates_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     installed("distributed")
-    monkeypatch.setattr("clsim.cluster.workers.check_reach", lambda scheduler: None)
+    monkeypatch.setattr("clsim.workflow.workers.check_reach", lambda scheduler: None)
     with pytest.warns(ClsimWarning, match=r"tcp://10\.0\.0\.1:8786 is reached without encryption.*use tls://"):
         Workers(scheduler="tcp://10.0.0.1:8786").check("--scheduler", "a run on workers")
     for quiet in ("tls://10.0.0.1:8786", "tcp://127.0.0.1:8786"):

@@ -108,7 +108,7 @@ def test_a_study_is_a_store_of_its_members(folder_of_study: Path, capsys) -> Non
 def test_what_cannot_run_is_one_line(
     folder_of_study: Path, capsys, monkeypatch: pytest.MonkeyPatch, more: list[str], message: str
 ) -> None:
-    monkeypatch.setattr("clsim.cluster.workers._REACH", 0.5)
+    monkeypatch.setattr("clsim.workflow.workers._REACH", 0.5)
     assert main([*write(folder_of_study, [0, 1], [1.0]), *more]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"clsim: error: {message}")
@@ -385,7 +385,7 @@ class Future(SimpleNamespace):
 def test_what_dask_tells_of_a_member_is_its_row(finished: Path, tmp_path: Path) -> None:
     from distributed import KilledWorker
 
-    from clsim.cluster.workers import row_of
+    from clsim.workflow.workers import row_of
 
     tasks = MemberTasks(load_study(finished / "study.toml"), finished / "out")
     waiting = MemberTasks(load_study(finished / "study.toml"), tmp_path)

@@ -17,7 +17,7 @@ from made_clusters import Worker, made_cluster
 from made_studies import ENVIRONMENT, METRICS, index, runs, write, write_scene
 
 from clsim.cli import main
-from clsim.cluster import processes as dispatch
+from clsim.workflow import processes as dispatch
 
 psutil = installed("psutil")  # comes with distributed
 installed("distributed")

@@ -52,17 +52,6 @@ def test_the_page_needs_nothing_else(page_of_view: Path) -> None:
     assert "carpet" in data
 
 
-def test_frames_must_fit() -> None:
-    wall = ViewedWall("w", "m", np.zeros((1, 3, 3)), np.zeros((1, 2, 3)))
-    end = ViewedEnd("s", "source", np.zeros((1, 3)), np.zeros((1, 3)))
-    none = ViewedPaths.none()
-    with pytest.raises(clsim.InputError, match="frames: must be one per time, 2"):
-        page_text(title="t", walls=[wall], ends=[end], times=np.array([0.0, 1.0]), frames=[none, none])
-    pair = ViewedEnd("s", "source", np.zeros((2, 3)), np.zeros((1, 3)))
-    with pytest.raises(clsim.InputError, match="times: must increase"):
-        page_text(title="t", walls=[wall], ends=[pair], times=np.zeros(2), frames=[none, none])
-
-
 def test_a_failure_leaves_the_old_page(paths: clsim.PathSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "x.html"
     path.write_text("old")
@@ -229,36 +218,6 @@ def test_a_page_of_nothing_can_be_written(tmp_path: Path) -> None:
     data = data_of(write(tmp_path / "x.html", walls=[], ends=[], times=np.zeros(1), frames=[NO_PATHS], bodies=[]))
     assert data["fixed"] == []
     assert data["frames"] == [[{"mm": [], "labels": [], "source": [], "receiver": [], "level": []}]]
-
-
-def one_path(corners: int, order: int, labels: int, fill: float = 0.0) -> list[ViewedPaths]:
-    path = ViewedPaths(
-        (np.full((corners, 3), fill),), np.array([order], dtype=np.int32), ("a",) * labels, (("s", "r"),), np.zeros(1)
-    )
-    return [path, *FRAMES[1:]]
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"frames": FRAMES[:-1]}, "frames: must be one per time, 11, .*, but there are 10"),
-        (
-            {"ends": [ViewedEnd("s", "source", WAY[1:], WAY)]},
-            r"frames: .*, but ends\[0\].positions has the shape 10 x 3",
-        ),
-        ({"times": TIMES[::-1]}, r"times: must increase strictly, but \[1\] = 1.8 s follows \[0\] = 2 s"),
-        ({"times": np.where(TIMES == 0.0, np.nan, TIMES)}, r"times\[0\]: must be finite, but is nan"),
-        ({"times": TIMES[:0], "frames": [], "ends": []}, "times: must not be empty"),
-        ({"frames": one_path(2, 0, 0)}, r"frames\[0\].labels: must be one per path, 1, but there are 0"),
-        ({"frames": one_path(3, 0, 1)}, r"frames\[0\].vertices\[0\]: must have the shape 2 x 3 .* but has 3 x 3"),
-        ({"frames": one_path(1, -1, 1)}, r"frames\[0\].order\[0\]: must be at least 0, but is -1"),
-        ({"frames": one_path(2, 0, 1, np.nan)}, r"frames\[0\].vertices\[0\]: must be finite"),
-    ],
-)
-def test_what_does_not_fit_is_refused(changed: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(clsim.InputError, match=message):
-        write(tmp_path / "x.html", **changed)
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture(scope="module")

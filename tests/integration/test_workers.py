@@ -14,7 +14,7 @@ from made_clusters import Worker, made_cluster
 from test_resume import SCENE, command, done
 
 from clsim.cli import main
-from clsim.cluster import workers as team
+from clsim.workflow import workers as team
 
 installed("distributed")
 installed("zarr")

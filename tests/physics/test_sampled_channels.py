@@ -14,7 +14,7 @@ from exhaustive import few
 
 import clsim
 from clsim.opencl import launch
-from clsim.opencl.kernels import kernel_source
+from clsim.opencl.launch import kernel_source
 from clsim.render import channel_grid
 from clsim.render.channel_grid import (
     NODES,

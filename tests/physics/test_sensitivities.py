@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ from clsim.paths.path_set import PathSet
 from clsim.render.options import RenderOptions
 from clsim.sensitivity.displaced import TangentResponse
 from clsim.sensitivity.linear_map import plan_of, received, representatives, scene_tracks
-from clsim.sensitivity.parameters import WITHOUT_DERIVATIVE, parameters_of
+from clsim.sensitivity.parameters import parameters_of
 from clsim.sensitivity.tangents import Tangents
 
 
@@ -128,12 +127,6 @@ def test_walls_at_edges_are_refused() -> None:
     wall = edges.scene.room.faces.names[0]
     with pytest.raises(clsim.InputError, match="edges move with walls"):
         clsim.sensitivities(edges, [f"room.walls.{wall}.displacement"], RATE)
-
-
-def test_the_page_lists_what_has_no_derivative() -> None:
-    page = (Path(clsim.__file__).parents[1] / "docs" / "sensitivities.md").read_text("utf-8")
-    table = page.split("## What has no derivative")[1].split("|---|---|\n")[1].split("\n\n")[0]
-    assert table.splitlines() == [f"| {what} | {instead} |" for what, instead in WITHOUT_DERIVATIVE.items()]
 
 
 def test_bounds_are_those_of_known_signals() -> None:

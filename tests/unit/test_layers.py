@@ -36,7 +36,6 @@ LAYERS = [
     ("output",),
     ("exchange",),
     ("scene_file",),
-    ("cluster",),
     ("workflow",),
     ("study",),
     ("measured", "torch"),

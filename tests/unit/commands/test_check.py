@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_results import read_table
 from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
-from clsim.output.result_files import read_table
 from clsim.scene_file import load_scene
 
 CORNER_SCENE = scene_text(

@@ -15,8 +15,7 @@ from clsim.cli import main
 from clsim.commands import devices
 from clsim.opencl import launch as compiler_module
 from clsim.opencl.device import find_device
-from clsim.opencl.kernels import kernel_source
-from clsim.opencl.launch import compiler_of
+from clsim.opencl.launch import compiler_of, kernel_source
 from clsim.workflow.console import built_programs
 
 pytestmark = pytest.mark.usefixtures("device")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import soundfile
 from made_meshes import box
+from made_results import read_table
 from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
-from clsim.output.result_files import read_table
 from clsim.paths.view import viewed
 from clsim.render.planning import plan_render
 from clsim.scene_file import load_scene

@@ -17,8 +17,7 @@ from driver_scenes import CURTAIN, REAL, SCENES, partly, plan, world
 
 import clsim
 from clsim.opencl.device import find_device
-from clsim.opencl.kernels import PROGRAMS, kernel_folder
-from clsim.opencl.launch import NUMBERS, Compiler, Launch
+from clsim.opencl.launch import NUMBERS, PROGRAMS, Compiler, Launch, kernel_folder
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, OpenclEngine
 from clsim.render.plan import Plan

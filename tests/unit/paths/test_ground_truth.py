@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_results import read_table
 from scene_texts import receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
-from clsim.output.result_files import read_table, write_ground_truth, write_table
+from clsim.output.result_files import write_ground_truth, write_table
 from clsim.paths.view import viewed
 from clsim.study.content import _add_ground_truth, _add_paths
 

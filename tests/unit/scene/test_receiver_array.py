@@ -9,7 +9,7 @@ from scene_texts import along, receiver_at, scene_text, shoebox_of, source_at, t
 import clsim
 from clsim.cli import main
 from clsim.scene_file import load_scene
-from clsim.workflow import pictures, result_folder
+from clsim.workflow import pictures, pipeline
 
 SCENE = scene_text(
     source_at("robot", tone_of(40e3, 0.02, fade=0.005), along((2.0, 3.0, 1.5), (3.0, 3.0, 1.5), 0.5)),
@@ -202,8 +202,8 @@ def test_arrays_of_nothing_are_refused(name: str, positions, message: str) -> No
 def test_a_run_tells_the_truth_about_all_and_draws_some(
     scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert result_folder.MOST_DRAWN == 16
-    for module in (result_folder, pictures):
+    assert pipeline.MOST_DRAWN == 16
+    for module in (pipeline, pictures):
         monkeypatch.setattr(module, "MOST_DRAWN", 2)  # each takes half a second
     out = tmp_path / "out"
     assert main(["run", str(scene), "-o", str(out)]) == 0

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
-from clsim.cluster.processes import Call, Dispatch, Row, Tasks, WorkersLostError
 from clsim.errors import ClsimError, DeviceError, InputError, check_packages, in_one_line, warn
+from clsim.workflow.processes import Call, Dispatch, Row, Tasks, WorkersLostError, local_team, worker_count
 
 _STORES = ("xarray", "zarr")  # packages by which workers write together
 _SCHEDULERS = ("dask", "distributed")  # packages by which a scheduler is reached
@@ -47,8 +47,6 @@ class Workers:
 
     def count(self) -> int:
         """Return the number of processes on this machine; 0 with a scheduler."""
-        from clsim.cluster.processes import worker_count
-
         return 0 if self.scheduler else worker_count(self.number)
 
     def at_most(self, number: int) -> Workers:
@@ -57,8 +55,6 @@ class Workers:
 
     def rows(self, dispatch: Dispatch, tasks: Tasks, devices: Sequence[str]) -> Generator[tuple[int, Row], None, None]:
         """Do tasks; yield number and row of each. If all processes of this machine die, start new ones."""
-        from clsim.cluster.processes import local_team
-
         number, tries = self.count(), 0
         while dispatch.left:
             team = remote_team(self.scheduler, tasks) if self.scheduler else local_team(number, tasks, list(devices))

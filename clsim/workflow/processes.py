@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection as pipes
-from typing import Any, Protocol
+from typing import Any
 
 from clsim.errors import ClsimError, DeviceError, InputError, in_one_line
 
@@ -283,43 +283,36 @@ class WorkersLostError(ClsimError):
     """There was no worker for too long."""
 
 
-class Tasks(Protocol):
+class Tasks:
     """Numbered tasks, each a call that any worker can make."""
 
     kind: str  # of the tasks, one word
-    several: bool  # whether a process does several at a time, if it has threads for them
-    loads: tuple[str, ...]  # modules that every worker would load itself: where workers are forked, once for all
+    several = False  # whether a process does several at a time, if it has threads for them
+    loads: tuple[str, ...] = ()  # modules that every worker would load itself: where workers are forked, once for all
 
     def check(self) -> Call:
         """Return the call that checks a new worker: why it cannot work, or "", and if its device is the reason."""
+        return _is_good, ()
 
     def call(self, number: int) -> Call:
         """Return the call of a task, to which the worker appends its device; the call returns the task's row."""
+        raise NotImplementedError
 
     def found(self, number: int) -> Row | None:
         """Return the row of a task whose results are there, although its worker died before it could say so."""
+        return None
 
     def failed(self, number: int, error: BaseException) -> Row:
         """Return the row of a task that raised an error, or raise it."""
+        raise error
 
     def over(self) -> Call | None:
         """End all tasks; return a call for the workers to wait for, or None."""
+        return None
 
 
-class Team(Protocol):
-    """Processes that do tasks."""
-
-    def workers(self) -> dict[str, int]:
-        """Return the tasks that each available worker does at a time."""
-
-    def begin(self, number: int, worker: str) -> None:
-        """Start a task on this worker and no other."""
-
-    def forget(self, number: int) -> None:
-        """Drop a task whose worker died."""
-
-    def done(self, seconds: float) -> tuple[int, Row | None] | None:
-        """Return a task that is done with and its row, None if its worker died; None if there is none in time."""
+def _is_good() -> tuple[str, bool]:
+    return "", False
 
 
 class Dispatch:
@@ -341,8 +334,8 @@ class Dispatch:
         self._waiting.appendleft(number)
         self.left += 1
 
-    def rows(self, team: Team, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
-        """Do the remaining tasks; yield number and row of each as it ends."""
+    def rows(self, team: Any, found: Callable[[int], Row | None]) -> Iterator[tuple[int, Row]]:
+        """Do the remaining tasks by a `ProcessTeam` or a `DaskTeam`; yield number and row of each as it ends."""
         seen = time.monotonic()
         while self.left:
             there = team.workers()

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from clsim.cluster import processes as dispatch_module
-from clsim.cluster.processes import Dispatch, WorkersLostError
-from clsim.cluster.workers import Workers
 from clsim.errors import InputError
+from clsim.workflow import processes as dispatch_module
+from clsim.workflow.processes import Dispatch, WorkersLostError
+from clsim.workflow.workers import Workers
 
 
 class MadeTeam:
@@ -177,8 +177,8 @@ def run_with(monkeypatch: pytest.MonkeyPatch, teams: Iterator[MadeTeam | None], 
             raise WorkersLostError("no worker could be started")
         yield team
 
-    monkeypatch.setattr("clsim.cluster.processes.local_team", made)
-    monkeypatch.setattr("clsim.cluster.workers.remote_team", made)
+    monkeypatch.setattr("clsim.workflow.workers.local_team", made)
+    monkeypatch.setattr("clsim.workflow.workers.remote_team", made)
     tasks: Any = SimpleNamespace(found=lambda number: None)
     workers = Workers(None if scheduler else 1, scheduler)
     return [number for number, _ in workers.rows(Dispatch([0, 1, 2], patience=0.0), tasks, [])]

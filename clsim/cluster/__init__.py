@@ -1,1 +1,0 @@
-"""Tasks on many processes: scheduling on this machine or on any Dask cluster."""
