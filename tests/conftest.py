@@ -94,7 +94,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[]
 
 @pytest.fixture
 def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
-    """Pass a figure on, and note it in the folder CLSIM_MEASURED: `make measured` writes the page of validation from it."""
+    """Demand that a figure is within what is allowed, and note it in the folder CLSIM_MEASURED for the page of validation."""
     folder, count = os.environ.get("CLSIM_MEASURED"), itertools.count()
 
     def note(claim: str, oracle: str, value: float, allowed: float, unit: str = "dB") -> float:
@@ -108,6 +108,7 @@ def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
             path = Path(folder) / f"{digest}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(row), "utf-8")
+        assert value <= allowed, f"{claim}, against {oracle}: {value:.6g} {unit}, where {allowed:.6g} is allowed"
         return value
 
     return note

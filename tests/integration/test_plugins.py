@@ -34,9 +34,7 @@ print(*delays)
 """
 
 
-def test_family_store_and_method_take_part_in_a_run(
-    tmp_path: Path, installed_plugins: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_family_store_and_method_take_part_in_a_run(tmp_path, installed_plugins: Path, monkeypatch, capsys) -> None:
     scene = tmp_path / "s.toml"
     scene.write_text(SCENE, "utf-8")
     command = [sys.executable, "-m", "clsim", "run", str(scene), "-o", str(tmp_path / "out"), "--no-plots", "--store"]

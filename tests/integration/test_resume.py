@@ -187,9 +187,7 @@ def test_a_bad_scene_with_force_loses_nothing(unfinished: Path, capsys) -> None:
     assert done(unfinished / "out") > 0
 
 
-def test_resume_begins_where_there_is_nothing_and_leaves_what_is_whole(
-    scene: Path, tmp_path: Path, capsys, device
-) -> None:
+def test_resume_begins_where_there_is_nothing_and_leaves_what_is_whole(scene: Path, tmp_path, capsys, device) -> None:
     arguments = command(scene, tmp_path / "out", "wav", "--resume", "--duration", "0.2")
     assert main(arguments) == 0
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").iterdir()}

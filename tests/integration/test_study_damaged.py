@@ -105,9 +105,7 @@ def test_a_study_is_a_store_of_its_members(folder_of_study: Path, capsys) -> Non
         (["--limit", "1"], "vary: must give at most 1 members, but gives 2 (--limit 2 allows them)"),
     ],
 )
-def test_what_cannot_run_is_one_line(
-    folder_of_study: Path, capsys, monkeypatch: pytest.MonkeyPatch, more: list[str], message: str
-) -> None:
+def test_what_cannot_run_is_one_line(folder_of_study: Path, capsys, monkeypatch, more: list[str], message: str) -> None:
     monkeypatch.setattr("clsim.cluster.workers._REACH", 0.5)
     assert main([*write(folder_of_study, [0, 1], [1.0]), *more]) == 2
     err = capsys.readouterr().err

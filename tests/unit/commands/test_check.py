@@ -67,9 +67,7 @@ def test_a_receiver_that_no_path_reaches_is_told(corner_scene: Path, capsys) -> 
 
 
 @pytest.mark.parametrize("door", ["check", "run", "paths"])
-def test_a_receiver_outside_is_refused_by_name_by_every_command(
-    corner_scene: Path, tmp_path: Path, capsys, door: str
-) -> None:
+def test_a_receiver_outside_is_refused_by_name_by_every_command(corner_scene: Path, tmp_path, capsys, door: str):
     corner_scene.write_text(CORNER_SCENE.replace("[7.0, -1.0, 1.5]", "[7.0, -8.0, 1.5]"), "utf-8")
     assert main([door, str(corner_scene), *(["-o", str(tmp_path / "out")] if door == "run" else [])]) == 2
     error = capsys.readouterr().err

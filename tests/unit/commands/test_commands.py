@@ -125,9 +125,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize("stream", [Terminal, io.StringIO])
-def test_building_is_told_once_and_on_a_terminal_only(
-    device: None, monkeypatch: pytest.MonkeyPatch, stream: type
-) -> None:
+def test_building_is_told_once_and_on_a_terminal_only(device, monkeypatch, stream: type) -> None:
     compiler, shown = compiler_of(find_device(None)[1]), stream()
     monkeypatch.setattr(sys, "stderr", shown)
     monkeypatch.setattr("clsim.workflow.console._MOMENT", 0.0)
@@ -153,9 +151,7 @@ def execute(options):
 """
 
 
-def test_a_command_is_one_file_and_its_line_in_the_list(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-) -> None:
+def test_a_command_is_one_file_and_its_line_in_the_list(tmp_path, monkeypatch, capsys) -> None:
     (tmp_path / "toy.py").write_text(TOY, "utf-8")
     monkeypatch.setattr(clsim.commands, "__path__", [*clsim.commands.__path__, str(tmp_path)])
     monkeypatch.setitem(cli.COMMANDS, "toy", "double a number")

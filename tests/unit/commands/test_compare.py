@@ -82,9 +82,7 @@ def test_a_response_of_something_else_is_told(folder: Path, capsys: pytest.Captu
         ("far.wav", ["-o", "x.txt"], "--output: must end in .png"), ("slow.wav", [], "measured: must be sampled at 1 kHz at least"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_compared(
-    name: str, more: list[str], problem: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_compared(name: str, more: list[str], problem: str, folder: Path, capsys) -> None:
     bad = np.ones(16_000)
     bad[7] = np.nan
     for file, samples, rate in (

@@ -110,13 +110,7 @@ def test_a_room_whose_values_are_known(tmp_path: Path, capsys: pytest.CaptureFix
         (["ptb-studio", "--seeds", "-1"], "--seeds: must be"), (["none.toml"], "none.toml: cannot be read"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_validated(
-    arguments: list[str],
-    problem: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_cannot_be_validated(arguments: list[str], problem: str, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["validate", *arguments]) == 2
     assert problem in capsys.readouterr().err
