@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from clsim.cli import main
 from clsim.opencl.device import list_devices
 
 
@@ -112,6 +113,21 @@ def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
         return value
 
     return note
+
+
+@pytest.fixture
+def error_of(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run a command that must end with status 2 and one line of error, and return what that says."""
+
+    def run(*arguments: Any) -> str:
+        capsys.readouterr()
+        assert main([str(argument) for argument in arguments]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("clsim: error: "), said
+        assert said.count("\n") == 1, said
+        return said.removeprefix("clsim: error: ").removesuffix("\n")
+
+    return run
 
 
 @pytest.fixture(params=["opencl", "reference"])

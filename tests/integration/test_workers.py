@@ -103,13 +103,10 @@ def test_processes_of_this_machine_render_the_same(scene: Path, whole: dict[str,
         (["--scheduler", "a", "--store", "hdf5"], "--store: must be zarr for --scheduler, written by regions, but is hdf5"),
     ],
 )  # fmt: skip
-def test_workers_that_cannot_be_had_are_one_line(scene: Path, capsys, monkeypatch, more: list[str], message: str):
+def test_workers_that_cannot_be_had_are_one_line(scene: Path, error_of, monkeypatch, more: list[str], message: str):
     monkeypatch.setattr(team, "_REACH", 0.5)
     out = scene.parent / "none"
-    assert main(command(scene, out, "zarr", *more)) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"clsim: error: {message}")
-    assert err.count("\n") == 1
+    assert error_of(*command(scene, out, "zarr", *more)).startswith(message)
     assert not out.exists(), "nothing was begun"
 
 
