@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from clsim.cli import main
 from clsim.opencl.device import list_devices
 
 
@@ -94,7 +95,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[]
 
 @pytest.fixture
 def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
-    """Pass a figure on, and note it in the folder CLSIM_MEASURED: `make measured` writes the page of validation from it."""
+    """Demand that a figure is within what is allowed, and note it in the folder CLSIM_MEASURED for the page of validation."""
     folder, count = os.environ.get("CLSIM_MEASURED"), itertools.count()
 
     def note(claim: str, oracle: str, value: float, allowed: float, unit: str = "dB") -> float:
@@ -108,9 +109,25 @@ def measured(request: pytest.FixtureRequest) -> Callable[..., float]:
             path = Path(folder) / f"{digest}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(row), "utf-8")
+        assert value <= allowed, f"{claim}, against {oracle}: {value:.6g} {unit}, where {allowed:.6g} is allowed"
         return value
 
     return note
+
+
+@pytest.fixture
+def error_of(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run a command that must end with status 2 and one line of error, and return what that says."""
+
+    def run(*arguments: Any) -> str:
+        capsys.readouterr()
+        assert main([str(argument) for argument in arguments]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("clsim: error: "), said
+        assert said.count("\n") == 1, said
+        return said.removeprefix("clsim: error: ").removesuffix("\n")
+
+    return run
 
 
 @pytest.fixture(params=["opencl", "reference"])

@@ -1,6 +1,5 @@
 """Room measures of noisy decays and speech transmission against pyrato's, from the same responses."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,9 +58,7 @@ def test_centre_time_and_lateral_fraction(pyrato: Any, rng: np.random.Generator)
     ("seconds", "levels"),
     few([(0.3, None), (1.0, None), (3.0, None), (0.8, (60.0, 45.0)), (0.8, (30.0, 20.0))], (0, 4)),
 )
-def test_speech_transmission(
-    pyrato: Any, seconds: float, levels: tuple[float, float] | None, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_speech_transmission(pyrato: Any, seconds: float, levels: tuple[float, float] | None, tmp_path, rng) -> None:
     """Without levels, and with those of speech and noise, down to the threshold of hearing."""
     import pyfar
 

@@ -111,9 +111,7 @@ def test_measures_by_band_of_three_impulses(responses: clsim.ImpulseResponses, b
 
 
 @pytest.mark.parametrize("noise_db", [-20.0, -30.0, -40.0, -50.0, -60.0, -75.0])
-def test_noise_that_hides_a_decay_gives_no_time(
-    responses: clsim.ImpulseResponses, noise_db: float, rng: np.random.Generator
-) -> None:
+def test_noise_that_hides_a_decay_gives_no_time(responses: clsim.ImpulseResponses, noise_db: float, rng) -> None:
     """White noise that decays by 60 dB in a second, and steady noise: what is reported is right within 5 %, by bands.
 
     Twice the time's own deviation is added, ``0.9 sqrt(1 / (B T))`` (ISO 3382-2:2008, equation A.1, without its filter).

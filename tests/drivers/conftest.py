@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from driver_scenes import SCENES
@@ -12,9 +11,7 @@ ALL = [f"{name}.cpu" for name in SCENES] + [f"{name}.gpu" for name in (SCENES if
 
 
 @pytest.fixture(scope="session")
-def by_pocl(
-    once: Callable[[str, Callable[[], Any]], Any], tmp_path_factory: pytest.TempPathFactory
-) -> Callable[..., Path]:
+def by_pocl(once, tmp_path_factory) -> Callable[..., Path]:
     """Return a function to the folder of scenes rendered by PoCL, each scene and layout once in a run of the tests."""
 
     def folder(*names: str) -> Path:

@@ -6,7 +6,6 @@ Three of its reports are false, each shown here by a kernel of its own; `driver_
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -80,9 +79,7 @@ EVERYDAY = ("plain.cpu", "plain.cpu.off_by_one")
 
 
 @pytest.fixture
-def simulated(
-    once: Callable[[str, Callable[[], Any]], Any], tmp_path_factory: pytest.TempPathFactory
-) -> Callable[..., Path]:
+def simulated(once, tmp_path_factory) -> Callable[..., Path]:
     """Return a function to the folder of scenes and mutants of one process of Oclgrind, made once in a run of the tests."""
 
     def folder(*names: str) -> Path:

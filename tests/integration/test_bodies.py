@@ -38,9 +38,7 @@ EDGES_OF_BODIES_SCENE = scene_text(
 EDGES_OF_BODIES_STUDY = 'format = 1\nscene = "scene.toml"\nkeep = ["ground_truth"]\n[[vary]]\nfield = "paths.diffraction_model"\nvalues = ["utd", "btm"]\n'
 
 
-def test_a_door_is_run_and_gone_on_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], device: None
-) -> None:
+def test_a_door_is_run_and_gone_on_with(tmp_path, monkeypatch, capsys, device) -> None:
     """The line of sight is hidden all the time: all that is heard comes over edges of the door."""
     path = tmp_path / "scene.toml"
     path.write_text(EDGES_OF_BODIES_SCENE, "utf-8")

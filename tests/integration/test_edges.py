@@ -130,9 +130,7 @@ def test_pruned_baseband_and_impulse_responses_know_them(paths: PathSet, device:
     assert sound[sample - 20 : sample + 20].max() > 10.0 * sound[: sample - 200].max()
 
 
-def test_runs_that_were_stopped_go_on(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None
-) -> None:
+def test_runs_that_were_stopped_go_on(scene: Path, tmp_path, monkeypatch, device) -> None:
     """Bit for bit, with the exact field at the edge; not with that of the theory, whose paths are others."""
     text, path = (
         scene.read_text("utf-8").replace("duration = 0.09", "duration = 0.12\nchunk = 18432"),

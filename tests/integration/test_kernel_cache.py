@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import clsim
-from clsim.cli import main
 from clsim.opencl import kernel_cache as cache
 
 
@@ -61,16 +60,14 @@ def test_the_folder_that_all_users_share_is_not_used(fresh: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize("trouble", ["No space left on device", "it is mounted noexec"])
-def test_without_any_folder_it_is_one_line(fresh: pytest.MonkeyPatch, capsys, trouble: str) -> None:
+def test_without_any_folder_it_is_one_line(fresh: pytest.MonkeyPatch, error_of, trouble: str) -> None:
     fresh.setattr(cache, "_trouble", lambda folder: trouble)
     made: list[str] = []
     make = tempfile.mkdtemp
     fresh.setattr(tempfile, "mkdtemp", lambda **where: made.append(make(**where)) or made[-1])
-    assert main(["devices"]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("clsim: error: OpenCL cannot be used: the cache of built kernels, ")
-    assert f"cannot be used: {trouble}; no temporary folder can either: free some space" in err
-    assert err.count("\n") == 1
+    error = error_of("devices")
+    assert error.startswith("OpenCL cannot be used: the cache of built kernels, ")
+    assert f"cannot be used: {trouble}; no temporary folder can either: free some space" in error
     assert made
     assert not any(Path(folder).exists() for folder in made)
 

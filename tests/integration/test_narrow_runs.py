@@ -25,9 +25,7 @@ def run(folder: Path, out: str, *more: str) -> int:
     return main(["run", str(folder / "scene.toml"), "-o", str(folder / out), "--no-plots", "--table", "none", *more])
 
 
-def test_a_run_goes_on_bit_for_bit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_goes_on_bit_for_bit(tmp_path, monkeypatch, capsys) -> None:
     """Where it was stopped lies within a chunk of the envelopes, which are of another length."""
     (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
     out = stopped_and_resumed(monkeypatch, tmp_path / "scene.toml", tmp_path, at=2 * 18432)

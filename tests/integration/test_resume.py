@@ -136,21 +136,19 @@ def change_version(folder: Path) -> None:
         (change_version, (), "versions.clsim was '0.0.9' and is "),
     ],
 )
-def test_another_run_is_not_gone_on_with(unfinished: Path, change, more, message: str, capsys) -> None:
+def test_another_run_is_not_gone_on_with(unfinished: Path, change, more, message: str, error_of) -> None:
     path = unfinished / "scene.toml"
     if isinstance(change, tuple):
         path.write_text(path.read_text("utf-8").replace(*change), "utf-8")
     elif change is not None:
         change(unfinished)
-    assert main(command(path, unfinished / "out", "wav", "--resume", *more)) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("clsim: error: --resume: must go on with the same run, but ")
-    assert message in err
-    assert err.count("\n") == 1
+    error = error_of(*command(path, unfinished / "out", "wav", "--resume", *more))
+    assert error.startswith("--resume: must go on with the same run, but ")
+    assert message in error
     assert done(unfinished / "out") > 0
 
 
-def test_changed_files_are_noticed(tmp_path: Path, killer: Killer, capsys, device) -> None:
+def test_changed_files_are_noticed(tmp_path: Path, killer: Killer, error_of, device) -> None:
     chirp = 'signal = { kind = "chirp", start = 30e3, stop = 50e3, duration = 0.6, sampling_rate = 192e3 }'
     assert chirp in LONG
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
@@ -160,8 +158,7 @@ def test_changed_files_are_noticed(tmp_path: Path, killer: Killer, capsys, devic
     assert killer.run(command(scene, out, "wav"), out, event=2, of="journal.npz") == -signal.SIGKILL
     samples[-1] += 1e-6
     soundfile.write(tmp_path / "s.wav", samples, 192_000, subtype="FLOAT")
-    assert main(command(scene, out, "wav", "--resume")) == 2
-    assert "contents.s.wav was" in capsys.readouterr().err
+    assert "contents.s.wav was" in error_of(*command(scene, out, "wav", "--resume"))
 
 
 def test_an_unfinished_run_must_be_told_what_becomes_of_it(unfinished: Path, capsys) -> None:
@@ -187,35 +184,30 @@ def test_a_bad_scene_with_force_loses_nothing(unfinished: Path, capsys) -> None:
     assert done(unfinished / "out") > 0
 
 
-def test_resume_begins_where_there_is_nothing_and_leaves_what_is_whole(
-    scene: Path, tmp_path: Path, capsys, device
-) -> None:
+def test_resume_begins_where_there_is_nothing_and_leaves_what_is_whole(scene: Path, tmp_path, error_of, device) -> None:
     arguments = command(scene, tmp_path / "out", "wav", "--resume", "--duration", "0.2")
     assert main(arguments) == 0
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").iterdir()}
     assert main(arguments) == 0
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "out").iterdir()} == before
-    assert main([*arguments[:-1], "0.3"]) == 2
-    assert "render.duration was 0.2 and is 0.3" in capsys.readouterr().err
+    assert "render.duration was 0.2 and is 0.3" in error_of(*arguments[:-1], "0.3")
 
 
-def test_a_broken_journal_is_told(unfinished: Path, capsys) -> None:
+def test_a_broken_journal_is_told(unfinished: Path, error_of) -> None:
     journal = unfinished / "out" / ".partial" / "journal.npz"
     for text in (b"", b"PK\x03\x04", journal.read_bytes()[:-100]):
         journal.write_bytes(text)
-        assert main(command(unfinished / "scene.toml", unfinished / "out", "wav", "--resume")) == 2
-        err = capsys.readouterr().err
-        assert "journal.npz cannot be read" in err
-        assert err.count("\n") == 1
+        assert "journal.npz cannot be read" in error_of(
+            *command(unfinished / "scene.toml", unfinished / "out", "wav", "--resume")
+        )
 
 
-def test_two_runs_into_one_folder(unfinished: Path, capsys) -> None:
+def test_two_runs_into_one_folder(unfinished: Path, error_of) -> None:
     pytest.importorskip("fcntl")
     out = unfinished / "out"
     with locked(out / ".partial" / "lock", "--output"):
         for more in ("--resume", "--force"):
-            assert main(command(unfinished / "scene.toml", out, "wav", more)) == 2
-            assert "one process at a time" in capsys.readouterr().err
+            assert "one process at a time" in error_of(*command(unfinished / "scene.toml", out, "wav", more))
     assert done(out) > 0
 
 

@@ -200,9 +200,7 @@ def certificates(tmp_path: Path) -> dict[str, str]:
 
 @pytest.mark.exhaustive
 @pytest.mark.slow
-def test_a_scheduler_with_certificates_serves_who_has_them(
-    tmp_path: Path, certificates: dict[str, str], device: None
-) -> None:
+def test_a_scheduler_with_certificates_serves_who_has_them(tmp_path, certificates: dict[str, str], device) -> None:
     installed("distributed")
     installed("zarr")
     scene = tmp_path / "scene.toml"

@@ -52,20 +52,17 @@ def assert_member_is_what_the_scene_gives(folder_of_study: Path, loudness: float
         assert json.loads(member.attrs["parameters"]) == {"order": 2, "length": 1.0}
 
 
-def assert_only_what_is_asked_for_runs_again(folder_of_study: Path, arguments: list[str], capsys) -> None:
+def assert_only_what_is_asked_for_runs_again(folder_of_study: Path, arguments: list[str], error_of) -> None:
     """Again: refused; resumed: nothing is run; retried: only what failed."""
     before = runs(folder_of_study)
-    assert main(arguments) == 2
-    assert "must hold no study yet" in capsys.readouterr().err
+    assert "must hold no study yet" in error_of(*arguments)
     assert main([*arguments, "--resume"]) == 1
     assert runs(folder_of_study) == before
     (folder_of_study / "scene.toml").write_text(SCENE.replace("0.9", "0.8"), "utf-8")
-    assert main([*arguments, "--resume"]) == 2
-    assert "content.room.walls.reflection was 0.9 and is 0.8; choose another folder" in capsys.readouterr().err
+    assert "content.room.walls.reflection was 0.9 and is 0.8; choose another folder" in error_of(*arguments, "--resume")
     (folder_of_study / "scene.toml").write_text(SCENE, "utf-8")
     (folder_of_study / "judge.py").write_text(METRICS + "\n", "utf-8")
-    assert main([*arguments, "--retry"]) == 2
-    assert "judge.py was" in capsys.readouterr().err
+    assert "judge.py was" in error_of(*arguments, "--retry")
     (folder_of_study / "judge.py").write_text(METRICS, "utf-8")
     assert main([*arguments, "--retry", "--workers", "1"]) == 1
     counts = {member: len(processes) for member, processes in runs(folder_of_study).items()}
@@ -77,7 +74,7 @@ def assert_only_what_is_asked_for_runs_again(folder_of_study: Path, arguments: l
 
 
 @pytest.mark.slow
-def test_a_study_is_a_store_of_its_members(folder_of_study: Path, capsys) -> None:
+def test_a_study_is_a_store_of_its_members(folder_of_study: Path, capsys, error_of) -> None:
     arguments = write(folder_of_study, [0, 2], [1.0, 1.125])
     assert main([*arguments, "--workers", "2"]) == 1
     printed = capsys.readouterr()
@@ -93,7 +90,7 @@ def test_a_study_is_a_store_of_its_members(folder_of_study: Path, capsys) -> Non
         assert np.isnan(summary.rms.values[1]).all()
         loudness = summary.rms.sel(receiver="left").values
     assert_member_is_what_the_scene_gives(folder_of_study, loudness[2])
-    assert_only_what_is_asked_for_runs_again(folder_of_study, arguments, capsys)
+    assert_only_what_is_asked_for_runs_again(folder_of_study, arguments, error_of)
 
 
 @pytest.mark.parametrize(
@@ -105,14 +102,9 @@ def test_a_study_is_a_store_of_its_members(folder_of_study: Path, capsys) -> Non
         (["--limit", "1"], "vary: must give at most 1 members, but gives 2 (--limit 2 allows them)"),
     ],
 )
-def test_what_cannot_run_is_one_line(
-    folder_of_study: Path, capsys, monkeypatch: pytest.MonkeyPatch, more: list[str], message: str
-) -> None:
+def test_what_cannot_run_is_one_line(folder_of_study: Path, error_of, monkeypatch, more: list[str], message: str):
     monkeypatch.setattr("clsim.workflow.workers._REACH", 0.5)
-    assert main([*write(folder_of_study, [0, 1], [1.0]), *more]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"clsim: error: {message}")
-    assert err.count("\n") == 1
+    assert error_of(*write(folder_of_study, [0, 1], [1.0]), *more).startswith(message)
     assert not (folder_of_study / "out").exists(), "nothing was begun"
 
 
@@ -146,13 +138,10 @@ def test_a_worker_without_a_device_is_one_line(folder_of_study: Path, capfd, old
         ("def level(", "'judge:level' cannot be loaded: SyntaxError"),
     ],
 )
-def test_functions_that_cannot_be_used_are_one_line(folder_of_study: Path, capsys, body: str, message: str) -> None:
+def test_functions_that_cannot_be_used_are_one_line(folder_of_study: Path, error_of, body: str, message: str) -> None:
     arguments = write(folder_of_study, [0], [1.0])
     (folder_of_study / "judge.py").write_text(body, "utf-8")
-    assert main(arguments) == 2
-    err = capsys.readouterr().err
-    assert f"clsim: error: metrics: {message}" in err
-    assert err.count("\n") == 1
+    assert f"metrics: {message}" in error_of(*arguments)
     assert not (folder_of_study / "out").exists(), "nothing was begun"
 
 
@@ -245,13 +234,11 @@ def test_lines_of_the_index_that_are_no_rows_are_passed_over(tmp_path: Path, lin
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "3", '{"content": ', "\0" * 100, "[" * 100_000, "{}"])
-def test_settings_that_are_broken_are_one_line(folder: Path, capsys, content: str) -> None:
+def test_settings_that_are_broken_are_one_line(folder: Path, error_of, content: str) -> None:
     (folder / "out" / "study.json").write_text(content, "utf-8")
-    assert main(["study", str(folder / "study.toml"), "-o", str(folder / "out"), "--resume"]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("clsim: error: --resume: must go on with ")
-    assert "choose another folder" in err
-    assert err.count("\n") == 1
+    error = error_of("study", folder / "study.toml", "-o", folder / "out", "--resume")
+    assert error.startswith("--resume: must go on with ")
+    assert "choose another folder" in error
 
 
 def cut(path: Path) -> None:
@@ -331,7 +318,7 @@ def test_a_broken_root_of_the_store_is_made_again(folder: Path, content: bytes) 
 @pytest.mark.parametrize("name", ["study.zarr", "index.jsonl", ".partial"])
 @pytest.mark.parametrize("more", [[], ["--resume"], ["--retry"]])
 @pytest.mark.parametrize("kind", ["file", "folder", "link"])
-def test_what_is_of_no_study_is_left_alone(tmp_path: Path, capsys, name: str, more: list[str], kind: str) -> None:
+def test_what_is_of_no_study_is_left_alone(tmp_path: Path, error_of, name: str, more: list[str], kind: str) -> None:
     arguments = [*write(write_scene(tmp_path), [0], [1.0]), *more]
     out = tmp_path / "out"
     out.mkdir()
@@ -342,10 +329,7 @@ def test_what_is_of_no_study_is_left_alone(tmp_path: Path, capsys, name: str, mo
         (out / name / "zarr.json").write_text("mine", "utf-8")
     else:
         (out / name).symlink_to(tmp_path / "elsewhere")
-    assert main(arguments) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"clsim: error: --output: must not hold {name} that is of no study")
-    assert err.count("\n") == 1
+    assert error_of(*arguments).startswith(f"--output: must not hold {name} that is of no study")
     assert (kind, (out / name).is_symlink()) in (("file", False), ("folder", False), ("link", True))
     if kind != "link":
         assert next(p for p in (out / name, out / name / "zarr.json") if p.is_file()).read_text("utf-8") == "mine"

@@ -148,9 +148,7 @@ def run(folder: Path, out: str, *more: str) -> int:
     return main(["run", str(folder / "scene.toml"), "-o", str(folder / out), "--no-plots", "--table", "none", *more])
 
 
-def test_runs_are_gone_on_with_and_another_tail_is_another_run(
-    registered: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_are_gone_on_with_and_another_tail_is_another_run(registered, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(checkpoint, "_PERIOD", -1.0)  # every chunk is noted
     (tmp_path / "scene.toml").write_text(TOY_TAIL_SCENE, "utf-8")
     assert run(tmp_path, "whole") == 0

@@ -99,9 +99,7 @@ def chunks_of(path: Path) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("flips", few([6, 40], kept=(0,)))
-def test_a_flipped_bit_in_an_hdf5_file_is_refused_without_an_option(
-    flips: int, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_flipped_bit_in_an_hdf5_file_is_refused_without_an_option(flips: int, tmp_path, rng) -> None:
     """Bits of samples and of checksums, in several chunks of each receiver."""
     out = made(tmp_path, "hdf5", chunk=1, sampling_rate=192e3)
     path = out / "recording.h5"

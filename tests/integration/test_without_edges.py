@@ -145,9 +145,7 @@ trajectory = {{ kind = "fixed", position = [{x}, {y}, 4], orientation = [0.0, {s
 
 
 @pytest.mark.parametrize("tilt", [0.0, 10.0])
-def test_check_reports_one_of_many_small_plates(
-    tilt: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_reports_one_of_many_small_plates(tilt: float, tmp_path, capsys) -> None:
     """Nine plates of 10 cm have too many edges to search all; one stands between the ends, the others 4 m aside.
 
     Tilted by 10 degrees none has a path, so that the field of edges is all that it sends.

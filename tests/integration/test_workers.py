@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from killing import Killer, content
+from killing import content
 from late import installed
 from made_clusters import Worker, made_cluster
 from test_resume import SCENE, command, done
@@ -50,9 +50,7 @@ def whole(scene: Path, once: Callable[..., Any]) -> dict[str, bytes]:
 
 
 @pytest.mark.exhaustive
-def test_either_goes_on_where_the_other_was_killed(
-    scene: Path, whole: dict[str, bytes], cluster, killer: Killer, device
-) -> None:
+def test_either_goes_on_where_the_other_was_killed(scene: Path, whole: dict[str, bytes], cluster, killer, device):
     address, _ = cluster
     on_workers = ["--scheduler", address]
     for first, then in ((on_workers, []), ([], on_workers)):
@@ -105,15 +103,10 @@ def test_processes_of_this_machine_render_the_same(scene: Path, whole: dict[str,
         (["--scheduler", "a", "--store", "hdf5"], "--store: must be zarr for --scheduler, written by regions, but is hdf5"),
     ],
 )  # fmt: skip
-def test_workers_that_cannot_be_had_are_one_line(
-    scene: Path, capsys, monkeypatch: pytest.MonkeyPatch, more: list[str], message: str
-) -> None:
+def test_workers_that_cannot_be_had_are_one_line(scene: Path, error_of, monkeypatch, more: list[str], message: str):
     monkeypatch.setattr(team, "_REACH", 0.5)
     out = scene.parent / "none"
-    assert main(command(scene, out, "zarr", *more)) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"clsim: error: {message}")
-    assert err.count("\n") == 1
+    assert error_of(*command(scene, out, "zarr", *more)).startswith(message)
     assert not out.exists(), "nothing was begun"
 
 

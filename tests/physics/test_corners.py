@@ -112,10 +112,7 @@ def past(angle: float, beside: float, source: tuple[float, float, float]) -> End
 
 @pytest.mark.parametrize("what", WALKS)
 def test_walks_past_corners(what: str, measured: Callable[..., float]) -> None:
-    assert (
-        measured("past corners of plates and boxes", "line integrals over the edges", check(*WALKS[what], 12), -66.0)
-        < -66.0
-    )
+    measured("past corners of plates and boxes", "line integrals over the edges", check(*WALKS[what], 12), -66.0)
 
 
 @pytest.mark.parametrize("angle", [45.0, 150.0, exhaustive(60.0), exhaustive(120.0)])
@@ -126,7 +123,7 @@ def test_corners_of_other_angles(angle: float, measured: Callable[..., float]) -
         for source in ((0.03, -0.05, 1.2), (0.3, -0.4, 1.2))
         for beside in (0.0, 0.004, -0.004)
     )
-    assert measured("past corners of 45 to 150 degrees", "line integrals over the edges", worst, -55.0) < -55.0
+    measured("past corners of 45 to 150 degrees", "line integrals over the edges", worst, -55.0)
 
 
 @pytest.mark.exhaustive
@@ -162,7 +159,7 @@ def test_walks_through_a_corner_along_an_edge(what: str, measured: Callable[...,
     source, ahead, times, mirrored = ALONG[what]
     aside = np.array([*ahead, 0.0])
     paths = paths_past(what.split(",")[0], walk(source, tuple(-aside), tuple(aside), times, mirrored))
-    assert measured("walks through a corner along an edge", "no jump", loudest_jump(paths), -60.0) < -60.0
+    measured("walks through a corner along an edge", "no jump", loudest_jump(paths), -60.0)
 
 
 @pytest.mark.parametrize("count", [16, exhaustive(400, long=True)])
@@ -275,22 +272,17 @@ def test_a_rendered_walk_past_a_corner(beside: float, device: None, measured: Ca
     k = np.array([2.0 * np.pi * 40e3 / C])
     wanted = [total(*oracle, ends[0], place, k)[0] for place in ends[1] + share * (ends[2] - ends[1])]
     wrong = heard[n] - np.imag(wanted * np.exp(2j * np.pi * 40e3 * n / RATE))
-    assert (
-        measured(
-            "a walk past a corner, rendered",
-            "line integrals over the edges",
-            float(20.0 * np.log10(np.abs(wrong).max() * 3.5)),
-            -80.0,
-        )
-        < -80.0
+    measured(
+        "a walk past a corner, rendered",
+        "line integrals over the edges",
+        float(20.0 * np.log10(np.abs(wrong).max() * 3.5)),
+        -80.0,
     )
 
 
 @pytest.mark.parametrize("count", [3, exhaustive(40, long=True)])
 @pytest.mark.parametrize("between", [0.0, 0.37])
-def test_rendered_walks_through_a_corner(
-    between: float, count: int, device: None, rng: np.random.Generator, measured: Callable[..., float]
-) -> None:
+def test_rendered_walks_through_a_corner(between: float, count: int, device, rng, measured) -> None:
     """Through the corner itself at a sample's instant, or between two: each sample beside it, but not that instant.
 
     There the oracle has no single value. One node on the wrong side, or a quarter of the field at a corner of 60
@@ -312,6 +304,4 @@ def test_rendered_walks_through_a_corner(
         wanted = [total(*oracle, ends[0], place, k)[0] for place in ends[1] + share * (ends[2] - ends[1])]
         wrong = heard[n] - np.imag(wanted * np.exp(2j * np.pi * 40e3 * n / RATE))
         level = 20.0 * np.log10(np.abs(wrong).max() * apart)
-        assert (
-            measured("walks through a corner, rendered", "line integrals over the edges", float(level), -62.0) < -62.0
-        )
+        measured("walks through a corner, rendered", "line integrals over the edges", float(level), -62.0)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -103,9 +102,7 @@ def earliest(source: np.ndarray, place: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("edge_first", [True, False])
-def test_all_that_moves_is_heard_as_two_delays_in_a_row(
-    edge_first: bool, engine: str, measured: Callable[..., float]
-) -> None:
+def test_all_that_moves_is_heard_as_two_delays_in_a_row(edge_first: bool, engine, measured) -> None:
     """Delays by bisection, Doppler factors as their derivatives, and what is rendered within -75 dB of the table."""
     ways = [
         LINE(SOURCE, (-1.4, -1.0, 0.3), 0.06),
@@ -143,14 +140,11 @@ def test_all_that_moves_is_heard_as_two_delays_in_a_row(
     heard = clsim.render(paths, RATE, duration=0.06, engine=engine).pressure[0]
     samples = np.arange(8000, 11000)
     fine = np.imag(field(paths, samples / RATE, TONE) * np.exp(2j * np.pi * TONE * samples / RATE))
-    assert (
-        measured(
-            "an edge and a scatterer in a row, all moving",
-            "bisection of both delays",
-            float(decibels(np.abs(heard[samples] - fine).max() / np.abs(fine).max())),
-            -75.0,
-        )
-        < -75.0
+    measured(
+        "an edge and a scatterer in a row, all moving",
+        "bisection of both delays",
+        float(decibels(np.abs(heard[samples] - fine).max() / np.abs(fine).max())),
+        -75.0,
     )
 
 
@@ -191,9 +185,7 @@ def test_what_comes_out_of_a_shadow_makes_no_step(thing: clsim.Scatterer, edge_f
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_all_paths_together_make_no_step_with_edges_on_either_side(
-    turned: bool, measured: Callable[..., float]
-) -> None:
+def test_all_paths_together_make_no_step_with_edges_on_either_side(turned: bool, measured) -> None:
     """A sphere comes out of the shadow of either end: all paths stay within -60 dB of the strongest, -50 over one edge."""
     ends = FIXED((-1.0, -1.0, 0.1)), FIXED((0.3, 2.0, 0.0))
     ball = clsim.Scatterer.sphere("b", 0.05, OUT)
@@ -204,7 +196,7 @@ def test_all_paths_together_make_no_step_with_edges_on_either_side(
         times = np.concatenate([[*family.start, *family.end] for family in some])
         events = np.unique(times[np.isfinite(times) & (times < 0.4)])
         largest.append(max(map(decibels, jumps(paths, events, TONE))))
-    assert measured("a sphere that comes out of an edge's shadow", "no jump", largest[1], -60.0) < -60.0
+    measured("a sphere that comes out of an edge's shadow", "no jump", largest[1], -60.0)
     assert largest[1] < largest[0]
 
 

@@ -70,7 +70,7 @@ def test_ears_that_turn_hear_each_sample_as_their_pose_says(kind, measured):
     expected = by_samples(found[2], towards, head)
     assert np.abs(found[2]).max() > 0.01
     error = 20.0 * np.log10(np.linalg.norm(found[:2] - expected) / np.linalg.norm(expected))
-    assert measured(f"ears that turn, {kind}", "the sum over samples", float(error), -86.0) <= -86.0
+    measured(f"ears that turn, {kind}", "the sum over samples", float(error), -86.0)
 
 
 @pytest.mark.parametrize("what", ["a tone", "noise"])
@@ -141,7 +141,7 @@ def test_the_tail_at_a_head_that_hardly_turns_is_that_at_rest(measured):
         for pose in (clsim.Trajectory.fixed((2.9, 2.4, 2.2)), turning(1e-5))
     ]
     error = 20.0 * np.log10(np.linalg.norm(found[1] - found[0]) / np.linalg.norm(found[0]))
-    assert measured("tail at a head that turns", "the same head at rest", float(error), -28.0) <= -28.0
+    measured("tail at a head that turns", "the same head at rest", float(error), -28.0)
 
 
 @pytest.mark.parametrize("tail", ["off", "auto"])
@@ -261,15 +261,11 @@ def test_measures_of_a_diffuse_field(measured):
     for name, theory in (("lf", 1.0 / 3.0), ("lfc", 2.0 / np.pi / np.sqrt(3.0))):
         mean = np.mean([getattr(one, name)[0] for one in found], axis=0)
         for f, value, allowed in zip(bands.tolist(), mean / share / theory - 1.0, spread.tolist(), strict=True):
-            assert (
-                abs(measured(f"{name.upper()} of a tail, {f:.0f} Hz, relative", "theory", value, allowed, "1"))
-                <= allowed
-            )
+            measured(f"{name.upper()} of a tail, {f:.0f} Hz, relative", "theory", abs(value), allowed, "1")
     correlation = clsim.lateral_measures(long, ears="head").iacc[0]
     spread = 3.0 / np.sqrt(0.11 * seeds * bands / np.sqrt(2.0)) + 0.03
     for f, value, allowed in zip(bands.tolist(), correlation, spread.tolist(), strict=True):
-        error = measured(f"IACC of a sphere in a tail, {f:.0f} Hz", "theory", value - diffuse_iacc(f), allowed, "1")
-        assert abs(error) <= allowed
+        measured(f"IACC of a sphere in a tail, {f:.0f} Hz", "theory", abs(value - diffuse_iacc(f)), allowed, "1")
 
 
 def diffuse_iacc(centre):

@@ -255,9 +255,7 @@ def test_smaller_cells_find_the_same(moving_receiver: bool, monkeypatch: pytest.
 
 @pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("mesh", [l_room(), pillar_room(), box((8, 9, 3))], ids=["L", "pillar", "box"])
-def test_shooting_finds_the_same_in_a_small_room_and_says_that_it_can_miss(
-    mesh, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_shooting_finds_the_same_in_a_small_room_and_says_that_it_can_miss(mesh, monkeypatch) -> None:
     pytest.importorskip("embreex")
     monkeypatch.setattr(ray_shooting, "RAYS", 500_000)
     room = clsim.MeshRoom(*mesh, WALL)

@@ -81,15 +81,12 @@ def test_behind_a_sphere_there_is_its_shadow(radius: float, level: float, measur
     source, receiver = np.array([-1.5, 0.0, 0.0]), np.array([0.5, 0.0, 0.0])
     direct, scattered = field(2.0 * np.pi * 40e3 / C, radius, source, receiver)
     assert 20.0 * np.log10(abs(1.0 + scattered / direct)) == pytest.approx(level, abs=0.05)
-    assert (
-        measured(
-            "behind spheres of 5, 10 and 30 cm",
-            "sum over modes",
-            error(radius, 40e3, source, receiver),
-            1e-5,
-            "of the free field",
-        )
-        < 1e-5
+    measured(
+        "behind spheres of 5, 10 and 30 cm",
+        "sum over modes",
+        error(radius, 40e3, source, receiver),
+        1e-5,
+        "of the free field",
     )
 
 
@@ -136,15 +133,12 @@ def test_nothing_jumps_across_the_shadow(radius: float, measured: Callable[..., 
         free = np.linalg.norm(places - source, axis=1)
         family, times = clsim.find_paths(scene, 0), np.arange(41.0)
         found = heard_at_once(family, 40e3, times)
-        assert (
-            measured(
-                "across the shadow of a sphere, far to touching",
-                "sum over modes",
-                float(np.abs((found - exact) * free).max()),
-                1e-5,
-                "of the free field",
-            )
-            < 1e-5
+        measured(
+            "across the shadow of a sphere, far to touching",
+            "sum over modes",
+            float(np.abs((found - exact) * free).max()),
+            1e-5,
+            "of the free field",
         )
 
 
@@ -180,7 +174,7 @@ def test_a_receiver_that_walks_through_the_shadow(radius: float, device: None, m
         found = clsim.render(clsim.find_paths(scene, 0), RATE, duration=duration).pressure[0, samples]
     error_db = 20.0 * np.log10(np.abs((found - exact) / free).max())
     claim = f"behind a ball of {100 * radius:g} cm that a receiver passes, relative to the free field"
-    assert measured(claim, "the sum over its modes", error_db, -75.0) < -75.0
+    measured(claim, "the sum over its modes", error_db, -75.0)
 
 
 def test_what_a_wall_sends_past_a_ball_has_its_shadow() -> None:
@@ -223,9 +217,7 @@ def test_geometrical_optics_on_the_axis_is_quiet() -> None:
     ((6.5, 3.3, 2.0), (6.5, 3.3, 2.0), 0, True), ((6.5, 3.3, 2.0), (6.5, 3.3, 2.0), 1, False),
     ((7.4, 3.3, 2.0), (7.4, 3.3, 2.0), 0, False), ((6.5, 4.9, 2.0), (6.5, 3.3, 2.0), 0, True),
 ])  # fmt: skip
-def test_echoes_without_shadows_are_told(
-    begin: tuple[float, ...], end: tuple[float, ...], order: int, stands: bool
-) -> None:
+def test_echoes_without_shadows_are_told(begin: tuple[float, ...], end: tuple[float, ...], order: int, stands: bool):
     """A wall's echo past a ball was +0.2 dB, not -8.2, with the default `scattering_order` of 0, and nothing said so.
 
     The ball that moves comes to (6.5, 3.9, 2), where the echo of x_max passes on its way back.

@@ -106,9 +106,7 @@ def shortest_ways(axes: np.ndarray, source: np.ndarray, receiver: np.ndarray) ->
 
 @pytest.mark.parametrize("aspect", [1.0, 3.9, 10.0, 80.0, 1e4])
 @pytest.mark.parametrize("plate", [False, True])
-def test_long_ellipsoids_reflect_where_the_way_is_shortest(
-    aspect: float, plate: bool, rng: np.random.Generator
-) -> None:
+def test_long_ellipsoids_reflect_where_the_way_is_shortest(aspect: float, plate: bool, rng) -> None:
     """Ends near poles and plates, both seen from a place of the surface: to 1e-9 m, after two steps from nearby."""
     count = 0
     for _ in range(4):

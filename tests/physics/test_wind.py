@@ -59,7 +59,7 @@ def test_absorption_is_the_standards_table_within_half_a_per_cent(
     frequency = 1000.0 * 10.0 ** (third / 10.0)
     found = absorption_iso9613(frequency, temperature_celsius, humidity_percent / 100.0, 101_325.0)
     off = 100.0 * abs(1e3 * found / decibel_per_km - 1.0)
-    assert measured("absorption of air", "tables of ISO 9613-1", off, 0.5, "%") < 0.5
+    measured("absorption of air", "tables of ISO 9613-1", off, 0.5, "%")
 
 
 def test_the_tolerance_tells_neighbouring_frequencies_apart():
@@ -78,7 +78,7 @@ def test_absorption_at_40_khz(pressure, decibel_per_m):
 
 def test_speed_of_cramer(measured):
     off = 1e3 * abs(speed_of_sound_cramer(20.0, 0.5, 101_325.0) - 343.994)
-    assert measured("speed of sound", "Cramer at 20 °C and 50 %", off, 0.5, "mm/s") < 0.5
+    measured("speed of sound", "Cramer at 20 °C and 50 %", off, 0.5, "mm/s")
     # CO2 of 400 ppm, as NPL's calculator takes it, is a different figure: the default must be 314 ppm.
     assert speed_of_sound_cramer(20.0, 0.5, 101_325.0, 400e-6) == pytest.approx(343.987, abs=5e-4)
 
@@ -180,8 +180,8 @@ def test_images_are_those_of_moving_walls_to_first_order(measured) -> None:
     at_8, at_4, at_1 = np.array(errors)
     np.testing.assert_allclose(at_8 / at_4, 4.0, rtol=0.1)
     np.testing.assert_allclose(at_4 / at_1, 16.0, rtol=0.1)
-    assert measured("images in wind of 1 m/s: delays", "moving walls", 1e6 * at_1[0], 1.0, "µs") < 1.0
-    assert measured("images in wind of 1 m/s: gains", "moving walls", at_1[1], 1e-5, "of the gain") < 1e-5
+    measured("images in wind of 1 m/s: delays", "moving walls", 1e6 * at_1[0], 1.0, "µs")
+    measured("images in wind of 1 m/s: gains", "moving walls", at_1[1], 1e-5, "of the gain")
     shift = abs(paths.table([0.4]).delay - clsim.find_paths(scene(None), 4).table([0.4]).delay)
     assert shift.min() > 8.0 * at_1[0]  # what the wind does is much more than what is wrong with it
 

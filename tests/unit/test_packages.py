@@ -34,14 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("sofar", "sofa", ["rir", "scene.toml", "-o", "out.sofa"]),
     ],
 )
-def test_commands_say_what_installs_it(
-    folder: Path,
-    package: str,
-    extra: str,
-    arguments: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_commands_say_what_installs_it(folder, package, extra, arguments, monkeypatch, capsys) -> None:
     """One line, exit status 2, and nothing is written."""
     monkeypatch.chdir(folder)
     monkeypatch.setitem(sys.modules, package, None)

@@ -2,7 +2,7 @@
 
 import io
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -204,13 +204,7 @@ def test_pages_and_sound_in_notebooks(recording: clsim.Recording) -> None:
         ("IPython", "notebook", lambda r: r.paths.show()),
     ],
 )
-def test_missing_packages_are_answered_by_what_installs_them(
-    recording: clsim.Recording,
-    package: str,
-    extra: str,
-    use: Callable[[clsim.Recording], object],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_missing_packages_are_answered_by_what_installs_them(recording, package, extra, use, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(clsim.InputError, match=rf"needs {package}: pip install 'clsim\[{extra}\]'$"):
         use(recording)

@@ -57,9 +57,8 @@ def test_a_device_that_is_wrong_is_told(monkeypatch: pytest.MonkeyPatch, capsys:
     assert "report the line above" in told
 
 
-def test_an_unknown_device_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["devices", "--test", "no such thing"]) == 2
-    assert "part of the name of one of" in capsys.readouterr().err
+def test_an_unknown_device_is_refused(error_of) -> None:
+    assert "part of the name of one of" in error_of("devices", "--test", "no such thing")
 
 
 RATE = 192e3
@@ -81,7 +80,7 @@ def heard(signal: clsim.Signal, **options: object) -> clsim.Recording:
     return clsim.render(paths_of(signal), RATE, **options)
 
 
-def test_what_is_warmed_up_is_there_when_it_is_needed(device: None, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_warmed_up_is_there_when_it_is_needed(device, capsys, error_of) -> None:
     assert main(["warm-up"]) == 0
     name = re.escape(find_device(None)[0].name)
     assert re.fullmatch(rf"\d+ programs are ready on {name}, in \d+\.\d s\n", capsys.readouterr().out)
@@ -89,8 +88,7 @@ def test_what_is_warmed_up_is_there_when_it_is_needed(device: None, capsys: pyte
     heard(clsim.Signal.tone(40e3, 0.1, RATE, fade=0.01))  # another room, other paths, another speed
     of_nodes = kernel_source("tracks")  # which knows how many functions of frequency there are
     assert {key for key in built() - before if key[0] != of_nodes} == set()
-    assert main(["warm-up", "--device", "no such device"]) == 2
-    assert "part of the name of one of" in capsys.readouterr().err
+    assert "part of the name of one of" in error_of("warm-up", "--device", "no such device")
 
 
 CHIRP = clsim.Signal.chirp(30e3, 50e3, 0.002, RATE, window="tukey")
@@ -124,9 +122,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize("stream", [Terminal, io.StringIO])
-def test_building_is_told_once_and_on_a_terminal_only(
-    device: None, monkeypatch: pytest.MonkeyPatch, stream: type
-) -> None:
+def test_building_is_told_once_and_on_a_terminal_only(device, monkeypatch, stream: type) -> None:
     compiler, shown = compiler_of(find_device(None)[1]), stream()
     monkeypatch.setattr(sys, "stderr", shown)
     monkeypatch.setattr("clsim.workflow.console._MOMENT", 0.0)
@@ -152,16 +148,13 @@ def execute(options):
 """
 
 
-def test_a_command_is_one_file_and_its_line_in_the_list(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-) -> None:
+def test_a_command_is_one_file_and_its_line_in_the_list(tmp_path, monkeypatch, capsys, error_of) -> None:
     (tmp_path / "toy.py").write_text(TOY, "utf-8")
     monkeypatch.setattr(clsim.commands, "__path__", [*clsim.commands.__path__, str(tmp_path)])
     monkeypatch.setitem(cli.COMMANDS, "toy", "double a number")
     assert cli.main(["toy", "--number", "21"]) == 0
     assert capsys.readouterr().out == "42\n"
-    assert cli.main(["toy", "--number", "x"]) == 2
-    assert capsys.readouterr().err == "clsim: error: --number: invalid int value: 'x'\n"
+    assert error_of("toy", "--number", "x") == "--number: invalid int value: 'x'"
     for arguments, texts in (
         (["--help"], ["toy", "double a number"]),
         (["toy", "-h"], ["Double a number.", "what is"]),
@@ -201,9 +194,8 @@ def test_commands_are_those_that_are_listed() -> None:
     ],
     ids=str,
 )
-def test_what_is_misspelt_is_asked_for(arguments: list[str], told: str, capsys) -> None:
-    assert cli.main(arguments) == 2
-    assert capsys.readouterr().err == f"clsim: error: {told}\n"
+def test_what_is_misspelt_is_asked_for(arguments: list[str], told: str, error_of) -> None:
+    assert error_of(*arguments) == told
 
 
 @pytest.mark.parametrize("arguments", [["--help"], [], ["nothing"]], ids=str)

@@ -40,14 +40,13 @@ engine = "reference"
 """
 
 
-def test_a_new_scene_can_be_rendered_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_new_scene_can_be_rendered_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str], error_of) -> None:
     assert main(["new", str(tmp_path / "scene.toml")]) == 0
     file = clsim.load_scene(tmp_path / "scene.toml")
     assert len(clsim.find_paths(file.scene, **file.paths)) == 63
     assert "# A scene of clsim." in (tmp_path / "scene.toml").read_text("utf-8")
     capsys.readouterr()
-    assert main(["new", str(tmp_path / "scene.toml")]) == 2
-    assert "must not exist yet" in capsys.readouterr().err
+    assert "must not exist yet" in error_of("new", tmp_path / "scene.toml")
     assert main(["new", str(tmp_path / "scene.toml"), "--force"]) == 0
 
 
@@ -135,11 +134,9 @@ def test_of_several_sources_it_is_told_whose_pulses_are_scored(tmp_path: Path, c
         assert capsys.readouterr().out.splitlines()[0] == f"pulses of '{told}', one of 2 sources (--source)"
 
 
-def test_what_cannot_be_scored_is_a_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["score", str(run), "--source", "x"]) == 2
-    assert "--source: must be one of \"robot\", but is 'x'" in capsys.readouterr().err
-    assert main(["score", str(run), "--max-range", "-1"]) == 2
-    assert "--max-range: must be above 0" in capsys.readouterr().err
+def test_what_cannot_be_scored_is_a_line(run: Path, tmp_path, capsys, error_of) -> None:
+    assert "--source: must be one of \"robot\", but is 'x'" in error_of("score", run, "--source", "x")
+    assert "--max-range: must be above 0" in error_of("score", run, "--max-range", "-1")
     assert main(["-v", "score", str(tmp_path)]) == 2
     told = capsys.readouterr().err
     assert "Traceback" in told

@@ -110,16 +110,9 @@ def test_a_room_whose_values_are_known(tmp_path: Path, capsys: pytest.CaptureFix
         (["ptb-studio", "--seeds", "-1"], "--seeds: must be"), (["none.toml"], "none.toml: cannot be read"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_validated(
-    arguments: list[str],
-    problem: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_cannot_be_validated(arguments: list[str], problem: str, tmp_path, error_of, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["validate", *arguments]) == 2
-    assert problem in capsys.readouterr().err
+    assert problem in error_of("validate", *arguments)
     assert not list(tmp_path.iterdir())
 
 

@@ -147,9 +147,7 @@ def stamp(header: Any) -> int:
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
 
-def test_sound_is_whole_and_stamped_to_the_nanosecond(
-    recording: clsim.Recording, messages: dict[str, list[Any]]
-) -> None:
+def test_sound_is_whole_and_stamped_to_the_nanosecond(recording: clsim.Recording, messages: dict[str, list[Any]]):
     for row, name in zip(recording.samples, ("a_b", "c"), strict=True):
         pieces = messages[f"/{name}/audio"]
         samples = np.concatenate([np.frombuffer(bytes(content.audio.data), "<f4") for _, content in pieces])
@@ -183,9 +181,7 @@ def test_poses_and_ranges_are_the_ground_truth(recording: clsim.Recording, messa
         np.testing.assert_array_equal([turn.x, turn.y, turn.z, turn.w], turned)
 
 
-def test_what_cannot_be_written_is_refused(
-    recording: clsim.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_written_is_refused(recording: clsim.Recording, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "mcap_ros2", None)
     with pytest.raises(clsim.InputError, match=r"an MCAP file needs .*mcap_ros2: pip install 'clsim\[ros\]'"):
         clsim.write_mcap(recording, tmp_path / "x.mcap")

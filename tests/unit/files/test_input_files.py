@@ -113,9 +113,7 @@ TAGS = {"none": (b"", b""), "of both kinds": (b"ID3\x04\0\0\0\0\x01\x02" + bytes
 @pytest.mark.parametrize(("channels", "rate", "mode"), few([
     (1, 44100, "CONSTANT"), (2, 44100, "CONSTANT"), (1, 24000, "VARIABLE"), (2, 8000, "CONSTANT"), (2, 48000, "VARIABLE")
 ], kept=(0, 2)))  # fmt: skip
-def test_a_cut_mp3_is_refused_to_the_byte(
-    channels: int, rate: int, mode: str, tags: str, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_cut_mp3_is_refused_to_the_byte(channels: int, rate: int, mode: str, tags: str, tmp_path, rng) -> None:
     """Cuts are seen in a tag of the title, in the last frame, and between frames; a tag that was cut costs no sound."""
     path, sound = tmp_path / "sound.mp3", mp3(tmp_path, rng, channels, rate, mode)
     before, behind = TAGS[tags]
@@ -129,9 +127,7 @@ def test_a_cut_mp3_is_refused_to_the_byte(
         assert clsim.Signal.from_wav(path, truncated=True).count
 
 
-def test_an_mp3_without_a_length_is_refused_within_a_frame_and_warned_of_else(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_an_mp3_without_a_length_is_refused_within_a_frame_and_warned_of_else(tmp_path, rng) -> None:
     """Frames of 417 or 418 bytes: 144 * 128000 / 44100, and a byte of padding in some."""
     path, sound = tmp_path / "sound.mp3", mp3(tmp_path, rng, 1, 44100)
     frames = sound[sound.index(b"\xff\xfb", 4) :]  # without the first one, which has the header
@@ -154,9 +150,7 @@ def test_an_mp3_without_a_length_is_refused_within_a_frame_and_warned_of_else(
 
 
 @pytest.mark.parametrize("form", ["VOC", "NIST", "PAF", "IRCAM", "AVR"])
-def test_formats_that_do_not_tell_their_length_are_warned_of(
-    form: str, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_formats_that_do_not_tell_their_length_are_warned_of(form: str, tmp_path, rng) -> None:
     path = tmp_path / "sound"
     soundfile.write(path, rng.uniform(-0.5, 0.5, 1000), 8000, format=form, subtype="PCM_16")
     with pytest.warns(clsim.ClsimWarning, match=r"sound does not state its length \("):
@@ -170,9 +164,7 @@ def test_formats_that_do_not_tell_their_length_are_warned_of(
         ("OGG", "VORBIS", (1, 2, 300)), ("WAV", "PCM_16", (1,)), ("AIFF", "PCM_16", (1,)), ("FLAC", "PCM_16", (1,)),
     ],
 )  # fmt: skip
-def test_a_cut_of_a_byte_is_one(
-    form: str, subtype: str, cuts: tuple[int, ...], tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_cut_of_a_byte_is_one(form: str, subtype: str, cuts: tuple[int, ...], tmp_path, rng) -> None:
     """Some bytes of the last sample or of the last page are missing; a missing byte of padding is no cut."""
     path = tmp_path / "sound"
     soundfile.write(path, rng.uniform(-0.5, 0.5, COUNT), RATE, format=form, subtype=subtype)
@@ -211,9 +203,7 @@ def test_named_pipes_and_devices_are_no_files(name: str, tmp_path: Path) -> None
         READERS[name](tmp_path / name)
 
 
-def test_what_is_no_file_is_named_without_the_package_that_would_read_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_file_is_named_without_the_package_that_would_read_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "netCDF4", None)
     with pytest.raises(InputError, match="No such file"):
         READERS["beam.sofa"](tmp_path / "beam.sofa")

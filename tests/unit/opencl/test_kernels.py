@@ -325,9 +325,7 @@ def test_a_text_is_built_once_for_all_threads_and_constants_are_checked(device: 
         compiler.kernel("emit", {"LANES": 8})
 
 
-def test_the_short_header_declares_what_kernels_of_edges_call(
-    device: None, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_short_header_declares_what_kernels_of_edges_call(device, caplog, monkeypatch) -> None:
     """Four nodes of an edge's path are solved in a vector; a function that lacks a declaration costs a second build."""
 
     monkeypatch.setattr(launch, "_compilers", {})

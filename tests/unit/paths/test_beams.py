@@ -77,9 +77,7 @@ def test_no_ray_leaves_its_beam(centre, radius: float, offset, through, beyond: 
 @given(
     st.integers(3, 8), st.integers(0, 2**32 - 1), st.floats(0.0, 2.0), st.floats(-1.0, 3.0), st.floats(0.0, 20.0),
 )  # fmt: skip
-def test_no_ray_leaves_the_beam_of_any_aperture(
-    sides: int, seed: int, radius: float, before: float, beyond: float
-) -> None:
+def test_no_ray_leaves_the_beam_of_any_aperture(sides: int, seed: int, radius: float, before: float, beyond: float):
     # A convex aperture anywhere, of any shape and corners that repeat, and a ball before, across or behind its plane.
     rng = np.random.default_rng(seed)
     frame, _ = np.linalg.qr(rng.normal(size=(3, 3)))

@@ -89,9 +89,7 @@ def test_launches_are_short_by_estimate() -> None:
 @pytest.mark.parametrize(
     ("clock_hz", "least"), [(3e6, {"branches": 2, "render": 4}), (1.5e8, {"branches": 1, "render": 3})]
 )
-def test_no_launch_is_longer_than_its_estimate(
-    device: None, described: Callable, monkeypatch: pytest.MonkeyPatch, clock_hz: float, least: dict[str, int]
-) -> None:
+def test_no_launch_is_longer_than_its_estimate(device, described, monkeypatch, clock_hz, least) -> None:
     """Launches of a whole rendering: operations by their own arguments, against those of 0.2 s, but for one segment."""
     made = plan(order=3, duration=0.4)
     described(kind="GPU", compute_units=1, clock_hz=clock_hz)
@@ -122,9 +120,7 @@ def test_no_launch_is_longer_than_its_estimate(
         assert sum(name == program for name, *_ in launches) >= count
 
 
-def test_paths_are_parted_where_one_launch_of_all_is_too_long(
-    device: None, described: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_paths_are_parted_where_one_launch_of_all_is_too_long(device, described: Callable, monkeypatch) -> None:
     made = plan(duration=0.1, order=5)
     whole = OpenclEngine(made, CPU_LAYOUT).render(0, made.samples)
     described(kind="GPU", compute_units=1, clock_hz=1e6)

@@ -78,9 +78,7 @@ def little_memory(most: float) -> Iterator[None]:
         tracemalloc.stop()
 
 
-def test_check_of_a_fixed_scene_of_days(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_of_a_fixed_scene_of_days(tmp_path, monkeypatch, capsys) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
     with few_looks(monkeypatch), little_memory(40e6):
         assert main(["check", str(tmp_path / "scene.toml")]) == 0
@@ -105,9 +103,7 @@ STILL = clsim.Trajectory.fixed((4.0, 3.0, 1.5))
     ],
     ids=["tone", "pulses", "start", "rest", "line", "two points", "legs", "spline", "circle"],
 )
-def test_days_take_little_time_and_memory(
-    trajectory: clsim.Trajectory, signal: clsim.Signal, start: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_days_take_little_time_and_memory(trajectory, signal, start, monkeypatch) -> None:
     with few_looks(monkeypatch), little_memory(15e6):
         for room in (ROOM, MESH):
             scene = scene_of(trajectory, signal, start, room=room)

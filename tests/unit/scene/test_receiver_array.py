@@ -199,9 +199,7 @@ def test_arrays_of_nothing_are_refused(name: str, positions, message: str) -> No
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("device")
-def test_a_run_tells_the_truth_about_all_and_draws_some(
-    scene: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_tells_the_truth_about_all_and_draws_some(scene: Path, tmp_path, capsys, monkeypatch) -> None:
     assert pipeline.MOST_DRAWN == 16
     for module in (pipeline, pictures):
         monkeypatch.setattr(module, "MOST_DRAWN", 2)  # each takes half a second

@@ -195,13 +195,9 @@ def test_pictures_are_drawn(folder: Path, monkeypatch: pytest.MonkeyPatch, capsy
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_errors_are_one_line_and_status_2(folder, monkeypatch, capsys, arguments: list[str], message: str) -> None:
+def test_errors_are_one_line_and_status_2(folder, monkeypatch, error_of, arguments: list[str], message: str) -> None:
     monkeypatch.chdir(folder)
     Path("scene.toml").write_text(SCENE % '{ kind = "table", path = "beam.csv", rear = "hold" }')
     output = [] if "-o" in arguments else ["-o", "picture.png"]
-    assert main(["plot", *arguments, *output]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("clsim: error: ")
-    assert error.count("\n") == 1
-    assert message in error
+    assert message in error_of("plot", *arguments, *output)
     assert not Path("picture.png").exists()
