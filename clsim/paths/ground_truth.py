@@ -13,6 +13,7 @@ from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr, te
 from clsim.errors import InputError, check_packages
 from clsim.numerics.quaternions import rotate
 from clsim.paths.arrivals import Kinematics, slices_of
+from clsim.paths.chain import check_support
 from clsim.paths.family import PairPaths
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import Mirrors
@@ -21,7 +22,6 @@ from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import categories, labelled_dataset, labelled_frame
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.scatterers import direct_legs
-from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.paths.visibility.obstacles import Legs, Obstacles
 from clsim.scene.scatterer import PointShape, Scatterer

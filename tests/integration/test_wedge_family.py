@@ -103,7 +103,7 @@ def test_delays_are_those_of_the_shortest_way(paths: PathSet) -> None:
 
 def test_tables_pictures_and_files_know_it(paths: PathSet, tmp_path: Path) -> None:
     from clsim.output.result_files import read_table, write_table
-    from clsim.paths.view import view_scene, viewed
+    from clsim.paths.path_table import view_scene, viewed
 
     table = paths.table(np.array([0.2, 0.3]))
     assert table.name_objects(15) == "ridge"

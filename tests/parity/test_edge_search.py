@@ -15,11 +15,10 @@ from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_gaps import gap_candidates
 from clsim.paths.search.edges import EdgeReach, edge_pairs, edges_and_ends
 from clsim.paths.search.mesh import sides_of_air
-from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import EdgeCandidates
-from clsim.paths.visibility.intervals import Intervals, VisibilityQuery
+from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, trajectory_tables
 
 pytestmark = pytest.mark.usefixtures("device")
 STEP = 1.0 / 12e3

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import ByRow, Floats, firsts
-from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.visibility.intervals import BoundingSpheres
 from clsim.paths.visibility.occlusion import (
     BEHIND,
     Beams,

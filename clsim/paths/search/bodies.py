@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
-from clsim.paths.chain import Chain
+from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
@@ -22,9 +22,7 @@ from clsim.paths.options import PathOptions
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
-from clsim.paths.support import check_support
-from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
-from clsim.paths.visibility.intervals import VisibilityQuery
+from clsim.paths.visibility.intervals import PERTURBATIONS, BoundingSpheres, VisibilityQuery
 from clsim.paths.visibility.mirrors import MirrorEvaluation, PastBodies
 from clsim.paths.visibility.obstacles import Obstacles
 from clsim.paths.visibility.occlusion import air_sides

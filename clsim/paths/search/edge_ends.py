@@ -24,13 +24,13 @@ from clsim.paths.search.edge_chains import end_chain, with_swaps
 from clsim.paths.search.edge_gaps import apart, between_edges
 from clsim.paths.search.edges import Reached, Sides, in_planes, rows_of
 from clsim.paths.search.gap_parts import PARTS, in_air, legs_open
-from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
 from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS, at_meeting, end_numbers
 from clsim.paths.vertices.gap_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import end_levels, off_edges
 from clsim.paths.visibility.edge_gaps import seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidates, imaged
+from clsim.paths.visibility.intervals import PERTURBATIONS, with_points
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene

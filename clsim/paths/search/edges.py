@@ -12,20 +12,19 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import TERMS, adjacent_reflections
 from clsim.arrays import Floats, as_count
 from clsim.errors import InputError
-from clsim.paths.chain import Chain
+from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import DIFFRACTION, PathFamily
 from clsim.paths.options import PathOptions
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, gap_chain, with_swaps
 from clsim.paths.search.edge_gaps import gap_candidates
 from clsim.paths.search.mesh import BEAM_LIMIT, LARGEST_MESH_ORDER, float64_device, sides_of_air, visibility_query
-from clsim.paths.support import check_support
-from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.vertices.edge_end import ends_of
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch, find_pieces
 from clsim.paths.visibility.edges import ENDS_BESIDE, EdgeCandidates
+from clsim.paths.visibility.intervals import BoundingSpheres
 from clsim.paths.visibility.occlusion import Ears
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls

@@ -26,8 +26,7 @@ from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex, Triple
 from clsim.paths.vertices.edge_events import EdgeEvents
-from clsim.paths.vertices.edge_field import face_factor
-from clsim.paths.vertices.edge_lengths import EdgeView, RolledOut
+from clsim.paths.vertices.edge_field import EdgeView, RolledOut, face_factor
 from clsim.paths.vertices.edge_pair_events import EdgePairEvents, EdgePairs, EdgePairSolver
 from clsim.scene.scene import Scene
 

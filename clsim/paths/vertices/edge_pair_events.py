@@ -18,7 +18,7 @@ from clsim.arrays import Floats
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import EdgePoint, dot
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver, Triple
-from clsim.paths.vertices.edge_lengths import RolledOut
+from clsim.paths.vertices.edge_field import RolledOut
 
 _NEAR = 0.05  # of ends' distances from edges, and of both places': steps that are shorter are left to Newton's method
 
