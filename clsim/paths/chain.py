@@ -22,6 +22,7 @@ from clsim.paths.response import SceneResponse
 from clsim.scene.air import Air
 from clsim.scene.scene import Scene
 
+_ROUNDS = 4  # of finding the time of emission
 DEVICE, HOST, REFUSED = "device", "host", "refused"
 MEDIA = ("still air", "wind", "air by height", "fluctuating air")
 # Methods of rendering, and the media in which they take pairs whose paths change with both ends alone.
@@ -285,6 +286,15 @@ class Chain(PathFamily):
     def lengths(self, rows: Rows, source: Floats, receiver: Floats) -> Floats:
         """Return lengths (P,) between endpoints at places (P, 3), m, by bodies and scatterers as they are at 0 s."""
         return self.links(rows).lengths(source, receiver, 0.0)
+
+    def delays(self, rows: Rows, times: Floats) -> Floats:
+        """Return the delays (n,) of rows at times (n,), s, as near as tells whether two are the same."""
+        scene, source, delay = self.scene, self.source[rows], np.zeros(len(times))
+        receiver = ends_at(scene.receivers, self.receiver[rows], times)
+        for _ in range(_ROUNDS):
+            sent = ends_at(scene.sources, source, times - delay)
+            delay = self.lengths(rows, sent, receiver) / scene.air.speed_of_sound
+        return delay
 
     @cached_property
     def speeds(self) -> Floats:

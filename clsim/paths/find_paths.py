@@ -24,11 +24,12 @@ from clsim.paths.search.body_edge_ends import moving_end_paths
 from clsim.paths.search.body_edge_gaps import moving_gap_paths
 from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths
 from clsim.paths.search.body_edges import moving_edge_paths
-from clsim.paths.search.corner_events import at_one_time
 from clsim.paths.search.edge_ends import end_edge_paths
+from clsim.paths.search.edge_gaps import gap_edge_paths
 from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
-from clsim.paths.search.edges import double_edge_paths, edge_paths, gap_edge_paths
+from clsim.paths.search.edges import EdgePaths
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
+from clsim.paths.search.same_events import at_one_time
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.vertices.scatterer_pair import scatterer_pair_paths
 from clsim.paths.without_edges import warn_without_edges, warn_without_shadows
@@ -77,9 +78,10 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     steps = len(finders) + edges
     parts = _parts(options, steps + (steps + 1 if scene.bodies else 0))
     found = tuple(find(scene, next(parts)) for find in finders.values())
-    for kind in OVER_EDGES[:edges]:
-        found = (*found, kind(scene, next(parts), found))
     if edges:
+        of_room = EdgePaths(scene, options)
+        for over_edges in OVER_EDGES[:edges]:
+            found = (*found, over_edges(of_room, found, next(parts).notify))
         found = at_one_time(scene, found, resolution_of(scene, options.resolution))
     if scene.bodies:
         bodies = BodySearch(scene, options)
@@ -105,7 +107,7 @@ def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
     for side in sides(scene, scene.bodies):
         walls: Any = _specular_paths(side, given)
         cut_off |= bool(np.any(np.isfinite(walls.start) | np.isfinite(walls.end)))
-        edges: Any = edge_paths(side, given, (walls,)) if search.edge_scattering else None
+        edges: Any = EdgePaths(side, given).over_one((walls,)) if search.edge_scattering else None
         if scene.bodies:
             bodies = BodySearch(side, given)
             walls = bodies.unhidden(walls)
@@ -232,7 +234,7 @@ def _walls(grid: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
 
 
 _KINDS = 0, 1, 4  # of paths over edges, by `diffraction`
-OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths, end_edge_paths
+OVER_EDGES = EdgePaths.over_one, EdgePaths.over_pairs, gap_edge_paths, end_edge_paths
 OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths, moving_end_paths
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet

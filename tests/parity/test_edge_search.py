@@ -107,11 +107,9 @@ def search(name: str, on_device: bool = False) -> EdgeSearch:
 
 
 def candidates(name: str) -> list[EdgeCandidates]:
-    finder, ends = search(name), trajectory_tables(*CASES[name])
-    reached = EdgeReach(finder, ORDER)
-    sent, heard = reached(ends.sphere(0, -0.1)), [reached(ends.sphere(1 + r)) for r in range(len(CASES[name][1]))]
+    reach = EdgeReach(search(name), ORDER, 0.1)
     kinds = (gap_candidates,) if name == BOARDS else (edges_and_ends, edge_pairs, gap_candidates)
-    return [c for kind in kinds for _, c in kind(finder, (sent, heard), reached, ORDER, 0.1)]
+    return [c for kind in kinds for _, c in kind(reach)]
 
 
 @pytest.fixture(scope="module")

@@ -21,10 +21,11 @@ from clsim.paths.legs.mirrors import ROOM, EdgeLines
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.beam_tree import BeamTree
 from clsim.paths.search.bodies import BodySearch, PairQuery
-from clsim.paths.search.edge_chains import SAME_DELAY, joined_over_ends
 from clsim.paths.search.mesh import BEAM_LIMIT
+from clsim.paths.search.same_events import SAME_DELAY
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
+from clsim.paths.visibility.edge_intervals import joined_over_ends
 from clsim.paths.visibility.intervals import BoundingSpheres
 from clsim.paths.visibility.subdivision import ROUNDS, coded
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from itertools import pairwise
 
@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
 from clsim.arrays import Floats
+from clsim.paths.chain import Chain
+from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides
 from clsim.paths.search.gap_parts import PARTS, Fans, Gaps, fans_of_ends, open_gaps, unhidden
-from clsim.paths.vertices.gap_pair import ACROSS_AIR
+from clsim.paths.search.mesh import Progress
+from clsim.paths.vertices.gap_pair import ACROSS_AIR, GapPairVertex
 from clsim.paths.visibility.clearance import segments_apart
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import EdgeCandidates
 
 Ints = NDArray[np.int64]
-Sides = list[list[NDArray[np.int32]]]
-Reached = Callable[[tuple[Floats, float]], Sides]
 
 _NEAR = 1e-7  # of the room's size, up to which edges meet
 _CELL = 0.03  # of the room's size, by which both ends move in a cell of time
@@ -29,23 +30,19 @@ _MOST_FANS = 200_000  # of an end, in all cells
 _BATCH = 20_000  # candidates searched at a time
 
 
-def gap_candidates(
-    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
-) -> Iterator[tuple[float, EdgeCandidates]]:
-    """Yield candidates over two edges with air between, and the share of the work so far.
+def gap_edge_paths(search: EdgePaths, others: Others, progress: Progress | None = None) -> Chain:
+    """Find every path over two edges with air between, with up to `max_order` reflections before, between and after."""
+    rows = search.rows(gap_candidates, others, progress, fewest=2)
+    return search.chain(rows, GapPairVertex(**search.gap_columns(rows)))
 
-    sides: sequences of walls to each edge from the source and from each receiver, see `edges._sequences`.
 
-    reached: the same from a ball.
-
-    longest: time that sound takes at most, s.
-    """
+def gap_candidates(reach: EdgeReach) -> Requested:
+    """Yield candidates over two edges with air between, and the share of the work so far."""
+    finder, order = reach.finder, reach.order
     edges, pairs = finder.edges, apart(finder)
     if not len(pairs):
         return
-    balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
-    from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)]
-    match = _Match(finder, sides, longest)
+    from_edge, match = reach.from_edges(pairs), _Match(reach)
     fewest = adjacent_reflections(edges.n).min(axis=1)
     numbers = [(b, n, m) for b in range(order + 1) for n in range(order + 1 - b) for m in range(order + 1 - b - n)]
     for done, (b, n, m) in enumerate(numbers):
@@ -83,20 +80,17 @@ def between_edges(pairs: Ints, from_edge: list[Sides], count: int) -> tuple[Ints
 
 
 class _Match:
-    """Ways of ends to edges in cells of time, and when they meet ways between edges.
+    """Ways of ends to edges in cells of time, and when they meet ways between edges."""
 
-    longest: time that sound takes at most, s.
-    """
-
-    def __init__(self, finder: EdgeSearch, sides: tuple[Sides, list[Sides]], longest: float) -> None:
-        query, tables = finder.query, finder.query.trajectory_tables
-        self._finder, self._sides = finder, [sides[0], *sides[1]]
+    def __init__(self, reach: EdgeReach) -> None:
+        query, tables = reach.finder.query, reach.finder.query.trajectory_tables
+        self._finder, self._sides = reach.finder, [reach.from_source, *reach.to_receivers]
         last = float(query.last.max(initial=0.0))
         travel = last * (tables.scales[0, 2] + tables.scales[1:, 2].max(initial=0.0))
         sequences = max(sum(len(s) for of_edge in side for s in of_edge) for side in self._sides)
         most = min(_MOST_CELLS, max(1, _MOST_FANS // max(sequences, 1)))
         self._cuts = np.linspace(0.0, last, int(np.clip(math.ceil(travel / (_CELL * query.walls.size)), 1, most)) + 1)
-        self._balls = [self._balls_of(row, longest if row == 0 else 0.0) for row in range(len(self._sides))]
+        self._balls = [self._balls_of(row, reach.longest if row == 0 else 0.0) for row in range(len(self._sides))]
         self._every = cache(self._fans)
         self._open = cache(self._unhidden)
 
