@@ -85,8 +85,8 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
         found = at_one_time(scene, found, resolution_of(scene, options.resolution))
     if scene.bodies:
         bodies = BodySearch(scene, options)
-        by_bodies = bodies.paths(next(parts).notify)
-        found = (*(bodies.unhidden(family, next(parts).notify) for family in found), by_bodies)
+        found = tuple(bodies.unhidden(family, next(parts).notify) for family in found)
+        found = (*found, bodies.paths(next(parts).notify))
         for of_bodies in OVER_BODIES[:edges]:
             found = (*found, of_bodies(bodies, found))
     if scene.scatterers:

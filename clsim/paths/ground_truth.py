@@ -421,11 +421,9 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     check_support("moving", scene.air)
     shape = len(scene.bodies), len(scene.sources), len(scene.receivers), len(times)
     delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
-    visible, obstacles, direct = (
-        np.zeros(shape, dtype=bool),
-        Obstacles(Mirrors.of(scene), scene.room.as_mesh().walls, scene.room.is_convex),
-        np.empty((1, 0), dtype=np.int64),
-    )
+    walls = (*(body.mesh.walls for body in scene.bodies), scene.room.as_mesh().walls)
+    obstacles = Obstacles(Mirrors.of(scene), walls, scene.room.is_convex)
+    visible, direct = np.zeros(shape, dtype=bool), np.empty((1, 0), dtype=np.int64)
     for which, body in enumerate(scene.bodies):
         thing = Scatterer(body.name, _Surface(1.0, body.mesh.vertices[body.mesh.triangles]), body.trajectory)
         for source, receiver in np.ndindex(shape[1:3]):

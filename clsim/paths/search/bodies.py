@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -22,7 +22,7 @@ from clsim.paths.options import PathOptions
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
-from clsim.paths.visibility.intervals import PERTURBATIONS, BoundingSpheres, VisibilityQuery
+from clsim.paths.visibility.intervals import PERTURBATIONS, BoundingSpheres
 from clsim.paths.visibility.mirrors import MirrorEvaluation, PastBodies
 from clsim.paths.visibility.obstacles import Obstacles
 from clsim.paths.visibility.occlusion import air_sides
@@ -94,7 +94,6 @@ class BodySearch:
         check_support("moving", scene.air)
         self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)
         self.room = scene.room.as_mesh()
-        self.obstacles = Obstacles(Mirrors.of(scene), self.room.walls, scene.room.is_convex)
         fastest = max(body.peak_speed for body in scene.bodies)
         most = _FASTEST * scene.air.slowest
         if 2.0 * fastest * self.order > most:
@@ -104,12 +103,19 @@ class BodySearch:
                 f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
             )
         self._known: BodyRates | None = None
+        self.pair = cache(self._pair)
         self.posed = lru_cache(maxsize=1)(self._posed)  # edges are reached from both ends in one pose
         self.queries = [
             visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
         ]
 
-    def pair(self, source: int, receiver: int) -> PairQuery:
+    @cached_property
+    def obstacles(self) -> Obstacles:
+        """What reflects and hides in the scene."""
+        walls = (*(body.mesh.walls for body in self.scene.bodies), self.room.walls)
+        return Obstacles(Mirrors.of(self.scene), walls, self.scene.room.is_convex)
+
+    def _pair(self, source: int, receiver: int) -> PairQuery:
         """Candidates between two endpoints."""
         scene, (query, longest) = self.scene, self.queries[source]
         ends: tuple[Source, Receiver] = (scene.sources[source], scene.receivers[receiver])
@@ -164,9 +170,8 @@ class BodySearch:
         found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]] = []
         count, sources = 0, len(self.scene.sources)
         for source in range(sources):
-            pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
             part = partial(report, progress, source / sources, (source + 1) / sources)
-            for receiver, there in enumerate(self._with_intervals(source, pairs, part)):
+            for receiver, there in enumerate(self._with_intervals(source, part)):
                 found.append((*there, (source, receiver)))
                 count += len(there[0])
             if count > self.search.path_limit:
@@ -175,12 +180,11 @@ class BodySearch:
                 )
         return self._family(found)
 
-    def _with_intervals(
-        self, source: int, pairs: list[PairQuery], progress: Progress
-    ) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
+    def _with_intervals(self, source: int, progress: Progress) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
         """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""
+        pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
         evaluate_at = self.mirror_evaluation(pairs)
-        found, runs, first = self._sequences(source, pairs), [], 0
+        found, runs, first = self._sequences(source, max(pair.last for pair in pairs)), [], 0
         for pair, (sequence, cell, bounds) in zip(pairs, found, strict=True):
             which, begin, end = _runs(sequence, cell, np.minimum(bounds, pair.last))
             runs.append((first + which, begin, end))
@@ -208,15 +212,11 @@ class BodySearch:
         source, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
         return partial(MirrorEvaluation, self.obstacles, source, ears, medium, rates, step=self.search.body_step)
 
-    def _sequences(
-        self, source: int, pairs: list[PairQuery]
-    ) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
+    def _sequences(self, source: int, last: float) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
         """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
-        query, longest = self.queries[source]
-        last = max(pair.times[-1] for pair in pairs)
-        rows = self.cells(last, lambda span: self._cell(query, longest, span))
+        rows = self.cells(last, partial(self._cell, source))
         cells, found = np.array([0.0, *(end for (_, end), _ in rows)]), []
-        for receiver in range(len(pairs)):
+        for receiver in range(len(self.scene.receivers)):
             mine = [sequence[receivers == receiver] for _, (sequence, receivers) in rows]
             number = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
             found.append((np.concatenate(mine), number, cells))
@@ -253,9 +253,7 @@ class BodySearch:
         waiting = list(np.minimum(even_lengths(np.minimum(speed, _POSES / _SHORTEST), _RATE, _POSES), last))
         return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
 
-    def _cell(
-        self, query: VisibilityQuery, longest: float, span: tuple[float, float]
-    ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def _cell(self, source: int, span: Span) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return sequences (n, order) that hold a body, and the receiver of each, about one pose of the bodies.
 
         Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, reflections at
@@ -266,7 +264,8 @@ class BodySearch:
         sequence is lost by a ball that is as much larger, but where the leg between two mirrors is shorter than those
         are displaced. What bodies hide in the pose they may not hide: nothing is taken to be hidden.
         """
-        ends, (begin, end) = query.trajectory_tables, span
+        (query, longest), (begin, end) = self.queries[source], span
+        ends = query.trajectory_tables
         middle = 0.5 * (begin - longest + end)
         slack = 2.0 * self.order * self.moved(middle, np.linspace(begin - longest, end, 9))
         walls = self.posed(middle)

@@ -52,7 +52,7 @@ class _EndFinder(GapFinder):
     def __init__(self, search: BodySearch) -> None:
         super().__init__(search)
         self._direct = search.search.direct is not False
-        self._wave, self._pair, self._query = lowest_wave(search.scene), cache(search.pair), cache(self._find_query)
+        self._wave, self._pair, self._query = lowest_wave(search.scene), search.pair, cache(self._find_query)
         self._over_faces = list(self._find_over_faces())
 
     def _find_query(self, source: int) -> VisibilityQuery:
