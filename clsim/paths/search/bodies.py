@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
 from itertools import pairwise
@@ -132,6 +132,10 @@ class BodySearch:
         rates = self._rates(longest, last).of_ends(motions[0], motions[1:])
         return PairQuery(lifted, medium, rates, times, query.resolution)
 
+    def _pairs(self, source: int) -> list[PairQuery]:
+        """Candidates between a source and each receiver."""
+        return [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
+
     def _rates(self, longest: float, last: float) -> BodyRates:
         """Largest speeds of bodies from before the first emission until a last time, s."""
         if self._known is None or longest > -self._known.first or last > self._known.last:
@@ -182,8 +186,8 @@ class BodySearch:
 
     def _with_intervals(self, source: int, progress: Progress) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
         """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""
-        pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
-        evaluate_at = self.mirror_evaluation(pairs)
+        pairs = self._pairs(source)
+        evaluate_at = self.mirror_evaluation(source)
         found, runs, first = self._sequences(source, max(pair.last for pair in pairs)), [], 0
         for pair, (sequence, cell, bounds) in zip(pairs, found, strict=True):
             which, begin, end = _runs(sequence, cell, np.minimum(bounds, pair.last))
@@ -200,17 +204,16 @@ class BodySearch:
             mine = np.flatnonzero(receiver[path] == ear)
             yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
 
-    def mirror_evaluation(
-        self, pairs: Sequence[PairQuery]
-    ) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorEvaluation]:
-        """Return a function that makes the evaluation of paths by mirrors (P, N) of pairs (P,) of one source."""
+    def mirror_evaluation(self, source: int) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorEvaluation]:
+        """Return a function that makes the evaluation of paths by mirrors (P, N) from a source to receivers (P,)."""
+        pairs = self._pairs(source)
         widest = max((pair.rates for pair in pairs), key=lambda rates: rates.bodies.last)
         rates = EndRates(
             widest.bodies, widest.source, tuple(pair.rates.receivers[0] for pair in pairs),
             np.concatenate([pair.rates.held for pair in pairs]),
         )  # fmt: skip
-        source, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
-        return partial(MirrorEvaluation, self.obstacles, source, ears, medium, rates, step=self.search.body_step)
+        emitter, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
+        return partial(MirrorEvaluation, self.obstacles, emitter, ears, medium, rates, step=self.search.body_step)
 
     def _sequences(self, source: int, last: float) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
         """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
