@@ -327,7 +327,7 @@ def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct
     assert found.spans is not None
     every, begin, end = found.spans
     times, which = begin + _SAMPLED[:, None] * (end - begin), np.tile(every, len(_SAMPLED))
-    levels = end_levels(finder.visibility(found), finder.query, which, times.ravel(), wave, direct)
+    levels = end_levels(finder.visibility(found), which, times.ravel(), wave, direct)
     kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > least_level(direct))
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 

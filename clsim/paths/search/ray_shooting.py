@@ -193,7 +193,7 @@ def _crossings(
         sequence, spans = found.walls[rows, :count], (span[0][rows], span[1][rows])
         for panel in panels:
             for leg in range(count + 1):
-                evaluations = partial(_evaluate, panel, leg)
+                evaluations = partial(_evaluate, panel, leg, query)
                 crossed = find_intervals(query, sequence, found.receiver[rows], evaluations, spans)
                 each = (np.full(len(crossed.path), x) for x in (leg, panel))
                 parts.append((rows[crossed.path], *each, crossed.begin, crossed.end))

@@ -27,7 +27,6 @@ from clsim.paths.visibility.edges import (
 )
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.scene.room.edges import Edges
-from clsim.scene.room.walls import Walls
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[np.int64]
@@ -61,16 +60,16 @@ class EndVisibility(GapVisibility):
     held: Floats  # (n,) where the other edge ends, of paths over ends of both, m; else NaN
 
     @staticmethod
-    def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> EndVisibility:
-        """Make it for edges of a room with walls."""
+    def of(edges: Edges, candidates: EdgeCandidates, query: VisibilityQuery) -> EndVisibility:
+        """Make it for edges of a room."""
         one, other = candidates.edge.T
-        seen = seen_frames(walls, edges, other, candidates.between)
+        seen = seen_frames(query.walls, edges, other, candidates.between)
         along, _, (x, y, z) = off_edges(edges, candidates, seen, np.arange(len(one)))
         gap = EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other]))
         last, length = candidates.end % MEETING >= OF_LAST, edges.length[candidates.edge]
         held = np.where(candidates.end // 4 == 3, np.where(last, *length.T), 0.0)
         held = np.where(candidates.end >= TWO_ENDS, held, np.nan)
-        return EndVisibility(edges, candidates, gap, last, along, np.hypot(x, y), z, held)
+        return EndVisibility(edges, candidates, query, gap, last, along, np.hypot(x, y), z, held)
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
         """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
@@ -112,15 +111,13 @@ class EndVisibility(GapVisibility):
         sliding = reach * crossing.slides[edge] * (over_edge + reach) / np.where(across > 0.0, across, 1.0) ** 2
         return np.where(np.isnan(across), 0.0, np.where(across > 0.0, sliding, FAR * size))
 
-    def sides(
-        self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats
-    ) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
+    def sides(self, which: Rows, time: Floats, half: Floats) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
         """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`.
 
         Of the edge that ends the terms are 1; the side of the end is that of the path over both edges, and where both
         end that of the path over one end.
         """
-        stance, (one, other) = self.stance(query, which, time, half), self.candidates.edge[which].T
+        stance, (one, other) = self.stance(which, time, half), self.candidates.edge[which].T
         crossing, last, reach = stance.course.crossing, self.last[which], stance.reach
         assert crossing is not None
         moved = list(zip(stance.reaches, stance.distances, strict=True))
@@ -133,7 +130,7 @@ class EndVisibility(GapVisibility):
         sure = near & np.all(np.abs(angles) > np.where(last, *turns)[:, None], axis=1)
         beside, passed = beside_faces(self.edges.n[self.candidates.edge[which].T], np.stack(stance.angles))
         sure &= np.all(passed > np.stack(turns), axis=0)
-        inside, turning = self._inside(stance, which, query.walls.size)
+        inside, turning = self._inside(stance, which)
         inner, sliding = self._over_both(stance, which)
         both = ~np.isnan(self.held[which])
         inside, turning = np.where(both, inner, inside), np.where(both, sliding, turning)
@@ -156,7 +153,7 @@ class EndVisibility(GapVisibility):
         sliding = np.where(across > 0.0, reach * r_c * (route.length + reach) / across**2, np.inf)
         return np.where(self.held[which] == 0.0, route.apex, self.held[which] - route.apex), sliding
 
-    def _inside(self, stance: EdgeStance, which: Rows, size: float) -> tuple[Floats, Floats]:
+    def _inside(self, stance: EdgeStance, which: Rows) -> tuple[Floats, Floats]:
         """How far (n,) paths over both edges are inside the end, as a difference of cosines, and its change at most."""
         crossing, last, no_end = stance.course.crossing, self.last[which], np.full(len(which), -1)
         assert crossing is not None
@@ -165,25 +162,26 @@ class EndVisibility(GapVisibility):
         towards = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / legs[1]
         slope = np.where(last, stance.places[1] - stance.heights[1], stance.places[0] - stance.heights[0]) / legs[0]
         slope = slope - towards
-        far, slides = stance.reaches[::-1], [self.slides(stance, edge, no_end, size) for edge in (0, 1)]
+        far, slides = (
+            stance.reaches[::-1],
+            [self.slides(stance, edge, no_end, self.query.walls.size) for edge in (0, 1)],
+        )
         moved = np.where(last, *far), np.where(last, *slides)
         change = [m / np.maximum(leg - m, _LEAST) for m, leg in zip(moved, legs, strict=True)]
         return np.where(self.candidates.end[which] % OF_LAST == 1, slope, -slope), change[0] + change[1]
 
 
-def end_levels(
-    seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float, direct: bool
-) -> Floats:
+def end_levels(seen: EdgeVisibility, which: Rows, time: Floats, wave: float, direct: bool) -> Floats:
     """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m.
 
     It is over that in free air: of the `direct` sound, or else as far away as the path is long.
     """
     still, longer = np.zeros(len(which)), np.full(len(which), np.nan)
     if isinstance(seen, EndVisibility):  # over ends of both edges a share of what is over one
-        whole = seen.stance(query, which, time, still).course.edge_paths[0].length
+        whole = seen.stance(which, time, still).course.edge_paths[0].length
         longer = np.where(np.isnan(seen.held[which]), np.nan, whole)
         seen = replace(seen, held=np.full_like(seen.held, np.nan))
-    stance, edges = seen.stance(query, which, time, still), seen.candidates.edge[which].T
+    stance, edges = seen.stance(which, time, still), seen.candidates.edge[which].T
     (ahead, back), _ = seen.between(stance, which, (still, still))
     crossing, last = stance.course.crossing, seen.candidates.end[which] % MEETING >= OF_LAST
     heights = tuple(height - place for place, height in zip(stance.places, stance.heights, strict=True))

@@ -51,11 +51,11 @@ class GapVisibility(EdgeVisibility):
     every: EdgeGap  # the air between the edges of all candidates
 
     @staticmethod
-    def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> GapVisibility:
-        """Make it for edges of a room with walls."""
+    def of(edges: Edges, candidates: EdgeCandidates, query: VisibilityQuery) -> GapVisibility:
+        """Make it for edges of a room."""
         one, other = candidates.edge.T
-        seen = seen_frames(walls, edges, other, candidates.between)
-        return GapVisibility(edges, candidates, EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other])))
+        seen = seen_frames(query.walls, edges, other, candidates.between)
+        return GapVisibility(edges, candidates, query, EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other])))
 
     def gap(self, which: Rows) -> EdgeGap:
         """Return the air between the edges of candidates `which` (n,)."""
@@ -92,7 +92,7 @@ class GapVisibility(EdgeVisibility):
         return np.where(small, SPARE * reach * crossing.slides[edge], FAR * size)
 
     def evaluate(
-        self, side: int, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
+        self, side: int, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
     ) -> tuple[Bools, Floats, Floats]:
         """Return validity, clearance and how far the ends can move, of one side of candidates, each (n,).
 
@@ -101,9 +101,9 @@ class GapVisibility(EdgeVisibility):
         the last edge to either edge.
         """
         if side < 2:
-            return EdgeVisibility.evaluate(self, side, query, sequence, receiver, time, half)
-        which, walls = sequence[:, 0].astype(np.int64), query.walls
-        stance, no_end = self.stance(query, which, time, half), np.full(len(sequence), -1)
+            return EdgeVisibility.evaluate(self, side, sequence, receiver, time, half)
+        which, walls = sequence[:, 0].astype(np.int64), self.query.walls
+        stance, no_end = self.stance(which, time, half), np.full(len(sequence), -1)
         moves = np.maximum(*(self.slides(stance, edge, no_end, walls.size) for edge in (0, 1)))
         still, none = np.zeros(len(which)), np.zeros((len(which), 3))
         (ahead, back), more = self.between(stance, which, (still, still))

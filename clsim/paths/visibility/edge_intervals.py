@@ -81,9 +81,7 @@ class EdgeSearch:
             row, receiver = np.arange(len(candidates.edge)), candidates.receiver
             found = self._find(candidates, side, row, (self.query.first[receiver], self.query.last[receiver]))
         row, walls = found.path, self.query.walls
-        stance = self.visibility(candidates).stance(
-            self.query, row, 0.5 * (found.begin + found.end), np.zeros(len(row))
-        )
+        stance = self.visibility(candidates).stance(row, 0.5 * (found.begin + found.end), np.zeros(len(row)))
         met = [
             in_air(walls, self.air, sequence[row], end)
             for sequence, end in zip((candidates.before, candidates.after), stance.ends, strict=True)
@@ -94,10 +92,10 @@ class EdgeSearch:
     def visibility(self, candidates: EdgeCandidates) -> EdgeVisibility:
         """Make the test of whether candidates are there."""
         if candidates.over_ends_of_pairs and not candidates.over_meeting_edges:
-            return EndVisibility.of(self.edges, candidates, self.query.walls)
+            return EndVisibility.of(self.edges, candidates, self.query)
         if np.any(candidates.face == ACROSS_AIR):
-            return GapVisibility.of(self.edges, candidates, self.query.walls)
-        return EdgeVisibility(self.edges, candidates)
+            return GapVisibility.of(self.edges, candidates, self.query)
+        return EdgeVisibility(self.edges, candidates, self.query)
 
     def _there(self, candidates: EdgeCandidates) -> Intervals:
         """Return the intervals in which candidates are there within the tolerances of outlines.
@@ -118,7 +116,7 @@ class EdgeSearch:
             found = self._find(candidates, side, row, (begin, end))
             row, begin, end = row[found.path], found.begin, found.end
             evaluations += found.evaluations
-        legs = FaceLegs(self.visibility(candidates), self.query.walls)
+        legs = FaceLegs(self.visibility(candidates))
         hindered = np.zeros(len(row), dtype=bool) if across_air else legs.hindered(row)
         if not hindered.any():
             return merged(row, begin, end, evaluations)
@@ -194,13 +192,13 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
             stack.append((row[_CHUNK:], begin[_CHUNK:], end[_CHUNK:]))
             row, begin, end = row[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
         half = 0.5 * (end - begin)
-        sides, sure, off, reach = visibility.sides(finder.query, row, begin + half, half)
+        sides, sure, off, reach = visibility.sides(row, begin + half, half)
         sides[ignored[row]] = 0
         done = sure | (2.0 * half <= finder.query.resolution)
         unsure = np.flatnonzero(~done & (off < near) & (half <= 0.5 * GRAZE_TIME))
         if len(unsure):
             both, instants = np.tile(row[unsure], 2), np.append(begin[unsure], end[unsure])
-            beside, _, off, _ = visibility.sides(finder.query, both, instants, np.zeros(len(both)))
+            beside, _, off, _ = visibility.sides(both, instants, np.zeros(len(both)))
             beside[ignored[both]] = 0
             along = off < np.tile(np.minimum(near, ALONG * reach[unsure]), 2)
             along &= np.all(beside == np.tile(sides[unsure], (2, 1)), axis=1)

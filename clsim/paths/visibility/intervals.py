@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -207,10 +208,7 @@ def _speeds(knots: Floats, rate: float) -> Floats:
     return np.concatenate(levels)
 
 
-Evaluation = Callable[
-    ["VisibilityQuery", NDArray[np.int32], NDArray[np.int64], Floats, Floats],
-    tuple[NDArray[np.bool_], Floats, Floats],
-]
+Evaluation = Callable[[NDArray[np.int32], NDArray[np.int64], Floats, Floats], tuple[NDArray[np.bool_], Floats, Floats]]
 
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
 GRAZE = 1e-6  # of the room's size; paths that pass an edge nearer than this run along it
@@ -291,13 +289,13 @@ def find_intervals(
     Shapes: sequence (n, N); receiver (n,).
 
     evaluation: what says whether other paths than those by walls are valid, and how far their ends may move; as
-    `evaluate`.
+    `evaluate` of the query.
 
     spans: times from and up to which each path is looked at, s; those of its receiver when left out.
 
     parts: into how many what is left of an interval is cut at most, see `divided`.
     """
-    evaluate_at = evaluation or evaluate
+    evaluate_at = evaluation or partial(evaluate, query)
     first, last = spans or (query.first[receiver], query.last[receiver])
     path = np.flatnonzero(first < last)
     stack = [(path, first[path], last[path])]
@@ -309,13 +307,13 @@ def find_intervals(
             stack.append((path[_CHUNK:], begin[_CHUNK:], end[_CHUNK:]))
             path, begin, end = path[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
         half, middle = 0.5 * (end - begin), begin + 0.5 * (end - begin)
-        valid, clear, reach = evaluate_at(query, sequence[path], receiver[path], middle, half)
+        valid, clear, reach = evaluate_at(sequence[path], receiver[path], middle, half)
         evaluations += len(path)
         done = (clear > reach) | (2.0 * half <= query.resolution) | (reach < SMALLEST_MOVE * query.walls.size)
         grazing = np.flatnonzero(~done & (clear < GRAZE * query.walls.size) & (half <= 0.5 * GRAZE_TIME))
         for instant in (begin, end) if len(grazing) else ():
             requested = sequence[path[grazing]], receiver[path[grazing]]
-            seen, beside, most = evaluate_at(query, *requested, instant[grazing], half[grazing])
+            seen, beside, most = evaluate_at(*requested, instant[grazing], half[grazing])
             evaluations += len(grazing)
             grazing = grazing[(seen == valid[grazing]) & (beside < np.minimum(GRAZE * query.walls.size, ALONG * most))]
         done[grazing] = True
