@@ -21,8 +21,7 @@ from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFind
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.search.body_edge_ends import moving_end_paths
-from clsim.paths.search.body_edge_gaps import moving_gap_paths
-from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths
+from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths, moving_gap_paths
 from clsim.paths.search.body_edges import moving_edge_paths
 from clsim.paths.search.edge_ends import end_edge_paths
 from clsim.paths.search.edge_gaps import gap_edge_paths

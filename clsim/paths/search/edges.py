@@ -37,7 +37,7 @@ from clsim.paths.vertices.edge_end import ends_of
 from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.device import DeviceSearch
-from clsim.paths.visibility.edge_gaps import seen_frames
+from clsim.paths.visibility.edge_ends import seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch, find_pieces
 from clsim.paths.visibility.edges import ENDS_BESIDE, SIDES, EdgeCandidates
 from clsim.paths.visibility.intervals import BoundingSpheres

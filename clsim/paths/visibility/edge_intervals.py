@@ -15,10 +15,9 @@ from clsim.acoustics.edge_gap import FOUND, NEWTON, STEPS
 from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.vertices.edge_field import BOTH
-from clsim.paths.vertices.gap_pair import ACROSS_AIR
+from clsim.paths.vertices.edge_pair import ACROSS_AIR
 from clsim.paths.visibility.device import DeviceSearch
-from clsim.paths.visibility.edge_ends import EndVisibility
-from clsim.paths.visibility.edge_gaps import IN_AIR, OVERLAP, SMALL, SPARE, GapVisibility, seen_frames
+from clsim.paths.visibility.edge_ends import IN_AIR, OVERLAP, SMALL, SPARE, EndVisibility, GapVisibility, seen_frames
 from clsim.paths.visibility.edges import (
     CONTRACTED,
     CONTRACTIONS,

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge
 from clsim.acoustics.edge_gap import Crossing
 from clsim.arrays import Floats
-from clsim.paths.vertices.gap_events import at_meeting
+from clsim.paths.vertices.edge_events import at_meeting
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 from clsim.paths.visibility.intervals import PERTURBATIONS, VisibilityQuery
 from clsim.scene.room.edges import Edges
