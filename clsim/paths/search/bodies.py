@@ -22,7 +22,7 @@ from clsim.paths.options import PathOptions
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
-from clsim.paths.visibility.intervals import PERTURBATIONS, BoundingSpheres
+from clsim.paths.visibility.intervals import PERTURBATIONS, BoundingSpheres, joined
 from clsim.paths.visibility.mirrors import MirrorEvaluation, PastBodies
 from clsim.paths.visibility.obstacles import Obstacles
 from clsim.paths.visibility.occlusion import air_sides
@@ -340,24 +340,13 @@ def _runs(
     number = (
         np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
     )
-    order = np.lexsort((cell, number))
-    number, cell = number[order], cell[order]
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = (number[1:] != number[:-1]) | (cell[1:] != cell[:-1] + 1)
-    starts = np.flatnonzero(first)
-    stops = np.append(starts[1:], len(order))[: len(starts)] - 1
-    begin, end = bounds[cell[starts]], bounds[cell[stops] + 1]
+    first, last = joined([number], cell, cell + 1)
+    begin, end = bounds[cell[first]], bounds[cell[last] + 1]
     real = end > begin
-    return order[starts][real], begin[real], end[real]
+    return first[real], begin[real], end[real]
 
 
 def _merged(sequence: NDArray[np.int32], begin: Floats, end: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
     """Sort paths by order, mirrors and time, and join their intervals that touch."""
-    order = np.sum(sequence >= 0, axis=1)
-    rows = np.lexsort([begin, *sequence.T[::-1], order])
-    sequence, begin, end = sequence[rows], begin[rows], end[rows]
-    first = np.ones(len(rows), dtype=bool)
-    first[1:] = np.any(sequence[1:] != sequence[:-1], axis=1) | (begin[1:] > end[:-1])
-    starts = np.flatnonzero(first)
-    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
-    return sequence[starts], begin[starts], end[stops]
+    first, last = joined([np.sum(sequence >= 0, axis=1), *sequence.T], begin, end)
+    return sequence[first], begin[first], end[last]

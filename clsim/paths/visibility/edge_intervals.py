@@ -37,6 +37,7 @@ from clsim.paths.visibility.intervals import (
     VisibilityQuery,
     divided,
     find_intervals,
+    joined,
     merged,
 )
 from clsim.paths.visibility.occlusion import in_air
@@ -232,18 +233,14 @@ def _joined_pieces(over: Bools, row: Rows, begin: Floats, end: Floats, sides: Si
 
     Those of candidates that run over the end of one edge, masked by `over`, are joined by `joined_over_ends`.
     """
-    rank = np.lexsort((begin, row))
-    row, begin, end, sides = row[rank], begin[rank], end[rank], sides[rank]
-    first = np.append(True, (row[1:] != row[:-1]) | (begin[1:] != end[:-1]) | np.any(sides[1:] != sides[:-1], axis=1))
-    starts = np.flatnonzero(first[: len(row)])
-    stops = np.append(starts[1:], len(row))[: len(starts)] - 1
-    row, begin, end, sides = row[starts], begin[starts], end[stops], sides[starts]
+    first, last = joined([row], begin, end, sides)
+    row, begin, end, sides = row[first], begin[first], end[last], sides[first]
     some, others = np.flatnonzero(over[row]), np.flatnonzero(~over[row])
     of_ends = sides[some, :TERMS], sides[some, TERMS], sides[some][:, ENDS_BESIDE]
     kept, starting, ending, lit = joined_over_ends(row[some], begin[some], end[some], *of_ends)
-    joined = np.array(sides[some[kept]])
-    joined[:, :TERMS] = lit
-    columns = ((row, row[some[kept]]), (begin, starting), (end, ending), (sides, joined))
+    of_joined = np.array(sides[some[kept]])
+    of_joined[:, :TERMS] = lit
+    columns = ((row, row[some[kept]]), (begin, starting), (end, ending), (sides, of_joined))
     row, begin, end, sides = (np.concatenate([column[others], more]) for column, more in columns)
     rank = np.lexsort((begin, row))
     return row[rank], begin[rank], end[rank], sides[rank]

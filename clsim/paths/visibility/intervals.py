@@ -355,10 +355,18 @@ def evaluate(
 
 def merged(path: NDArray[np.int64], begin: Floats, end: Floats, evaluations: int) -> Intervals:
     """Sort intervals and join those that touch."""
-    order = np.lexsort((begin, path))
-    path, begin, end = path[order], begin[order], end[order]
-    first = np.ones(len(path), dtype=bool)
-    first[1:] = (path[1:] != path[:-1]) | (begin[1:] != end[:-1])
-    starts = np.flatnonzero(first)
-    ends = np.append(starts[1:], len(path))[: len(starts)] - 1
-    return Intervals(path[starts], begin[starts], end[ends], evaluations)
+    first, last = joined([path], begin, end)
+    return Intervals(path[first], begin[first], end[last], evaluations)
+
+
+def joined(keys: Sequence[Any], begin: Any, end: Any, state: Any = None) -> tuple[Any, Any]:
+    """Find the first and the last rows (m,) of intervals (n,) that touch, sorted by keys (n,) and beginnings.
+
+    They have the same keys and, row by row, the same state (n,) or (n, k).
+    """
+    rows = np.lexsort([begin, *keys[::-1]])
+    cut = begin[rows[1:]] > end[rows[:-1]]
+    for column in keys if state is None else (*keys, *np.atleast_2d(state.T)):
+        cut |= column[rows[1:]] != column[rows[:-1]]
+    starts = np.flatnonzero(np.append(True, cut)[: len(rows)])
+    return rows[starts], rows[np.append(starts[1:], len(rows))[: len(starts)] - 1]
