@@ -19,8 +19,8 @@ import numpy as np
 import clsim
 from clsim.opencl import launch as compiler_module
 from clsim.paths.search import beam_tree
-from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.paths.visibility import device as device_intervals
+from clsim.paths.visibility.intervals import trajectory_tables
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[1] / "shared" / "data"

@@ -10,7 +10,7 @@ import numpy as np
 
 import clsim
 from clsim.paths.path_set import PathSet
-from clsim.paths.view import view_scene
+from clsim.paths.path_table import view_scene
 
 RATE, CARRIER, DURATION = 192e3, 40e3, 4.0
 CORNERS = [(0, 0), (6, 0), (6, 3), (3, 3), (3, 6), (0, 6)]

@@ -9,7 +9,7 @@ from clsim.commands.arguments import add_output, add_scene, as_whole
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile
 from clsim.files.input_files import shown
-from clsim.paths.view import view_scene
+from clsim.paths.path_table import view_scene
 from clsim.scene_file import load_scene
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import input_files, plan_scene

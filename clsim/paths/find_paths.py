@@ -21,14 +21,14 @@ from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFind
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.search.body_edge_ends import moving_end_paths
-from clsim.paths.search.body_edge_gaps import moving_gap_paths
-from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths
+from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths, moving_gap_paths
 from clsim.paths.search.body_edges import moving_edge_paths
-from clsim.paths.search.corner_events import at_one_time
 from clsim.paths.search.edge_ends import end_edge_paths
+from clsim.paths.search.edge_gaps import gap_edge_paths
 from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
-from clsim.paths.search.edges import double_edge_paths, edge_paths, gap_edge_paths
+from clsim.paths.search.edges import EdgePaths
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
+from clsim.paths.search.same_events import at_one_time
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.vertices.scatterer_pair import scatterer_pair_paths
 from clsim.paths.without_edges import warn_without_edges, warn_without_shadows
@@ -72,65 +72,81 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     >>> len(clsim.find_paths(clsim.Scene(room, clsim.Air(), [robot], [ceiling]), max_order=3))
     63
     """
-    levels, edges = direct_levels(scene, options.direct), _KINDS[options.diffraction]
-    finders = with_plugins(FAMILY_FINDERS, PATH_FAMILIES)
-    steps = len(finders) + edges
-    parts = _parts(options, steps + (steps + 1 if scene.bodies else 0))
-    found = tuple(find(scene, next(parts)) for find in finders.values())
-    for kind in OVER_EDGES[:edges]:
-        found = (*found, kind(scene, next(parts), found))
-    if edges:
-        found = at_one_time(scene, found, resolution_of(scene, options.resolution))
-    if scene.bodies:
-        bodies = BodySearch(scene, options)
-        by_bodies = bodies.paths(next(parts).notify)
-        found = (*(bodies.unhidden(family, next(parts).notify) for family in found), by_bodies)
-        for of_bodies in OVER_BODIES[:edges]:
-            found = (*found, of_bodies(bodies, found))
-    if scene.scatterers:
-        found = (*found, *_scattered(scene, options))
+    levels, search = direct_levels(scene, options.direct), _Search(scene, options)
+    found = (*search.unscattered(), *search.scattered())
     paths = PathSet(scene, found if np.all(levels == 1.0) else with_direct(found, levels))
     if scene.scatterers:
         warn_without_shadows(paths, options.scattering_order)
-    if not edges:
+    if not options.diffraction:
         again = partial(find_paths, engine=options.engine, device=options.device)
         warn_without_edges(paths, options.max_order, again)
     return paths
 
 
-def _scattered(scene: Scene, search: PathOptions) -> list[PathFamily]:
-    """Find the paths by scatterers: by walls alone, and with faces of bodies where there are any."""
-    given = replace(search, max_order=search.scattering_order, progress=None)
-    by_walls, by_bodies, over_edges, cut_off = [], [], [], False
-    for side in sides(scene, scene.bodies):
-        walls: Any = _specular_paths(side, given)
-        cut_off |= bool(np.any(np.isfinite(walls.start) | np.isfinite(walls.end)))
-        edges: Any = edge_paths(side, given, (walls,)) if search.edge_scattering else None
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """Looks for the paths of a scene, kind after kind."""
+
+    scene: Scene
+    options: PathOptions
+
+    def unscattered(self) -> tuple[PathFamily, ...]:
+        """Find the paths that meet no scatterer."""
+        scene, options, edges = self.scene, self.options, _KINDS[self.options.diffraction]
+        finders = with_plugins(FAMILY_FINDERS, PATH_FAMILIES)
+        steps = len(finders) + edges
+        parts = _parts(options, steps + (steps + 1 if scene.bodies else 0))
+        found = tuple(find(scene, next(parts)) for find in finders.values())
+        if edges:
+            of_room = EdgePaths(scene, options)
+            for over_edges in OVER_EDGES[:edges]:
+                found = (*found, over_edges(of_room, found, next(parts).notify))
+            found = at_one_time(scene, found, resolution_of(scene, options.resolution))
         if scene.bodies:
-            bodies = BodySearch(side, given)
-            walls = bodies.unhidden(walls)
-            edges = edges and bodies.unhidden(edges)
-            by_bodies.append(Side.of(walls, bodies.paths()))
-        by_walls.append(Side.of(walls))
-        over_edges.append(edges)
-    both = (by_walls, by_bodies) if scene.bodies else (by_walls,)
-    order, limit = search.scattering_order, search.path_limit
-    found: list[PathFamily] = [scattered_paths(scene, before, after, order, limit) for before, after in both]
-    first, second = by_walls
-    several = hidden_by_several(scene.sources, scene.receivers, scene.scatterers)
-    if several:
-        warn(f'{several}: their shadows add up, and too much is heard behind them; model="outline" of spheres mends it')
-    if search.scatterers_in_row > 1:
-        straight_on = partial(_unreflected, search=given)
-        found.append(scatterer_pair_paths(scene, (first, second), straight_on, limit))
-    if search.edge_scattering:
-        twice = search.diffraction > 1
-        over = edge_scatterer_paths(scene, (first, second), (over_edges[0], over_edges[1]), twice, limit)
-        found[0], *over = as_met([found[0], *over])
-        found += over
-    elif search.diffraction and cut_off:
-        warn("scatterers go behind edges, where their echoes end at once (edge_scattering=True lets them fade)")
-    return found
+            bodies = BodySearch(scene, options)
+            found = tuple(bodies.unhidden(family, next(parts).notify) for family in found)
+            found = (*found, bodies.paths(next(parts).notify))
+            for of_bodies in OVER_BODIES[:edges]:
+                found = (*found, of_bodies(bodies, found))
+        return found
+
+    def scattered(self) -> list[PathFamily]:
+        """Find the paths by scatterers: by walls alone, and with faces of bodies where there are any."""
+        scene, search = self.scene, self.options
+        if not scene.scatterers:
+            return []
+        given = replace(search, max_order=search.scattering_order, progress=None)
+        by_walls, by_bodies, over_edges, cut_off = [], [], [], False
+        for side in sides(scene, scene.bodies):
+            walls: Any = _specular_paths(side, given)
+            cut_off |= bool(np.any(np.isfinite(walls.start) | np.isfinite(walls.end)))
+            edges: Any = EdgePaths(side, given).over_one((walls,)) if search.edge_scattering else None
+            if scene.bodies:
+                bodies = BodySearch(side, given)
+                walls = bodies.unhidden(walls)
+                edges = edges and bodies.unhidden(edges)
+                by_bodies.append(Side.of(walls, bodies.paths()))
+            by_walls.append(Side.of(walls))
+            over_edges.append(edges)
+        both = (by_walls, by_bodies) if scene.bodies else (by_walls,)
+        order, limit = search.scattering_order, search.path_limit
+        found: list[PathFamily] = [scattered_paths(scene, before, after, order, limit) for before, after in both]
+        first, second = by_walls
+        several = hidden_by_several(scene.sources, scene.receivers, scene.scatterers)
+        if several:
+            what = "their shadows add up, and too much is heard behind them"
+            warn(f'{several}: {what}; model="outline" of spheres mends it')
+        if search.scatterers_in_row > 1:
+            straight_on = partial(_unreflected, search=given)
+            found.append(scatterer_pair_paths(scene, (first, second), straight_on, limit))
+        if search.edge_scattering:
+            twice = search.diffraction > 1
+            over = edge_scatterer_paths(scene, (first, second), (over_edges[0], over_edges[1]), twice, limit)
+            found[0], *over = as_met([found[0], *over])
+            found += over
+        elif search.diffraction and cut_off:
+            warn("scatterers go behind edges, where their echoes end at once (edge_scattering=True lets them fade)")
+        return found
 
 
 def _unreflected(scene: Scene, search: PathOptions) -> Side:
@@ -232,7 +248,7 @@ def _walls(grid: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
 
 
 _KINDS = 0, 1, 4  # of paths over edges, by `diffraction`
-OVER_EDGES = edge_paths, double_edge_paths, gap_edge_paths, end_edge_paths
+OVER_EDGES = EdgePaths.over_one, EdgePaths.over_pairs, gap_edge_paths, end_edge_paths
 OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths, moving_end_paths
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet

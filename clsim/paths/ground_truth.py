@@ -13,6 +13,7 @@ from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr, te
 from clsim.errors import InputError, check_packages
 from clsim.numerics.quaternions import rotate
 from clsim.paths.arrivals import Kinematics, slices_of
+from clsim.paths.chain import check_support
 from clsim.paths.family import PairPaths
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import Mirrors
@@ -21,7 +22,6 @@ from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import categories, labelled_dataset, labelled_frame
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.scatterers import direct_legs
-from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.paths.visibility.obstacles import Legs, Obstacles
 from clsim.scene.scatterer import PointShape, Scatterer
@@ -421,11 +421,9 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     check_support("moving", scene.air)
     shape = len(scene.bodies), len(scene.sources), len(scene.receivers), len(times)
     delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
-    visible, obstacles, direct = (
-        np.zeros(shape, dtype=bool),
-        Obstacles(Mirrors.of(scene), scene.room.as_mesh().walls, scene.room.is_convex),
-        np.empty((1, 0), dtype=np.int64),
-    )
+    walls = (*(body.mesh.walls for body in scene.bodies), scene.room.as_mesh().walls)
+    obstacles = Obstacles(Mirrors.of(scene), walls, scene.room.is_convex)
+    visible, direct = np.zeros(shape, dtype=bool), np.empty((1, 0), dtype=np.int64)
     for which, body in enumerate(scene.bodies):
         thing = Scatterer(body.name, _Surface(1.0, body.mesh.vertices[body.mesh.triangles]), body.trajectory)
         for source, receiver in np.ndindex(shape[1:3]):

@@ -16,8 +16,7 @@ from clsim.errors import InputError, counted, old_names
 from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.channel import ChannelBand, ChannelPaths, ChannelTaps, DelayDoppler, channel_paths, channel_taps
 from clsim.paths.family import SPECULAR, TRANSMISSION, PairPaths, PathFamily
-from clsim.paths.path_table import PathTable
-from clsim.paths.view import paths_page
+from clsim.paths.path_table import PathTable, paths_page
 from clsim.pictures.view_page import html_table, inline_page
 from clsim.scene.scene import Scene, known_until
 

@@ -99,35 +99,7 @@ def plan_paths(paths: PathSet, options: RenderOptions, progress: Callable[[float
     if options.prune_below_db is not None:
         tracks, left_out = _pruned(tracks, options, options.prune_below_db)
     emissions = [(source.emitted, source.start) for source in scene.sources]
-    return plan_tracks(emissions, tracks, options, ringing=ringing, left_out=left_out, tails=tails)
-
-
-def plan_tracks(
-    emissions: Sequence[tuple[Signal, float]],
-    tracks: Tracks,
-    options: RenderOptions,
-    *,
-    ringing: float = 0.0,
-    left_out: str = "",
-    tails: FoundTails = NO_TAILS,
-) -> Plan:
-    """Return the plan of rendering signals, each from its start (s) on, along tracks.
-
-    Receivers ring on for a while, s, `left_out` tells what of the scene is not in the tracks, tails what images leave.
-    """
-    if options.tail != "off" and tracks.of_scene is None:
-        raise InputError("tail", f"must be 'off' for tracks without a room, but is {options.tail!r}")
-    rate = options.sampling_rate
-    receiver_at = rate if options.baseband is None else options.baseband[2] or rate
-    samples = _samples(emissions, tracks, receiver_at, options.duration, ringing, tails.duration)
-    filters, allocation = _Request(emissions, tracks, options, samples).allocated()
-    carrier = None if options.baseband is None else options.baseband[0]
-    segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, receiver_at, carrier)
-    chunk = chunk_of(options, samples, receiver_at, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
-    allocation = replace(allocation, tails=tails.of_sources, notes=(*allocation.notes, *tails.notes))
-    return Plan(
-        options, tracks, allocation, filters, receiver_at, samples, chunk, segment, blocks, _builders(), left_out
-    )
+    return Request(emissions, tracks, options, ringing, left_out, tails).plan()
 
 
 def _check_receivers(scene: Scene, rate: float) -> float:
@@ -150,28 +122,6 @@ def _pruned(tracks: SceneTracks, options: RenderOptions, below_db: float) -> tup
     end = min(max(source.start + source.emitted.duration for source in tracks.scene.sources), tracks.last_time())
     until = min(options.duration or end + tracks.longest_delay(end, end), tracks.last_time())
     return pruned(tracks, below_db, until)
-
-
-def _samples(
-    emissions: Sequence[tuple[Signal, float]],
-    tracks: Tracks,
-    rate: float,
-    duration: float | None,
-    ringing: float,
-    tail: float,
-) -> int:
-    """Return the length: as requested, or until all sound has arrived, with tails that last so long, s."""
-    last, what = tracks.first_end()
-    if duration is None:
-        end = max(start + signal.duration for signal, start in emissions)
-        known = end if math.isinf(last) else min(end, last)
-        duration = min(last, end + max(tracks.longest_delay(known, known), tail) + ringing)
-    elif duration > last * (1 + 1e-12) + 0.5 / rate:
-        raise InputError(
-            "duration",
-            f"must end while all that moves is known, {last:g} s ({what}), but is {duration:g} s",
-        )
-    return max(1, math.ceil(duration * rate - 1e-6))
 
 
 def find_tails(paths: PathSet, options: RenderOptions, progress: Callable[[float], None] | None = None) -> FoundTails:
@@ -218,15 +168,50 @@ def _without_tails(paths: PathSet, sampling_rate: float) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Request:
-    """What is to be rendered."""
+class Request:
+    """What is to be rendered, from which its plan is made."""
 
     emissions: Sequence[tuple[Signal, float]]  # by source: the signal, and its start, s
     tracks: Tracks
     options: RenderOptions
-    samples: int  # of the recording
+    ringing: float = 0.0  # for which receivers ring on, s
+    left_out: str = ""  # what of the scene is not in the tracks
+    tails: FoundTails = NO_TAILS  # what images leave
+    samples: int = 0  # of the recording; set by `plan`
 
-    def allocated(self) -> tuple[tuple[SourceFilters, ...], Allocation]:
+    def plan(self) -> Plan:
+        """Return the plan of rendering the signals along the tracks."""
+        tracks, options = self.tracks, self.options
+        if options.tail != "off" and tracks.of_scene is None:
+            raise InputError("tail", f"must be 'off' for tracks without a room, but is {options.tail!r}")
+        rate, carrier = options.sampling_rate, None if options.baseband is None else options.baseband[0]
+        rate = rate if options.baseband is None else options.baseband[2] or rate
+        samples = self._length(rate)
+        filters, allocation = replace(self, samples=samples)._allocated()
+        segment, blocks = (SEGMENT, BLOCKS) if carrier is None else segmented(tracks, rate, carrier)
+        chunk = chunk_of(options, samples, rate, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
+        notes = (*allocation.notes, *self.tails.notes)
+        allocation = replace(allocation, tails=self.tails.of_sources, notes=notes)
+        return Plan(
+            options, tracks, allocation, filters, rate, samples, chunk, segment, blocks, _builders(), self.left_out
+        )
+
+    def _length(self, rate: float) -> int:
+        """Return the samples at a rate: as requested, or until all sound has arrived, with tails."""
+        (last, what), duration = self.tracks.first_end(), self.options.duration
+        if duration is None:
+            end = max(start + signal.duration for signal, start in self.emissions)
+            known = end if math.isinf(last) else min(end, last)
+            longest = max(self.tracks.longest_delay(known, known), self.tails.duration)
+            duration = min(last, end + longest + self.ringing)
+        elif duration > last * (1 + 1e-12) + 0.5 / rate:
+            raise InputError(
+                "duration",
+                f"must end while all that moves is known, {last:g} s ({what}), but is {duration:g} s",
+            )
+        return max(1, math.ceil(duration * rate - 1e-6))
+
+    def _allocated(self) -> tuple[tuple[SourceFilters, ...], Allocation]:
         """Return the filters of what each source emits, and the allocation."""
         tracks, options = self.tracks, self.options
         convolved = Allocation(static.pairs_at_rest(tracks, options))

@@ -19,7 +19,7 @@ from clsim.recording import Recording
 from clsim.render.contributions import State
 from clsim.render.options import RenderOptions
 from clsim.render.plan import SEGMENT, Plan, within_memory
-from clsim.render.planning import plan_paths, plan_tracks
+from clsim.render.planning import Request, plan_paths
 from clsim.scene.ends import Receiver
 from clsim.scene.signal.signal import Signal
 from clsim.scene.signal.waveforms import white_noise
@@ -148,7 +148,7 @@ def render_tracks(
         raise InputError("starts", f"must be one per signal, {len(signals)}, but are {len(starts)}")
     begins = [as_number(f"starts[{i}]", start, unit="s") for i, start in enumerate(starts)]
     chosen = RenderOptions.for_tracks(sampling_rate, **options)
-    return record(plan_tracks(list(zip(signals, begins, strict=True)), tracks, chosen))
+    return record(Request(list(zip(signals, begins, strict=True)), tracks, chosen).plan())
 
 
 def render_chunks(

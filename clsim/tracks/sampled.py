@@ -57,9 +57,9 @@ _FAINT = 0.01  # weight of frequencies with next to nothing where a delay is loo
 class Picked:
     """Paths of a pair at instants, drawn by their energy, and the number of paths that each represents."""
 
-    paths: PairPaths  # which, P of all instants together, or the same at each of T
-    found: Arrivals  # of each at its instant, (P, 1), or at all of them (P, T)
-    times: Floats  # (P, 1) the instants, s, or (T,) of all paths
+    paths: PairPaths  # which: P at each of T instants, or, of responses that take each at its own, of all together
+    found: Arrivals  # (P, T), or of each at its instant, (P, 1)
+    times: Floats  # (T,) the instants, s, or (P, 1)
     scale: Floats  # (T P, 1) root of how many paths each stands for, over the level of all of the pair
     first: tuple[int, ...]  # where the paths of each instant begin, and P at the end
     whole: bool = False  # all paths of each instant, whose level is that of the responses
@@ -69,14 +69,13 @@ class Picked:
         spans = list(pairwise(self.first))[::every]
         rows = np.concatenate([np.arange(begin, end) for begin, end in spans])
         first = tuple(np.cumsum([0, *(end - begin for begin, end in spans)]).tolist())
-        scale, times = self.scale[rows], self.times
-        if times.ndim == 1 and len(times) > 1:
-            at = np.arange(len(times))[::every]
+        changed: dict[str, Any] = {"scale": self.scale[rows], "first": first}
+        if self.times.ndim == 1:
+            at = np.arange(len(self.times))[::every]
             found = self.found.part(np.arange(len(self.found.through))[:, None], at)
-            return replace(self, found=found, times=times[at], scale=scale, first=first)
-        found = self.found.part(rows[:, None], np.zeros((len(rows), 1), dtype=np.int64))
-        times = times[rows] if times.ndim == 2 else times
-        return replace(self, paths=self.paths.part(rows), found=found, times=times, scale=scale, first=first)
+            return replace(self, found=found, times=self.times[at], **changed)
+        found, times = self.found.part(rows), self.times[rows]
+        return replace(self, paths=self.paths.part(rows), found=found, times=times, **changed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,7 +31,7 @@ def embedded(text: str) -> str:
 
 def write_media(folder: Path) -> None:
     """Write all viewers and sounds."""
-    from clsim.paths.view import view_scene
+    from clsim.paths.path_table import view_scene
 
     warnings.simplefilter("ignore", clsim.ClsimWarning)  # of edges that are left out
     folder.mkdir(parents=True, exist_ok=True)

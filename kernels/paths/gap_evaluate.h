@@ -1,6 +1,6 @@
 // Validity of one side of a path over two edges with air between: from the source to the first edge, from the receiver to
 // the last one, and between both in two parts that overlap, from a place between the last reflection there and the last
-// edge. The twin of visibility/edge_gaps.py.
+// edge. The twin of visibility/edge_ends.py.
 
 #if GAP
 // Place at a part of the way from the last edge to the last reflection between both.

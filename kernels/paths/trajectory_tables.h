@@ -1,4 +1,4 @@
-// Trajectories of a source and its receivers, as trajectory_tables.py makes them: how fast they can be, and walls that they sit in.
+// Trajectories of a source and its receivers, as visibility/intervals.py makes them: how fast they can be, and walls that they sit in.
 
 typedef struct {
     long first_knot, first_speed, knots;

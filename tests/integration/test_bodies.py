@@ -12,7 +12,7 @@ from scene_texts import along, chirp_of, receiver_at, scene_text, shoebox_of, so
 import clsim
 from clsim.cli import main
 from clsim.paths.path_set import PathSet
-from clsim.paths.view import view_scene, viewed
+from clsim.paths.path_table import view_scene, viewed
 from clsim.render.methods.static import pairs_at_rest
 from clsim.scene_file.scene import build_scene
 from clsim.study.content import computed

@@ -10,8 +10,8 @@ from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 import clsim
 from clsim.cli import main
 from clsim.paths.path_set import PathSet
+from clsim.paths.path_table import viewed
 from clsim.paths.response import SceneResponse
-from clsim.paths.view import viewed
 
 SCENE = scene_text(
     source_at("beacon", tone_of(40e3, 0.06, fade=0.005), (6.0, 2.0, 1.2)),

@@ -13,7 +13,7 @@ import clsim
 from clsim.cli import main
 from clsim.output.result_files import write_table
 from clsim.paths.path_set import PathSet
-from clsim.paths.view import viewed
+from clsim.paths.path_table import viewed
 from clsim.render.methods.static import pairs_at_rest
 from clsim.scene_file.scene import SceneFile, completed_scene
 from clsim.study.content import computed

@@ -11,7 +11,7 @@ from exhaustive import few
 from made_pages import data_of
 
 import clsim
-from clsim.paths.view import view_scene, viewed
+from clsim.paths.path_table import view_scene, viewed
 from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedPaths, ViewedWall, page_text
 
 WALL = clsim.Material.from_reflection(0.9)

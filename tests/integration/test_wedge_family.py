@@ -105,7 +105,7 @@ def test_tables_pictures_and_files_know_it(paths: PathSet, tmp_path: Path) -> No
     from made_results import read_table
 
     from clsim.output.result_files import write_table
-    from clsim.paths.view import view_scene, viewed
+    from clsim.paths.path_table import view_scene, viewed
 
     table = paths.table(np.array([0.2, 0.3]))
     assert table.name_objects(15) == "ridge"

@@ -15,11 +15,10 @@ from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_gaps import gap_candidates
 from clsim.paths.search.edges import EdgeReach, edge_pairs, edges_and_ends
 from clsim.paths.search.mesh import sides_of_air
-from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import EdgeCandidates
-from clsim.paths.visibility.intervals import Intervals, VisibilityQuery
+from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, trajectory_tables
 
 pytestmark = pytest.mark.usefixtures("device")
 STEP = 1.0 / 12e3
@@ -108,11 +107,9 @@ def search(name: str, on_device: bool = False) -> EdgeSearch:
 
 
 def candidates(name: str) -> list[EdgeCandidates]:
-    finder, ends = search(name), trajectory_tables(*CASES[name])
-    reached = EdgeReach(finder, ORDER)
-    sent, heard = reached(ends.sphere(0, -0.1)), [reached(ends.sphere(1 + r)) for r in range(len(CASES[name][1]))]
+    reach = EdgeReach(search(name), ORDER, 0.1)
     kinds = (gap_candidates,) if name == BOARDS else (edges_and_ends, edge_pairs, gap_candidates)
-    return [c for kind in kinds for _, c in kind(finder, (sent, heard), reached, ORDER, 0.1)]
+    return [c for kind in kinds for _, c in kind(reach)]
 
 
 @pytest.fixture(scope="module")

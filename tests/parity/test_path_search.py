@@ -12,9 +12,8 @@ from same_intervals import same
 import clsim
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.beam_tree import BeamTree, Candidates
-from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.paths.visibility.device import DeviceSearch
-from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, find_intervals
+from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, find_intervals, trajectory_tables
 from clsim.scene.room import wall_pairs
 
 pytestmark = pytest.mark.usefixtures("device")

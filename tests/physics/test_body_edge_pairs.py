@@ -18,8 +18,7 @@ from clsim.paths.path_set import PathSet
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
 from clsim.paths.search import edge_ends
-from clsim.paths.vertices.edge_pair_events import EdgePairs, EdgePairSolver
-from clsim.paths.vertices.gap_events import TWO_ENDS
+from clsim.paths.vertices.edge_events import TWO_ENDS, EdgePairs, EdgePairSolver
 from clsim.scene.motion.trajectory import Trajectory
 
 TONE = 40e3

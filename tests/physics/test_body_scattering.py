@@ -11,10 +11,10 @@ from clsim.numerics.quaternions import rotate
 from clsim.paths.arrivals import QUASI_STATIC, RETARDED
 from clsim.paths.chain import Chain
 from clsim.paths.legs.mirrors import Mirrors
+from clsim.paths.path_table import viewed
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.scatterer_paths import find_scattered
-from clsim.paths.view import viewed
 from clsim.render.methods.static import pairs_at_rest
 
 C, RATE = 343.0, 192e3

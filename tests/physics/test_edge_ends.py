@@ -12,7 +12,7 @@ from exhaustive import few
 import clsim
 from clsim.paths.path_set import PathSet
 from clsim.paths.search import edge_ends
-from clsim.paths.vertices.gap_events import TWO_ENDS
+from clsim.paths.vertices.edge_events import TWO_ENDS
 
 TONE, C, TALL = 40e3, 343.0, 30.0
 WAVE = 2.0 * np.pi * TONE / C

@@ -9,9 +9,8 @@ import clsim
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search import ray_shooting as shooting
 from clsim.paths.search.beam_tree import BeamTree, Candidates
-from clsim.paths.trajectory_tables import trajectory_tables
 from clsim.paths.visibility.device import DeviceSearch
-from clsim.paths.visibility.intervals import VisibilityQuery
+from clsim.paths.visibility.intervals import VisibilityQuery, trajectory_tables
 from clsim.scene.flush import find_mount
 
 WALL = clsim.Material.from_reflection(0.9)

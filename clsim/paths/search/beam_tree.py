@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import ByRow, Floats, firsts
-from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.visibility.intervals import BoundingSpheres, joined
 from clsim.paths.visibility.occlusion import (
     BEHIND,
     Beams,
@@ -74,18 +74,11 @@ class FoundPaths:
     def of_cells(parts: list[FoundPaths], last: Floats) -> FoundPaths:
         """Join paths of all cells, intervals that touch included; sort by receiver, order, walls and time."""
         found = FoundPaths.joined(parts)
-        keys = [found.begin, *found.walls.T[::-1], found.order, found.receiver]
-        rows = np.lexsort(keys)
-        receiver, order, walls = found.receiver[rows], found.order[rows], found.walls[rows]
-        begin, end = found.begin[rows], found.end[rows]
-        first = np.ones(len(rows), dtype=bool)
-        first[1:] = (receiver[1:] != receiver[:-1]) | np.any(walls[1:] != walls[:-1], axis=1) | (begin[1:] != end[:-1])
-        starts = np.flatnonzero(first)
-        stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
-        begin, end, receiver = begin[starts], end[stops], receiver[starts]
+        first, until = joined([found.receiver, found.order, *found.walls.T], found.begin, found.end)
+        begin, end, receiver = found.begin[first], found.end[until], found.receiver[first]
         begin = np.where(begin <= 0.0, -np.inf, begin)
         end = np.where(end >= last[receiver], np.inf, end)
-        return FoundPaths(receiver, order[starts], walls[starts], begin, end)
+        return FoundPaths(receiver, found.order[first], found.walls[first], begin, end)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

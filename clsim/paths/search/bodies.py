@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
-from clsim.paths.chain import Chain
+from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
@@ -22,9 +22,7 @@ from clsim.paths.options import PathOptions
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
-from clsim.paths.support import check_support
-from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres
-from clsim.paths.visibility.intervals import VisibilityQuery
+from clsim.paths.visibility.intervals import PERTURBATIONS, BoundingSpheres, joined
 from clsim.paths.visibility.mirrors import MirrorEvaluation, PastBodies
 from clsim.paths.visibility.obstacles import Obstacles
 from clsim.paths.visibility.occlusion import air_sides
@@ -96,7 +94,6 @@ class BodySearch:
         check_support("moving", scene.air)
         self.order = search.max_order if search.body_order is None else min(search.body_order, search.max_order)
         self.room = scene.room.as_mesh()
-        self.obstacles = Obstacles(Mirrors.of(scene), self.room.walls, scene.room.is_convex)
         fastest = max(body.peak_speed for body in scene.bodies)
         most = _FASTEST * scene.air.slowest
         if 2.0 * fastest * self.order > most:
@@ -106,12 +103,19 @@ class BodySearch:
                 f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
             )
         self._known: BodyRates | None = None
+        self.pair = cache(self._pair)
         self.posed = lru_cache(maxsize=1)(self._posed)  # edges are reached from both ends in one pose
         self.queries = [
             visibility_query(scene, self.room, source, search.max_order, search.resolution) for source in scene.sources
         ]
 
-    def pair(self, source: int, receiver: int) -> PairQuery:
+    @cached_property
+    def obstacles(self) -> Obstacles:
+        """What reflects and hides in the scene."""
+        walls = (*(body.mesh.walls for body in self.scene.bodies), self.room.walls)
+        return Obstacles(Mirrors.of(self.scene), walls, self.scene.room.is_convex)
+
+    def _pair(self, source: int, receiver: int) -> PairQuery:
         """Candidates between two endpoints."""
         scene, (query, longest) = self.scene, self.queries[source]
         ends: tuple[Source, Receiver] = (scene.sources[source], scene.receivers[receiver])
@@ -127,6 +131,10 @@ class BodySearch:
         medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
         rates = self._rates(longest, last).of_ends(motions[0], motions[1:])
         return PairQuery(lifted, medium, rates, times, query.resolution)
+
+    def _pairs(self, source: int) -> list[PairQuery]:
+        """Candidates between a source and each receiver."""
+        return [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
 
     def _rates(self, longest: float, last: float) -> BodyRates:
         """Largest speeds of bodies from before the first emission until a last time, s."""
@@ -166,9 +174,8 @@ class BodySearch:
         found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]] = []
         count, sources = 0, len(self.scene.sources)
         for source in range(sources):
-            pairs = [self.pair(source, receiver) for receiver in range(len(self.scene.receivers))]
             part = partial(report, progress, source / sources, (source + 1) / sources)
-            for receiver, there in enumerate(self._with_intervals(source, pairs, part)):
+            for receiver, there in enumerate(self._with_intervals(source, part)):
                 found.append((*there, (source, receiver)))
                 count += len(there[0])
             if count > self.search.path_limit:
@@ -177,12 +184,11 @@ class BodySearch:
                 )
         return self._family(found)
 
-    def _with_intervals(
-        self, source: int, pairs: list[PairQuery], progress: Progress
-    ) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
+    def _with_intervals(self, source: int, progress: Progress) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
         """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""
-        evaluate_at = self.mirror_evaluation(pairs)
-        found, runs, first = self._sequences(source, pairs), [], 0
+        pairs = self._pairs(source)
+        evaluate_at = self.mirror_evaluation(source)
+        found, runs, first = self._sequences(source, max(pair.last for pair in pairs)), [], 0
         for pair, (sequence, cell, bounds) in zip(pairs, found, strict=True):
             which, begin, end = _runs(sequence, cell, np.minimum(bounds, pair.last))
             runs.append((first + which, begin, end))
@@ -198,27 +204,22 @@ class BodySearch:
             mine = np.flatnonzero(receiver[path] == ear)
             yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
 
-    def mirror_evaluation(
-        self, pairs: Sequence[PairQuery]
-    ) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorEvaluation]:
-        """Return a function that makes the evaluation of paths by mirrors (P, N) of pairs (P,) of one source."""
+    def mirror_evaluation(self, source: int) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorEvaluation]:
+        """Return a function that makes the evaluation of paths by mirrors (P, N) from a source to receivers (P,)."""
+        pairs = self._pairs(source)
         widest = max((pair.rates for pair in pairs), key=lambda rates: rates.bodies.last)
         rates = EndRates(
             widest.bodies, widest.source, tuple(pair.rates.receivers[0] for pair in pairs),
             np.concatenate([pair.rates.held for pair in pairs]),
         )  # fmt: skip
-        source, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
-        return partial(MirrorEvaluation, self.obstacles, source, ears, medium, rates, step=self.search.body_step)
+        emitter, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
+        return partial(MirrorEvaluation, self.obstacles, emitter, ears, medium, rates, step=self.search.body_step)
 
-    def _sequences(
-        self, source: int, pairs: list[PairQuery]
-    ) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
+    def _sequences(self, source: int, last: float) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
         """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
-        query, longest = self.queries[source]
-        last = max(pair.times[-1] for pair in pairs)
-        rows = self.cells(last, lambda span: self._cell(query, longest, span))
+        rows = self.cells(last, partial(self._cell, source))
         cells, found = np.array([0.0, *(end for (_, end), _ in rows)]), []
-        for receiver in range(len(pairs)):
+        for receiver in range(len(self.scene.receivers)):
             mine = [sequence[receivers == receiver] for _, (sequence, receivers) in rows]
             number = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
             found.append((np.concatenate(mine), number, cells))
@@ -255,9 +256,7 @@ class BodySearch:
         waiting = list(np.minimum(even_lengths(np.minimum(speed, _POSES / _SHORTEST), _RATE, _POSES), last))
         return list(pairwise(waiting if len(waiting) > 1 else [0.0, last]))
 
-    def _cell(
-        self, query: VisibilityQuery, longest: float, span: tuple[float, float]
-    ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def _cell(self, source: int, span: Span) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return sequences (n, order) that hold a body, and the receiver of each, about one pose of the bodies.
 
         Beams run between balls that hold the ends. Unfold a path by the mirrors as they are in the pose, reflections at
@@ -268,7 +267,8 @@ class BodySearch:
         sequence is lost by a ball that is as much larger, but where the leg between two mirrors is shorter than those
         are displaced. What bodies hide in the pose they may not hide: nothing is taken to be hidden.
         """
-        ends, (begin, end) = query.trajectory_tables, span
+        (query, longest), (begin, end) = self.queries[source], span
+        ends = query.trajectory_tables
         middle = 0.5 * (begin - longest + end)
         slack = 2.0 * self.order * self.moved(middle, np.linspace(begin - longest, end, 9))
         walls = self.posed(middle)
@@ -340,24 +340,13 @@ def _runs(
     number = (
         np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
     )
-    order = np.lexsort((cell, number))
-    number, cell = number[order], cell[order]
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = (number[1:] != number[:-1]) | (cell[1:] != cell[:-1] + 1)
-    starts = np.flatnonzero(first)
-    stops = np.append(starts[1:], len(order))[: len(starts)] - 1
-    begin, end = bounds[cell[starts]], bounds[cell[stops] + 1]
+    first, last = joined([number], cell, cell + 1)
+    begin, end = bounds[cell[first]], bounds[cell[last] + 1]
     real = end > begin
-    return order[starts][real], begin[real], end[real]
+    return first[real], begin[real], end[real]
 
 
 def _merged(sequence: NDArray[np.int32], begin: Floats, end: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
     """Sort paths by order, mirrors and time, and join their intervals that touch."""
-    order = np.sum(sequence >= 0, axis=1)
-    rows = np.lexsort([begin, *sequence.T[::-1], order])
-    sequence, begin, end = sequence[rows], begin[rows], end[rows]
-    first = np.ones(len(rows), dtype=bool)
-    first[1:] = np.any(sequence[1:] != sequence[:-1], axis=1) | (begin[1:] > end[:-1])
-    starts = np.flatnonzero(first)
-    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
-    return sequence[starts], begin[starts], end[stops]
+    first, last = joined([np.sum(sequence >= 0, axis=1), *sequence.T], begin, end)
+    return sequence[first], begin[first], end[last]

@@ -16,14 +16,21 @@ from clsim.paths.chain import Chain
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import dot
 from clsim.paths.search.bodies import BodySearch, PairQuery
-from clsim.paths.search.body_edge_gaps import GapEvaluation, GapFinder, Route, Span, moving_pairs
-from clsim.paths.search.body_edge_pairs import on_edges
+from clsim.paths.search.body_edge_pairs import GapEvaluation, GapFinder, Route, Span, moving_pairs, on_edges
 from clsim.paths.search.edge_ends import least_level, lowest_wave, over_faces
-from clsim.paths.search.gap_parts import in_air
+from clsim.paths.search.edge_gaps import in_air
 from clsim.paths.search.mesh import visibility_query
 from clsim.paths.vertices.edge_end import EdgeEndVertex
-from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS, EdgeEndSolver, GapPairs, at_meeting, held_places
-from clsim.paths.vertices.gap_pair import ACROSS_AIR
+from clsim.paths.vertices.edge_events import (
+    MEETING,
+    OF_LAST,
+    TWO_ENDS,
+    EdgeEndSolver,
+    GapPairs,
+    at_meeting,
+    held_places,
+)
+from clsim.paths.vertices.edge_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import levels_over_ends
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.paths.visibility.subdivision import ROUNDS
@@ -52,7 +59,7 @@ class _EndFinder(GapFinder):
     def __init__(self, search: BodySearch) -> None:
         super().__init__(search)
         self._direct = search.search.direct is not False
-        self._wave, self._pair, self._query = lowest_wave(search.scene), cache(search.pair), cache(self._find_query)
+        self._wave, self._pair, self._query = lowest_wave(search.scene), search.pair, cache(self._find_query)
         self._over_faces = list(self._find_over_faces())
 
     def _find_query(self, source: int) -> VisibilityQuery:

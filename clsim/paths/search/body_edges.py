@@ -21,11 +21,12 @@ from clsim.paths.legs.mirrors import ROOM, EdgeLines
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.beam_tree import BeamTree
 from clsim.paths.search.bodies import BodySearch, PairQuery
-from clsim.paths.search.edge_chains import SAME_DELAY, joined_over_ends
 from clsim.paths.search.mesh import BEAM_LIMIT
-from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.search.same_events import SAME_DELAY
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
+from clsim.paths.visibility.edge_intervals import joined_over_ends
+from clsim.paths.visibility.intervals import BoundingSpheres, joined
 from clsim.paths.visibility.subdivision import ROUNDS, coded
 
 Rows = NDArray[np.int64]
@@ -256,13 +257,8 @@ def _joined(chains: Chains, begin: Floats, end: Floats, code: Codes) -> tuple[Ch
     met = np.sum(chains.before >= 0, axis=1) + np.sum(chains.after >= 0, axis=1)
     edges = [getattr(chains, f.name) for f in fields(chains)[2:]]
     keys = np.column_stack([met, *edges, chains.before, chains.after])
-    rows = np.lexsort([begin, *keys.T[::-1]])
-    chains, begin, end, code, keys = chains.part(rows), begin[rows], end[rows], code[rows], keys[rows]
-    first = np.ones(len(rows), dtype=bool)
-    first[1:] = np.any(keys[1:] != keys[:-1], axis=1) | (begin[1:] > end[:-1]) | (code[1:] != code[:-1])
-    starts = np.flatnonzero(first)
-    stops = np.append(starts[1:], len(rows))[: len(starts)] - 1
-    return chains.part(starts), begin[starts], end[stops], code[starts]
+    first, last = joined(list(keys.T), begin, end, code)
+    return chains.part(first), begin[first], end[last], code[first]
 
 
 def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:

@@ -17,20 +17,17 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import adjacent_reflections
 from clsim.arrays import Floats, spread
 from clsim.paths.chain import Chain
-from clsim.paths.family import PathFamily
-from clsim.paths.options import PathOptions
 from clsim.paths.propagation import UniformAir
-from clsim.paths.search.edge_chains import end_chain, with_swaps
-from clsim.paths.search.edge_gaps import apart, between_edges
-from clsim.paths.search.edges import Reached, Sides, in_planes, rows_of
-from clsim.paths.search.gap_parts import PARTS, in_air, legs_open
-from clsim.paths.trajectory_tables import PERTURBATIONS, with_points
-from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS, at_meeting, end_numbers
-from clsim.paths.vertices.gap_pair import ACROSS_AIR
-from clsim.paths.visibility.edge_ends import end_levels, off_edges
-from clsim.paths.visibility.edge_gaps import seen_frames
+from clsim.paths.search.edge_gaps import PARTS, apart, between_edges, in_air, legs_open
+from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides, in_planes
+from clsim.paths.search.mesh import Progress
+from clsim.paths.vertices.edge_end import EdgeEndVertex
+from clsim.paths.vertices.edge_events import MEETING, OF_LAST, TWO_ENDS, at_meeting, end_numbers
+from clsim.paths.vertices.edge_pair import ACROSS_AIR
+from clsim.paths.visibility.edge_ends import end_levels, off_edges, seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidates, imaged
+from clsim.paths.visibility.intervals import PERTURBATIONS, with_points
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene
@@ -48,16 +45,11 @@ _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
 
 
-def end_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]) -> Chain:
-    """Return every path over an edge and a free end of another one.
-
-    others: paths without edges, over one and over two, whose times are taken as by `double_edge_paths`.
-    """
-    wave = lowest_wave(scene)
-    fewest = 2 if scene.room.edges().free.any() else sys.maxsize
-    find = partial(end_candidates, wave=wave, direct=search.direct is not False)
-    rows, order, within = rows_of(scene, search, others, find, fewest)
-    return with_swaps(end_chain(scene, order, rows), within)
+def end_edge_paths(search: EdgePaths, others: Others, progress: Progress | None = None) -> Chain:
+    """Find every path over an edge and a free end of another one."""
+    find = partial(end_candidates, wave=lowest_wave(search.scene), direct=search.search.direct is not False)
+    rows = search.rows(find, others, progress, fewest=2 if search.edges.free.any() else sys.maxsize)
+    return search.chain(rows, EdgeEndVertex(**search.gap_columns(rows)))
 
 
 def lowest_wave(scene: Scene) -> float:
@@ -71,27 +63,24 @@ def least_level(direct: bool) -> float:
     return QUIET if direct else QUIET_ECHO
 
 
-def end_candidates(
-    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float, wave: float,
-    direct: bool,
-) -> Iterator[tuple[float, EdgeCandidates]]:  # fmt: skip
+def end_candidates(reach: EdgeReach, wave: float, direct: bool) -> Requested:
     """Yield candidates over an edge and an end of another one, with the times of both sides, and the share of the work.
 
     wave: wave number at which those that are quiet are left out, 1/m.
 
     direct: whether there is direct sound, by which it is told.
 
-    sides, reached, longest: see `gap_candidates`. Candidates may have different numbers of walls on their sides.
+    Candidates may have different numbers of walls on their sides.
     """
-    routes = _routes(finder, reached, order)
+    finder, order, routes = reach.finder, reach.order, _routes(reach)
     met, fewest = np.sum(routes.between >= 0, axis=1), adjacent_reflections(finder.edges.n).min(axis=1)
     left = order - met - fewest[routes.edge].sum(axis=1)
     routes, met, left = _part(routes, np.flatnonzero(left >= 0)), met[left >= 0], left[left >= 0]
     if not len(left):
         return
-    source = _Sight(finder, 0, sides[0], routes, left, longest)
+    source = _Sight(reach, 0, routes, left)
     after = left - source.fewest
-    sights = [_Sight(finder, row, mover, routes, after, longest) for row, mover in enumerate(sides[1], 1)]
+    sights = [_Sight(reach, row, routes, after) for row in range(1, len(reach.to_receivers) + 1)]
     kinds = np.column_stack([at_meeting(routes.end), routes.face[:, 0] == ACROSS_AIR, met])
     every, kind = np.unique(kinds, axis=0, return_inverse=True)
     for number in range(len(every)):
@@ -123,12 +112,12 @@ def _together(parts: Iterator[EdgeCandidates], count: int) -> Iterator[EdgeCandi
         yield EdgeCandidates.joined(waiting)
 
 
-def _routes(finder: EdgeSearch, reached: Reached, order: int) -> EdgeCandidates:
+def _routes(reach: EdgeReach) -> EdgeCandidates:
     """Make routes without sides: over faces that edges share, and across air by up to so many walls."""
+    finder, order = reach.finder, reach.order
     edges, walls = finder.edges, finder.query.walls
     found, pairs = [over_faces(walls, edges, order)], apart(finder)
-    balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
-    from_edge = [reached(ball) if e in pairs else [] for e, ball in enumerate(balls)] if len(pairs) else []
+    from_edge = reach.from_edges(pairs) if len(pairs) else []
     for count in range(order + 1) if len(pairs) else ():
         pair, between = between_edges(pairs, from_edge, count)
         between = np.pad(between, ((0, 0), (0, order - count)), constant_values=-1)
@@ -240,9 +229,8 @@ class _Sight:
     What is beyond an end or an edge is a place at rest in its air: as far from the edge, and along it, as the end.
     """
 
-    def __init__(
-        self, finder: EdgeSearch, row: int, sides: Sides, routes: EdgeCandidates, most: Rows, longest: float
-    ) -> None:
+    def __init__(self, reach: EdgeReach, row: int, routes: EdgeCandidates, most: Rows) -> None:
+        finder, sides = reach.finder, [reach.from_source, *reach.to_receivers][row]
         edges, walls, every = finder.edges, finder.query.walls, np.arange(len(routes.edge))
         self.row = row
         seen = seen_frames(walls, edges, routes.edge[:, 1], routes.between)
@@ -263,7 +251,7 @@ class _Sight:
         place = edges.start[self._edge] + z[:, None] * edges.along[self._edge] + r[:, None] * off
         late = r / finder.query.medium.speed_of_sound * ((self._end >= 0) & (row == 0))  # from ends to what is beyond
         query, last = finder.query, float(finder.query.last.max(initial=0.0))
-        span = (-longest, last) if row == 0 else (float(query.first[row - 1]), float(query.last[row - 1]))
+        span = (-reach.longest, last) if row == 0 else (float(query.first[row - 1]), float(query.last[row - 1]))
         requested = replace(
             query, trajectory_tables=with_points(query.trajectory_tables, row, place),
             medium=query.medium if row == 0 else _AT_ONCE, first=np.full(len(some), span[0]), last=span[1] + late,
@@ -337,7 +325,7 @@ def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct
     assert found.spans is not None
     every, begin, end = found.spans
     times, which = begin + _SAMPLED[:, None] * (end - begin), np.tile(every, len(_SAMPLED))
-    levels = end_levels(finder.visibility(found), finder.query, which, times.ravel(), wave, direct)
+    levels = end_levels(finder.visibility(found), which, times.ravel(), wave, direct)
     kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > least_level(direct))
     return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
 

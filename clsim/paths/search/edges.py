@@ -1,31 +1,46 @@
-"""Every path over one edge up to a number of reflections: candidates from beams of both ends, and their intervals."""
+"""Every path over edges of a room up to a number of reflections: candidates from beams of both ends, and their chains.
+
+Paths over one edge, an end of it, or two edges of one face; `edge_gaps` and `edge_ends` have the others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.acoustics.diffraction import TERMS, adjacent_reflections
-from clsim.arrays import Floats, as_count
+from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections
+from clsim.arrays import Floats, as_count, read_only
 from clsim.errors import InputError
-from clsim.paths.chain import Chain
-from clsim.paths.family import DIFFRACTION, PathFamily
+from clsim.paths.chain import Chain, check_support
+from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, PathFamily
+from clsim.paths.legs.mirrors import EdgeLines
+from clsim.paths.legs.static import StaticLeg
 from clsim.paths.options import PathOptions
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
-from clsim.paths.search.edge_chains import edge_chain, edge_pair_chain, gap_chain, with_swaps
-from clsim.paths.search.edge_gaps import gap_candidates
-from clsim.paths.search.mesh import BEAM_LIMIT, LARGEST_MESH_ORDER, float64_device, sides_of_air, visibility_query
-from clsim.paths.support import check_support
-from clsim.paths.trajectory_tables import BoundingSpheres
+from clsim.paths.search.mesh import (
+    BEAM_LIMIT,
+    LARGEST_MESH_ORDER,
+    Progress,
+    float64_device,
+    image_isometries,
+    resolution_of,
+    sides_of_air,
+    visibility_query,
+)
+from clsim.paths.search.same_events import with_swaps
+from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_end import ends_of
+from clsim.paths.vertices.edge_pair import EdgePairVertex
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.device import DeviceSearch
+from clsim.paths.visibility.edge_ends import seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch, find_pieces
-from clsim.paths.visibility.edges import ENDS_BESIDE, EdgeCandidates
+from clsim.paths.visibility.edges import ENDS_BESIDE, SIDES, EdgeCandidates
+from clsim.paths.visibility.intervals import BoundingSpheres
 from clsim.paths.visibility.occlusion import Ears
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
@@ -33,9 +48,9 @@ from clsim.scene.scene import Scene
 
 Rows = NDArray[np.int64]
 Sides = list[list[NDArray[np.int32]]]  # by edge and number of walls: sequences (n, N)
-Reached = Callable[[tuple[Floats, float]], Sides]
+Found = list[dict[str, Any]]
 Requested = Iterator[tuple[float, EdgeCandidates]]  # with the share of the work so far
-Kind = Callable[[EdgeSearch, tuple[Sides, list[Sides]], Reached, int, float], Requested]
+Others = tuple[PathFamily, ...]
 
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
@@ -43,99 +58,170 @@ _SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or 
 _FARTHEST = 8  # resolutions, the same where that is more
 
 
-def edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]) -> Chain:
-    """Return every path over one edge with up to `max_order` reflections before and after it.
+class EdgePaths:
+    """Looks for paths over edges of a scene's room, one kind of vertices after another.
 
-    others: paths without edges: where an edge path takes over from one of them, that one's time is taken.
-
-    A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
+    others: paths found so far, whose times are taken where an edge path takes over from them.
     """
-    rows, order, within = rows_of(scene, search, others, edges_and_ends)
-    return with_swaps(edge_chain(scene, search.diffraction_model, order, rows), within)
+
+    def __init__(self, scene: Scene, search: PathOptions) -> None:
+        self.scene, self.search, self.edges = scene, search, scene.room.edges()
+        self.order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
+        self._reach = cache(self._find_reach)
+
+    def over_one(self, others: Others, progress: Progress | None = None) -> Chain:
+        """Find every path over one edge with up to `max_order` reflections before and after it.
+
+        A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
+        """
+        rows, lines = self.rows(edges_and_ends, others, progress), EdgeLines.of(self.scene.room)
+        return self.chain(rows, EdgeVertex(**_first_edges(rows), lines=lines, model=self.search.diffraction_model))
+
+    def over_pairs(self, others: Others, progress: Progress | None = None) -> Chain:
+        """Find every path over two edges that share a face, with up to `max_order` reflections before and after."""
+        check_support("static edge pair", self.scene.air)
+        rows = self.rows(edge_pairs, others, progress, fewest=2)
+        return self.chain(rows, EdgePairVertex(**self.both_edges(rows)))
+
+    def rows(
+        self, kind: Callable[[EdgeReach], Requested], others: Others, progress: Progress | None, fewest: int = 1
+    ) -> Found:
+        """Find paths of all sources, sorted by source, receiver, order, objects and time.
+
+        Rooms with fewer edges than the fewest have no such paths.
+        """
+        found: Found = []
+        for source in range(len(self.scene.sources) if len(self.edges) >= fewest else 0):
+            found += self._rows_of(source, kind, _AdjacentPaths(others, source), progress or self.search.notify)
+        walls = "before", "between", "after"
+        found.sort(key=lambda r: (r["source"], r["receiver"], sum(len(r[name]) for name in walls), *r["edges"],
+                                  r["end_of"], *(wall for name in walls for wall in r[name]), r["start"]))  # fmt: skip
+        return found
+
+    def _rows_of(
+        self, source: int, kind: Callable[[EdgeReach], Requested], adjacent: _AdjacentPaths, notify: Progress
+    ) -> Found:
+        """Find the paths of a source."""
+        found: Found = []
+        reach, count, limit = self._reach(source), len(self.scene.sources), self.search.path_limit
+        done = source / count
+        for share, candidates in kind(reach):
+            rows = _rows(reach, candidates, adjacent, partial(notify, done))
+            found += [{**row, "source": source} for row in rows]
+            if len(found) > limit:
+                raise InputError("max_order", f"must give at most {limit} paths over edges (path_limit)")
+            done = (source + share) / count
+            notify(done)
+        return found
+
+    def _find_reach(self, source: int) -> EdgeReach:
+        """Find how each edge may be reached from a source and its receivers, once for all kinds of vertices."""
+        scene, search = self.scene, self.search
+        query, longest = visibility_query(
+            scene, scene.room.as_mesh(), scene.sources[source], self.order + 1, search.resolution
+        )
+        device = float64_device(search.engine, search.device)
+        on_device = None if device is None else DeviceSearch(query, device)
+        return EdgeReach(EdgeSearch(query, self.edges, on_device, sides_of_air(query)), self.order, longest)
+
+    def both_edges(self, rows: Found) -> dict[str, Any]:
+        """Make the columns of `EdgePairVertex`."""
+        lines, columns = EdgeLines.of(self.scene.room), _first_edges(rows)
+        second = {
+            "edge": np.array([r["edges"][1] for r in rows], dtype=np.int64),
+            "lit": np.array([r["sides"][TERMS + 1 : 2 * TERMS + 1] for r in rows], dtype=np.int8).reshape(-1, TERMS),
+        }
+        last = EdgeVertex(**(columns | second), lines=lines, model="utd")
+        shared = read_only(np.array([r["faces"] for r in rows], dtype=np.int64).reshape(-1, 2))
+        return columns | {"lines": lines, "model": "utd", "last": last, "shared": shared}
+
+    def gap_columns(self, rows: Found) -> dict[str, Any]:
+        """Make the columns of `GapPairVertex`."""
+        columns, walls, order = self.both_edges(rows), self.scene.room.as_mesh().walls, self.order
+        between = np.full((len(rows), order), -1, dtype=np.int32)
+        for row, r in zip(between, rows, strict=True):
+            row[: len(r["between"])] = r["between"]
+        met = np.array([len(r["before"]) + len(r["after"]) + len(r["between"]) for r in rows], dtype=np.int64)
+        seen = seen_frames(walls, self.edges, columns["last"].edge, between)
+        held = (("seen", seen), ("between", between), ("budget", order - met))
+        return columns | {name: read_only(x) for name, x in held}
+
+    def chain(self, rows: Found, vertex: EdgeVertex) -> Chain:
+        """Make paths over vertices, with one time for each event at which one takes over from another."""
+        count, edges, order = len(rows), len(vertex.lines), self.order
+        objects = np.full((count, order + 2), -1, dtype=np.int32)
+        kinds = np.full((count, order + 2), NONE, dtype=np.int8)
+        for i, r in enumerate(rows):
+            n, m = len(r["before"]), len(r["after"])
+            first, last = r["edges"]
+            things = [first, *r["between"], last] if r["faces"][0] >= 0 else [first]
+            if r["end_of"] >= 0:
+                for place, end in ends_of(r["end_of"]):
+                    things[-place] = edges + 2 * r["edges"][place] + end
+            objects[i, : n + m + len(things)] = [*r["before"], *things, *r["after"][::-1]]
+            met = [DIFFRACTION, *[SPECULAR] * len(r["between"]), DIFFRACTION][: len(things)]
+            kinds[i, : n + m + len(things)] = [SPECULAR] * n + met + [SPECULAR] * m
+        longest = order + max((1 + (r["faces"][0] >= 0) for r in rows), default=1)
+        objects, kinds = read_only(objects[:, :longest]), read_only(kinds[:, :longest])
+        legs = self._leg([r["before"] for r in rows]), self._leg([r["after"] for r in rows])
+        columns: dict[str, Any] = {
+            "source": np.array([r["source"] for r in rows], dtype=np.int32),
+            "receiver": np.array([r["receiver"] for r in rows], dtype=np.int32),
+            "order": np.sum(objects >= 0, axis=1).astype(np.int32),
+            "start": np.array([r["start"] for r in rows], dtype=np.float64),
+            "end": np.array([r["end"] for r in rows], dtype=np.float64),
+        }
+        held = {name: read_only(column) for name, column in columns.items()}
+        family = Chain(scene=self.scene, **held, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
+        return with_swaps(family, _FARTHEST * resolution_of(self.scene, self.search.resolution))
+
+    def _leg(self, sequences: list[NDArray[np.int32]]) -> StaticLeg:
+        """Make legs by sequences of walls."""
+        found = np.full((len(sequences), self.order), -1, dtype=np.int32)
+        for row, sequence in zip(found, sequences, strict=True):
+            row[: len(sequence)] = sequence
+        if not sequences:
+            return StaticLeg(np.empty((0, 3, 3)), np.empty((0, 3)))
+        return StaticLeg(*(read_only(x) for x in image_isometries(self.scene.room.as_mesh().walls, found)))
 
 
-def double_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]) -> Chain:
-    """Return every path over two edges that share a face with up to `max_order` reflections before and after them.
-
-    others: paths without edges and over one: where a path over two edges takes over from one of them, that one's time
-    is taken.
-    """
-    check_support("static edge pair", scene.air)
-    rows, order, within = rows_of(scene, search, others, edge_pairs, 2)
-    return with_swaps(edge_pair_chain(scene, order, rows), within)
-
-
-def gap_edge_paths(scene: Scene, search: PathOptions, others: tuple[PathFamily, ...]) -> Chain:
-    """Return every path over two edges with air between, with up to `max_order` reflections before, between and after.
-
-    others: paths without edges and over one, whose times are taken as by `double_edge_paths`.
-    """
-    rows, order, within = rows_of(scene, search, others, gap_candidates, 2)
-    return with_swaps(gap_chain(scene, order, rows), within)
-
-
-def rows_of(
-    scene: Scene, search: PathOptions, others: tuple[PathFamily, ...], kind: Kind, fewest: int = 1
-) -> tuple[list[dict[str, Any]], int, float]:
-    """Return paths of all sources, sorted by source, receiver, order, objects and time, and the order.
-
-    The last is how far apart the times of the same event may have been found, s. Rooms with fewer edges than the fewest
-    have no such paths.
-    """
-    order = as_count("max_order", search.max_order, at_most=LARGEST_MESH_ORDER)
-    edges = scene.room.edges()
-    rows: list[dict[str, Any]] = []
-    within = 0.0
-    if len(edges) >= fewest:
-        for source in range(len(scene.sources)):
-            found, resolution = _source_rows(scene, edges, source, order, search, _AdjacentPaths(others, source), kind)
-            rows, within = rows + found, _FARTHEST * resolution
-    walls = "before", "between", "after"
-    rows.sort(key=lambda r: (r["source"], r["receiver"], sum(len(r[name]) for name in walls), *r["edges"], r["end_of"],
-                             *(wall for name in walls for wall in r[name]), r["start"]))  # fmt: skip
-    return rows, order, within
-
-
-def _source_rows(
-    scene: Scene, edges: Edges, source: int, order: int, search: PathOptions, adjacent: _AdjacentPaths, kind: Kind
-) -> tuple[list[dict[str, Any]], float]:
-    """Return the paths of a source, one by one, and to which time their ends are found, s."""
-    room = scene.room.as_mesh()
-    query, longest = visibility_query(scene, room, scene.sources[source], order + 1, search.resolution)
-    device = float64_device(search.engine, search.device)
-    tables, found, air = query.trajectory_tables, [], sides_of_air(query)
-    finder = EdgeSearch(query, edges, None if device is None else DeviceSearch(query, device), air)
-    reached = EdgeReach(finder, order)
-    from_source = reached(tables.sphere(0, -longest))
-    to_receivers = [reached(tables.sphere(1 + r)) for r in range(len(scene.receivers))]
-    done = source / len(scene.sources)
-    sides = from_source, to_receivers
-    for share, candidates in kind(finder, sides, reached, order, longest):
-        notify = partial(search.notify, done)
-        found += [{**row, "source": source} for row in _rows(finder, candidates, order, adjacent, notify)]
-        if len(found) > search.path_limit:
-            raise InputError("max_order", f"must give at most {search.path_limit} paths over edges (path_limit)")
-        done = (source + share) / len(scene.sources)
-        search.notify(done)
-    return found, query.resolution
+def _first_edges(rows: Found) -> dict[str, Any]:
+    """Columns of `EdgeVertex` of the first edges."""
+    sides = np.array([r["sides"] for r in rows], dtype=np.int8).reshape(-1, SIDES)
+    edge = np.array([r["edges"][0] for r in rows], dtype=np.int64)
+    end = np.array([r["end_of"] for r in rows], dtype=np.int8)
+    even = np.full(len(rows), EVEN)
+    values: tuple[Any, ...] = (edge, end, sides[:, :TERMS], sides[:, TERMS], sides[:, ENDS_BESIDE], even)
+    return {name: read_only(column) for name, column in zip(COLUMNS, values, strict=True)}
 
 
 class EdgeReach:
-    """Finds the sequences of walls by which each edge may be reached from a sphere, by number of walls."""
+    """How each edge of a room may be reached: sequences of walls from a source, its receivers and other balls.
 
-    def __init__(self, finder: EdgeSearch, order: int) -> None:
-        edges = finder.edges
-        self._finder, self._order = finder, order
+    longest: time that sound takes at most, s.
+    """
+
+    def __init__(self, finder: EdgeSearch, order: int, longest: float) -> None:
+        edges, tables = finder.edges, finder.query.trajectory_tables
+        self.finder, self.order, self.longest = finder, order, longest
         self._ears: BoundingSpheres | Ears = BoundingSpheres(0.5 * (edges.start + edges.stop), 0.5 * edges.length)
+        self.from_source = self.from_ball(tables.sphere(0, -longest))
+        self.to_receivers = [self.from_ball(tables.sphere(row)) for row in range(1, len(tables.places))]
 
-    def __call__(self, sphere: tuple[Floats, float]) -> Sides:
-        """Return those from a sphere, its centre and radius, m."""
-        edges, walls = self._finder.edges, self._finder.query.walls
-        found: list[list[list[Any]]] = [[[] for _ in range(self._order + 1)] for _ in range(len(edges))]
-        tree = BeamTree(walls, *sphere, self._ears, BEAM_LIMIT, self._finder.air)
+    def from_edges(self, some: NDArray[np.int64]) -> list[Sides]:
+        """Find the sequences from some edges, by edge; none from the others."""
+        edges = self.finder.edges
+        balls = zip(0.5 * (edges.start + edges.stop), 0.5 * edges.length, strict=True)
+        return [self.from_ball(ball) if e in some else [] for e, ball in enumerate(balls)]
+
+    def from_ball(self, sphere: tuple[Floats, float]) -> Sides:
+        """Find the sequences from a ball, its centre and radius, m."""
+        edges, walls = self.finder.edges, self.finder.query.walls
+        found: list[list[list[Any]]] = [[[] for _ in range(self.order + 1)] for _ in range(len(edges))]
+        tree = BeamTree(walls, *sphere, self._ears, BEAM_LIMIT, self.finder.air)
         self._ears = tree.ears
         try:
-            for batch in tree.candidates(self._order):
+            for batch in tree.candidates(self.order):
                 count = batch.sequence.shape[1]
                 kept = np.flatnonzero(_may_reach(walls, sphere, edges, batch.receiver, batch.sequence[batch.row]))
                 sequence, of_edge = batch.sequence[batch.row[kept]], batch.receiver[kept]
@@ -175,42 +261,36 @@ def in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArr
     return found
 
 
-def edges_and_ends(
-    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
-) -> Requested:
+def edges_and_ends(reach: EdgeReach) -> Requested:
     """Yield candidates over edges and free ends of them."""
-    edges = finder.edges
+    edges = reach.finder.edges
     fewest = adjacent_reflections(edges.n).min(axis=1).tolist()
     ends = [(-1, *np.flatnonzero(free).tolist()) for free in edges.free]
-    return _requested(
-        finder, sides, order, [((e, e), (-1, -1), end, fewest[e]) for e in range(len(edges)) for end in ends[e]]
-    )
+    return _requested(reach, [((e, e), (-1, -1), end, fewest[e]) for e in range(len(edges)) for end in ends[e]])
 
 
-def edge_pairs(
-    finder: EdgeSearch, sides: tuple[Sides, list[Sides]], reached: Reached, order: int, longest: float
-) -> Requested:
+def edge_pairs(reach: EdgeReach) -> Requested:
     """Yield candidates over pairs of edges that share a face."""
-    edges, fewest = finder.edges, adjacent_reflections(finder.edges.n).min(axis=1)
-    pairs = zip(*edges.pairs(), strict=True)
-    return _requested(finder, sides, order, [(pair, face, -1, fewest[pair].sum()) for pair, face in pairs])
+    edges = reach.finder.edges
+    fewest, pairs = adjacent_reflections(edges.n).min(axis=1), zip(*edges.pairs(), strict=True)
+    return _requested(reach, [(pair, face, -1, fewest[pair].sum()) for pair, face in pairs])
 
 
-def _requested(finder: EdgeSearch, sides: tuple[Sides, list[Sides]], order: int, vertices: list[Any]) -> Requested:
+def _requested(reach: EdgeReach, vertices: list[Any]) -> Requested:
     """Yield pairs of sequences to vertices, by numbers of walls.
 
     Vertices are given as edges, faces shared, end, and fewest reflections of an adjacent path.
     """
-    edges, walls = finder.edges, finder.query.walls
+    edges, walls, order = reach.finder.edges, reach.finder.query.walls, reach.order
     numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
     for done, (n, m) in enumerate(numbers):
         parts: list[EdgeCandidates] = []
         waiting = 0
-        for receiver, to_receiver in enumerate(sides[1]):
+        for receiver, to_receiver in enumerate(reach.to_receivers):
             for both, face, end, fewest in vertices:
                 if n + m + fewest > order:
                     continue
-                before, after = sides[0][both[0]][n], to_receiver[both[1]][m]
+                before, after = reach.from_source[both[0]][n], to_receiver[both[1]][m]
                 if end >= 0:  # nothing comes to an end by a wall that it lies in
                     place = (edges.start, edges.stop)[end][both[0]]
                     before, after = (x[~in_planes(walls, place, x).any(axis=1)] for x in (before, after))
@@ -250,10 +330,11 @@ class _AdjacentPaths:
 
 
 def _rows(
-    finder: EdgeSearch, wanted: EdgeCandidates, order: int, adjacent: _AdjacentPaths, notify: Callable[[], None]
+    reach: EdgeReach, wanted: EdgeCandidates, adjacent: _AdjacentPaths, notify: Callable[[], None]
 ) -> Iterator[dict[str, Any]]:
     """Yield paths that candidates give, with the times of their partners."""
-    pieces, query = find_pieces(finder, wanted, order, notify), finder.query
+    finder, query = reach.finder, reach.finder.query
+    pieces = find_pieces(finder, wanted, reach.order, notify)
     within = max(_SAME_EVENT, _FARTHEST * query.resolution)
     begin, end, of_pairs = pieces.begin.copy(), pieces.end.copy(), wanted.over_ends_of_pairs
     for i in range(1, len(pieces.row)):

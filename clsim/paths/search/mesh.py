@@ -21,9 +21,16 @@ from clsim.paths.options import PathOptions
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooManyBeamsError
 from clsim.paths.search.ray_shooting import THROUGH, ShotRays, divided, see_through
-from clsim.paths.trajectory_tables import PERTURBATIONS, BoundingSpheres, TrajectoryTables, trajectory_tables
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
-from clsim.paths.visibility.intervals import Intervals, VisibilityQuery, find_intervals
+from clsim.paths.visibility.intervals import (
+    PERTURBATIONS,
+    BoundingSpheres,
+    Intervals,
+    TrajectoryTables,
+    VisibilityQuery,
+    find_intervals,
+    trajectory_tables,
+)
 from clsim.paths.visibility.occlusion import WallLookup, air_sides, in_air
 from clsim.scene.ends import Source
 from clsim.scene.flush import find_mount

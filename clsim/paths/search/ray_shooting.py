@@ -15,9 +15,8 @@ from clsim.arrays import Floats, unique_rows
 from clsim.errors import check_packages
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.search.beam_tree import Candidates, FoundPaths
-from clsim.paths.trajectory_tables import BoundingSpheres
 from clsim.paths.visibility.clearance import blocks, segments_apart, unfold
-from clsim.paths.visibility.intervals import VisibilityQuery, find_intervals
+from clsim.paths.visibility.intervals import BoundingSpheres, VisibilityQuery, find_intervals
 from clsim.scene.motion.motion import Instants, Motion
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.mesh import MeshRoom
@@ -194,7 +193,7 @@ def _crossings(
         sequence, spans = found.walls[rows, :count], (span[0][rows], span[1][rows])
         for panel in panels:
             for leg in range(count + 1):
-                evaluations = partial(_evaluate, panel, leg)
+                evaluations = partial(_evaluate, panel, leg, query)
                 crossed = find_intervals(query, sequence, found.receiver[rows], evaluations, spans)
                 each = (np.full(len(crossed.path), x) for x in (leg, panel))
                 parts.append((rows[crossed.path], *each, crossed.begin, crossed.end))

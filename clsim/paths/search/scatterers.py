@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
-from clsim.paths.chain import Chain
+from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import TRANSMISSION, ends_at
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import Mirrors
@@ -22,7 +22,6 @@ from clsim.paths.legs.moving import moving_paths
 from clsim.paths.legs.static import StaticLeg, direct_paths
 from clsim.paths.links import met_in_order
 from clsim.paths.propagation import Medium, mean_medium_of, medium_of, straight
-from clsim.paths.support import check_support
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.body import Body
 from clsim.scene.ends import End, Receiver, Source

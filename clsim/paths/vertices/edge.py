@@ -20,14 +20,17 @@ from clsim.paths.propagation import UniformAir, arrivals_by
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
 from clsim.paths.vertices.edge_field import (
+    EdgeView,
     EndsOfEdges,
+    LayeredLengths,
     adjacent_factors,
     cylindrical,
+    edge_lengths,
     exact_field,
     least_angle,
+    polar,
     utd_field,
 )
-from clsim.paths.vertices.edge_lengths import EdgeView, LayeredLengths, edge_lengths, polar
 from clsim.scene.scene import Scene
 
 Triple = tuple[Floats, Floats, Floats]

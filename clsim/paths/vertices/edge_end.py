@@ -22,8 +22,7 @@ from clsim.arrays import Floats
 from clsim.paths.links import Pair
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import Triple
-from clsim.paths.vertices.edge_pair import EdgePairVertex
-from clsim.paths.vertices.gap_events import (
+from clsim.paths.vertices.edge_events import (
     MEETING,
     OF_LAST,
     TWO_ENDS,
@@ -32,7 +31,15 @@ from clsim.paths.vertices.gap_events import (
     end_numbers,
     held_places,
 )
-from clsim.paths.vertices.gap_pair import AT_ONCE, COMING, LEAVING, GapPairVertex, product_of_terms, terms_of
+from clsim.paths.vertices.edge_pair import (
+    AT_ONCE,
+    COMING,
+    LEAVING,
+    EdgePairVertex,
+    GapPairVertex,
+    product_of_terms,
+    terms_of,
+)
 
 _GRAZING, _INSIDE = (1.2, 2.2), (-1.5, -0.5)  # roots of phases, between which one theory goes over into another
 

@@ -1,9 +1,14 @@
-"""Sound over an edge that moves, among mirrors that move: where on the edge and when it is diffracted, exactly.
+"""Sound over edges that move, among mirrors that move: where on the edges and when it is diffracted, exactly.
 
 The way to the edge and the way from it are two of `find_events`, with a point of the edge for an end. Where the point
 lies along the edge is found by Newton's method: the sum of both is stationary there (Fermat). Images of emission and
 reception by the mirrors, and the event of diffraction, are seen from the edge's own frame, into which a Lorentz
 transformation with the speed of sound leads: there the edge rests, and all is as at an edge at rest.
+
+Over two edges of one face sound runs along the face from the first edge to the second. As the object sees it, that way
+is straight once the faces are rolled out into one plane: this tells both places nearly, and exactly where the object
+does not turn on the way. From there Newton's method leads to where the time of the whole way is stationary. Over two
+edges with air between, and over an edge and an end of another, the least of a convex length takes the plane's place.
 """
 
 from __future__ import annotations
@@ -14,12 +19,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.acoustics.diffraction import path_over_edge
+from clsim.acoustics.diffraction import ON_LINE, path_over_edge
+from clsim.acoustics.edge_gap import EdgeGap
 from clsim.arrays import Floats
 from clsim.paths.legs.events import Events, few_of, find_events
 from clsim.paths.legs.mirrors import EdgeLines, EdgePoint, Mirrors, dot
 from clsim.paths.propagation import UniformAir
-from clsim.paths.vertices.edge_field import cylindrical
+from clsim.paths.vertices.edge_field import RolledOut, cylindrical
 from clsim.scene.motion.motion import Motion
 
 Triple = tuple[Floats, Floats, Floats]
@@ -214,3 +220,284 @@ def _from_moving(
     moved = gamma**2 / (gamma + 1.0) * dot(direction, slip) - gamma
     seen = sign * distance[..., None] * (direction + moved[..., None] * slip)
     return np.stack([dot(seen, axis) for axis in (across, out, along)])
+
+
+_NEAR = 0.05  # of ends' distances from edges, and of both places': steps that are shorter are left to Newton's method
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgePairs(Chains):
+    """What P paths meet: mirrors, two edges that share a face, and mirrors, all from the source's side."""
+
+    last: NDArray[np.int64]  # (P,) the second edge
+    face: NDArray[np.int64]  # (P, 2) which face of each both share, 0 for its 0-face, 1 for its n-face
+
+    def part(self, rows: NDArray[np.int64]) -> EdgePairs:
+        """Return some of them."""
+        return EdgePairs(*(getattr(self, f.name)[rows] for f in fields(EdgePairs)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgePairEvents(EdgeEvents):
+    """How sound goes over two edges; `source` is about the first, `receiver` about the second, from their starts.
+
+    Attributes
+    ----------
+    along : ndarray (P, 2, T)
+        Points of diffraction on the edges, m from their starts.
+    time : ndarray (P, T)
+        When at the first edge, s.
+    last : Events
+        Leg from the second edge; delay, its rate and distance include the leg from the first one.
+    slope : ndarray (P, 2, T)
+        By how much the way grows with each of the places.
+    bend : ndarray (P, 2, 2, T)
+        And twice, 1/m.
+    """
+
+    slope: Floats
+    bend: Floats
+
+    def part(self, rows: NDArray[np.int64]) -> EdgePairEvents:
+        """Places, ends and slopes of some of the paths."""
+        some: EdgePairEvents = EdgeEvents.part(self, rows)
+        return replace(some, slope=self.slope[rows], bend=self.bend[rows])
+
+
+class EdgePairSolver(EdgeSolver):
+    """What ways over two edges are looked for among, between one source and one receiver."""
+
+    __slots__ = ()
+    steps = 24
+
+    def ahead(self, pairs: EdgePairs, found: EdgePairEvents) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        """Places r and z (P, T) of each end as the other end's edge sees it beyond its own, rolled out, m."""
+        edges = pairs.edge, pairs.last
+        frames, n = tuple(self.lines.frames[e] for e in edges), tuple(self.lines.n[e] for e in edges)
+        one, other = RolledOut.between((frames[0], frames[1]), (n[0], n[1]), pairs.face)
+        return one(*found.receiver[::2]), other(*found.source[::2])
+
+    def _lengths(self, pairs: EdgePairs) -> Floats:
+        """Lengths of both edges (P, 2, 1), m."""
+        return self.lines.length[np.stack([pairs.edge, pairs.last], axis=1)][..., None]
+
+    def held(self, pairs: EdgePairs) -> Floats:
+        """Places on the edges (P, 2, 1) of paths over ends, m; NaN on edges that paths meet anywhere."""
+        return np.full((len(pairs.edge), 2, 1), np.nan)
+
+    def _next(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
+        """Places (P, 2, T) from which to go on: as if all rested where that is far, else by Newton's method, m."""
+        near = _NEAR * np.min([found.source[0], found.receiver[0], self._apart(pairs, found)], axis=0)
+        place = self._solved(pairs, found)
+        (a, both), (_, b) = np.moveaxis(found.bend, (1, 2), (0, 1))
+        first, last = np.moveaxis(found.slope, 1, 0)
+        step = np.stack([b * first - both * last, a * last - both * first], axis=1) / (a * b - both**2)[:, None]
+        close = np.all(np.abs(np.stack([place - found.along, step])) < near[:, None], axis=(0, 2))
+        return np.where(close[:, None], found.along - step, place)
+
+    def _apart(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
+        """Distances (P, T) between both places, m: near a common corner of both edges Newton's method leads astray."""
+        frames, along = self.lines.frames[np.stack([pairs.edge, pairs.last])], np.moveaxis(found.along, 1, 0)
+        one, other = frames[:, :, None, 0] + along[..., None] * frames[:, :, None, 3]
+        return np.asarray(np.linalg.norm(other - one, axis=-1))
+
+    def _solved(self, pairs: EdgePairs, found: EdgePairEvents) -> Floats:
+        """Places (P, 2, T) on both edges if all rested where it is seen: rolled out, m."""
+        ends = (found.source[::2], found.receiver[::2]), self.ahead(pairs, found)
+        apexes = [path_over_edge(*end, np.maximum(r, ON_LINE), z).apex for end, (r, z) in zip(*ends, strict=True)]
+        return np.stack(apexes, axis=1)
+
+    def _at(self, pairs: EdgePairs, now: Floats, along: Floats) -> EdgePairEvents:
+        points = [EdgePoint(self.lines, edge, along[:, i]) for i, edge in enumerate((pairs.edge, pairs.last))]
+        last = self.leg(pairs.after, (points[1], self.ends[1]), now)
+        leaving = self.begun(last, now)
+        between = self.leg(self.walls_between(pairs), (points[0], points[1]), leaving)
+        time = self.begun(between, leaving)
+        first = self.leg(pairs.before, (self.ends[0], points[0]), time)
+        source, doppler, carried = self.source_seen(points[0], time, first)
+        received, onto = self.receiver_seen(points[1], leaving, last), self.receiver_seen(points[0], time, between)
+        came = self.seen(points[1], leaving, -between.arrival, between.distance, -1.0)
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = source, received
+        seen = (r_s, t_s, z_s + along[:, 0]), (r_r, t_r, z_r + along[:, 1])
+        courses = [_course(source), _course(onto), _course(came), _course(received)]
+        slopes, cosine = [c.slope for c in courses], self._between_axes(pairs, time, leaving, between)
+        mixed = -(cosine + slopes[1] * slopes[2]) / np.maximum(between.distance, ON_LINE)
+        bend = [[courses[0].bend + courses[1].bend, mixed], [mixed, courses[2].bend + courses[3].bend]]
+        slope = np.stack([slopes[0] + slopes[1], slopes[2] + slopes[3]], axis=1)
+        bends = np.moveaxis(np.array(bend), 2, 0)
+        found = EdgePairEvents(along, time, first, self._joined(between, last), *seen, doppler, carried, slope, bends)
+        return self._with_between(pairs, found, (leaving, between, onto, came))
+
+    def walls_between(self, pairs: EdgePairs) -> NDArray[np.int32]:
+        """Mirrors (P, B) between both edges."""
+        return pairs.after[:, :0]
+
+    def _between_axes(self, pairs: EdgePairs, time: Floats, leaving: Floats, between: Events) -> Floats:
+        """Cosines (P, T) between both edges as the first one sees the second."""
+        one, other = (self.lines.frames[edge, 3] for edge in (pairs.edge, pairs.last))
+        return dot(one, other)[:, None]
+
+    def _with_between(self, pairs: EdgePairs, found: EdgePairEvents, between: tuple[Any, ...]) -> EdgePairEvents:
+        """Events with what must be known of the way between: nothing."""
+        return found
+
+    def _joined(self, between: Events, last: Events) -> Events:
+        """Events of the last leg that begin at the first edge."""
+        rate = between.rate + last.rate
+        if self.retarded:
+            rate = rate - between.rate * last.rate
+        return replace(last, delay=between.delay + last.delay, rate=rate, distance=between.distance + last.distance)
+
+
+@dataclass(frozen=True, slots=True)
+class _Course:
+    """Growth of the distance of an end with the place on an edge, and twice, 1/m."""
+
+    slope: Floats
+    bend: Floats
+
+
+def _course(end: Triple) -> _Course:
+    """Tell it of ends at r, θ and z about points on edges."""
+    r, _, z = end
+    distance = np.maximum(np.hypot(r, z), ON_LINE)
+    return _Course(-z / distance, r**2 / distance**3)
+
+
+Axes = tuple[Floats, Floats, Floats]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapPairs(EdgePairs):
+    """What P paths meet: mirrors, an edge, mirrors, another edge, and mirrors, all from the source's side."""
+
+    between: NDArray[np.int32]  # (P, B) mirrors between both edges, filled up with -1
+
+    def part(self, rows: NDArray[np.int64]) -> GapPairs:
+        """Return some of them."""
+        return GapPairs(*(getattr(self, f.name)[rows] for f in fields(GapPairs)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapEvents(EdgePairEvents):
+    """How sound goes over two edges with air between.
+
+    Attributes
+    ----------
+    between : Events
+        Leg from the first edge to the second, received when it leaves that, at `leaving`.
+    middle : ndarray (P, T, 6)
+        Angles of that way about both edges, rad, its length, m, the cosine between the directions of the angles, and
+        those between either edge and the way from it to the other one.
+    gap : ndarray (P, T, 2, 4, 3)
+        Frames of both edges as the first one sees them, see `EdgeGap`.
+    """
+
+    between: Events
+    leaving: Floats
+    middle: Floats
+    gap: Floats
+
+    def part(self, rows: NDArray[np.int64]) -> GapEvents:
+        """Places, ends, slopes and frames of some of the paths."""
+        names = [f.name for f in fields(GapEvents) if f.name not in ("between", "first", "last")]
+        some: dict[str, Any] = {name: _rows(getattr(self, name), rows) for name in names}
+        return GapEvents(**some, first=self.first, last=self.last, between=self.between)
+
+
+def _rows(value: Any, rows: NDArray[np.int64]) -> Any:
+    return tuple(x[rows] for x in value) if isinstance(value, tuple) else value[rows]
+
+
+class GapPairSolver(EdgePairSolver):
+    """What ways over two edges with air between are looked for among, between one source and one receiver."""
+
+    __slots__ = ()
+
+    def walls_between(self, pairs: Any) -> NDArray[np.int32]:
+        """Mirrors (P, B) between both edges."""
+        walls: NDArray[np.int32] = pairs.between
+        return walls
+
+    def _solved(self, pairs: Any, found: Any) -> Floats:
+        (r_s, _, z_s), (r_r, _, z_r) = found.source, found.receiver
+        n = self.lines.n[pairs.edge][:, None], self.lines.n[pairs.last][:, None]
+        gap = EdgeGap(found.gap[:, :, 0], found.gap[:, :, 1], n)
+        return np.stack(gap.cross((r_s, z_s), (r_r, z_r)).places, axis=1)
+
+    def _apart(self, pairs: Any, found: Any) -> Floats:
+        return np.asarray(found.middle[..., 2])
+
+    def _between_axes(self, pairs: Any, time: Floats, leaving: Floats, between: Events) -> Floats:
+        one, other = self._seen_axes(pairs, time, leaving, between)
+        return dot(one[2], other[2])
+
+    def _seen_axes(self, pairs: Any, time: Floats, leaving: Floats, between: Events) -> tuple[Axes, Axes]:
+        """`across`, `out` and `along` (P, T, 3) of both edges as the first one sees them by the mirrors between."""
+        other = list(self.lines.axes(pairs.last, leaving))
+        for k in range(pairs.between.shape[1] - 1, -1, -1):
+            normal = self.mirrors.planes(pairs.between[:, k], leaving, between.time[..., k + 1], None).normal
+            other = [axis - 2.0 * dot(axis, normal)[..., None] * normal for axis in other]
+        return self.lines.axes(pairs.edge, time), (other[0], other[1], other[2])
+
+    def _with_between(self, pairs: Any, found: EdgePairEvents, between: tuple[Any, ...]) -> GapEvents:
+        leaving, length, onto, came = between
+        axes = self._seen_axes(pairs, found.time, leaving, length)
+        turned = [
+            np.cos(angle)[..., None] * out - np.sin(angle)[..., None] * across
+            for angle, (across, out, _) in zip((onto[1], came[1]), axes, strict=True)
+        ]
+        distance = np.hypot(onto[0], onto[2])
+        slopes = [z / np.maximum(np.hypot(r, z), ON_LINE) for r, _, z in (onto, came)]
+        middle = np.stack([onto[1], came[1], distance, dot(*turned), *slopes], axis=-1)
+        first, last = found.along[:, 0, :, None] * axes[0][2], found.along[:, 1, :, None] * axes[1][2]
+        start = first - last + length.departure * length.distance[..., None]  # of the last edge from that of the first
+        frames = [
+            np.stack([place, *turn], axis=2) for place, turn in zip((np.zeros_like(start), start), axes, strict=True)
+        ]
+        own = {f.name: getattr(found, f.name) for f in fields(EdgePairEvents)}
+        return GapEvents(**own, between=length, leaving=leaving, middle=middle, gap=np.stack(frames, axis=2))
+
+
+OF_LAST = 2  # added to the numbers of the ends of last edges
+MEETING = 4  # number of the first end, and twice that of the second one, of edges that end at one corner
+TWO_ENDS = 8  # as of an end of one edge, and four times the end of the other, of two edges that both end
+
+
+def at_meeting(end: Any) -> Any:
+    """Mask (n,) of numbers of corners at which both edges end."""
+    return (end >= MEETING) & (end < TWO_ENDS)
+
+
+def end_numbers(end: Any) -> tuple[Any, Any]:
+    """Numbers (n,) of the ends of the first and of the last edges, 0 or 1, and -1 of those that do not end."""
+    other, meeting, of_last = np.where(end >= TWO_ENDS, end // 4 - 2, -1), at_meeting(end), end % 4 >= 2
+    last = np.where(meeting, end // 2 % 2, end % 2)
+    return np.where(of_last & ~meeting, other, end % 2), np.where(of_last | meeting, last, other)
+
+
+def held_places(number: NDArray[Any], lengths: Floats) -> Floats:
+    """Places (P, 2) on both edges, of lengths (P, 2), of paths over ends, see `EdgeEndVertex`, m; NaN where any."""
+    ends = np.stack(end_numbers(number), axis=1)
+    return np.where(ends < 0, np.nan, np.where(ends == 1, lengths, 0.0))
+
+
+class EdgeEndSolver(GapPairSolver):
+    """What ways over an edge and an end of another one are looked for among, with air or a face between."""
+
+    __slots__ = ()
+
+    def held(self, pairs: Any) -> Floats:
+        """Places on the edges (P, 2, 1) of paths over ends, m; NaN on edges that paths meet anywhere."""
+        return held_places(pairs.end, self._lengths(pairs)[..., 0])[..., None]
+
+    def _next(self, pairs: Any, found: Any) -> Floats:
+        """Places (P, 2, T) where the shortest ways between endpoints and ends meet the other edges, m."""
+        places = np.array(found.along)
+        for i, ((r, _, z), slope) in enumerate(
+            zip((found.source, found.receiver), np.moveaxis(found.middle[..., 4:], 2, 0), strict=True)
+        ):
+            distance = found.middle[..., 2]
+            across = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * distance, ON_LINE)
+            places[:, i] = path_over_edge(r, z, across, found.along[:, i] + slope * distance).apex
+        return places

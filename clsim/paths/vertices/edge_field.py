@@ -1,7 +1,11 @@
-"""Fields of edges and of their ends, over those of the shortest paths: uniform theory, or exact; faces' factors."""
+"""Edges at rest: shortest paths over them between endpoints that move, in their frames, and the fields of both.
+
+Fields are those over that of the shortest path, by the uniform theory or exact, with factors of the faces.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,17 +14,239 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import (
     AT_CORNER,
+    ON_LINE,
     EdgePath,
     adjacent_reflections,
     end_detour,
     end_transition,
     exact_wedge_terms,
     off_line,
+    path_over_edge,
     transition,
     wedge_terms,
 )
 from clsim.arrays import Complexes, Floats
+from clsim.paths.links import Links
+from clsim.paths.propagation import Folds, Medium, Passage, straight
 from clsim.paths.response import SceneResponse
+from clsim.scene.motion.motion import Motion
+
+End = tuple[Floats, Floats]
+Meeting = Callable[[End, End], tuple[tuple[Floats, Floats], Floats]]
+
+_NEWTON_LIMIT = 60
+_CONVERGED = 1e-15  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeView:
+    """How the edges of P paths see one end: as coordinates along `across`, `out` and `along` of each edge."""
+
+    turn: Floats  # (P, 3, 3) from directions in the room to those in each edge's frame, seen by the walls between
+    shift: Floats  # (P, 3) where the room's origin is seen, m
+
+    @staticmethod
+    def of(matrix: Floats, offset: Floats, frame: Floats) -> EdgeView:
+        """Return the view by the walls of isometries (P, 3, 3) and (P, 3), of edges with frames (P, 4, 3)."""
+        axes = frame[:, 1:]
+        return EdgeView(axes @ matrix, np.einsum("paj,pj->pa", axes, offset - frame[:, 0]))
+
+    def places(self, places: Floats) -> Floats:
+        """Return coordinates (3, P, T) of places (T, 3) that are the same for all paths, or (P, T, 3), m."""
+        return np.asarray(self.directions(places) + self.shift.T[:, :, None])
+
+    def directions(self, vectors: Floats) -> Floats:
+        """Return components (3, P, T) of vectors (T, 3) that are the same for all paths, or (P, T, 3)."""
+        seen = self.turn @ np.swapaxes(vectors, -1, -2)
+        return np.moveaxis(seen, 1, 0)
+
+    def back(self, components: Floats) -> Floats:
+        """Return vectors (P, T, 3) in the room of components (3, P, T)."""
+        turned = np.swapaxes(self.turn, 1, 2) @ np.moveaxis(components, 0, 1)
+        return np.swapaxes(turned, 1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RolledOut:
+    """How edges see what is beyond others with which they share a face, all rolled out into the plane of that face."""
+
+    offset: Floats  # (P, 2) r and z of what is at r = z = 0 about the other edge, m
+    matrix: Floats  # (P, 2, 2) from r and z about the other edge
+
+    @staticmethod
+    def of(frame: Floats, inward: Floats, other: Floats, other_inward: Floats) -> RolledOut:
+        """Return it for edges with frames (P, 4, 3) and directions (P, 3) into the face, and for the others."""
+        axes = np.stack([inward, frame[:, 3]], axis=1)
+        columns = np.stack([-other_inward, other[:, 3]], axis=2)
+        return RolledOut(np.einsum("pai,pi->pa", axes, other[:, 0] - frame[:, 0]), axes @ columns)
+
+    @staticmethod
+    def between(frames: tuple[Floats, Floats], n: tuple[Floats, Floats], face: Any) -> tuple[RolledOut, RolledOut]:
+        """Make the views from both edges of pairs beyond each other.
+
+        Shapes: frames (P, 4, 3) of the first and of the second edges; n (P,); face (P, 2) which face of each is shared.
+        """
+        angles = np.pi * np.where(face == 1, np.stack(n, axis=1), 0.0)
+        inward = [
+            np.cos(angle)[:, None] * frame[:, 1] + np.sin(angle)[:, None] * frame[:, 2]
+            for frame, angle in zip(frames, angles.T, strict=True)
+        ]
+        one, other = (frames[0], inward[0]), (frames[1], inward[1])
+        return RolledOut.of(*one, *other), RolledOut.of(*other, *one)
+
+    def __call__(self, r: Floats, z: Floats) -> tuple[Floats, Floats]:
+        """Return r and z (P, T) as the edges see what is at r and z about the others, m."""
+        (a, b), (c, d) = np.moveaxis(self.matrix, 0, 2)[..., None]
+        return self.offset[:, :1] + a * r + b * z, self.offset[:, 1:] + c * r + d * z
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeLengths:
+    """P paths at T times, as each edge sees them.
+
+    Attributes
+    ----------
+    places : tuple of ndarray (P, T)
+        Points of each path on the first edge and the last, which may be the same, m from its start.
+    """
+
+    source: Floats  # (3, P, T) coordinates of both images, that of the source at emission, m
+    receiver: Floats  # likewise
+    places: tuple[Floats, Floats]
+    emission_time: Floats  # (P, T) s
+    delay: Floats  # (P, T) s, and m
+    length: Floats  # likewise
+    sound: Passage  # what the air makes of it
+    mach: Floats  # (P, T) of the source towards the way
+
+    @property
+    def parts(self) -> tuple[Floats, Floats]:
+        """Unit vectors (3, P, T) from the source to the edge, and from the receiver to it."""
+        ends = zip((self.source, self.receiver), self.places, strict=True)
+        first, last = (towards_edge(end, place)[0] for end, place in ends)
+        return first, last
+
+
+def edge_lengths(
+    views: tuple[EdgeView, EdgeView], met: Meeting, end_place: Floats, source: Motion, receiver: Floats, times: Floats,
+    medium: Medium, retarded: bool,
+) -> EdgeLengths:  # fmt: skip
+    """Return the ways of P paths between a source and a receiver.
+
+    Shapes: end_place (P,) m; receiver (T, 3) m; times (T,) s.
+
+    met: takes r and z (P, T) of both images about the first and the last edge; returns where the shortest paths meet
+    these, and their lengths, each (P, T) m.
+
+    end_place: of the ends that paths run over, m; NaN for paths over the edge itself, by the shortest way.
+
+    retarded: whether the source is where it was when the sound was emitted, or where it is at reception.
+
+    As the way over the edge itself is the shortest, the change of its apex does not change it: Newton's steps for the
+    time of emission take the source's speed along the first part.
+    """
+    receiver_at = views[1].places(receiver)
+    over_end = np.flatnonzero(~np.isnan(end_place))
+    shape = receiver_at.shape[1:]
+    emission_time = np.broadcast_to(times, shape)
+    positions, velocities = source.position(times), source.velocity(times)
+    delay = np.zeros(shape)
+    for step_count in range(_NEWTON_LIMIT):
+        emitted_at = views[0].places(positions)
+        places, length = met(polar(emitted_at), polar(receiver_at))
+        towards, first = towards_edge(emitted_at, places[0])
+        if len(over_end):
+            place = np.array(np.broadcast_to(places[0], shape))
+            place[over_end] = end_place[over_end, None]
+            places, (towards, first) = (place, place), towards_edge(emitted_at, place)
+            length = first + towards_edge(receiver_at, place)[1]
+        length = np.broadcast_to(length, shape)
+        sound = medium.passage(length, receiver - positions)
+        speed = np.einsum("ipt,ipt->pt", towards, np.broadcast_to(views[0].directions(velocities), towards.shape))
+        mach = np.broadcast_to(speed, shape) / sound.speed
+        if sound.carried is not None:
+            mach = mach + np.sum(sound.carried * velocities, axis=-1)
+        if not retarded:
+            return EdgeLengths(emitted_at, receiver_at, places, emission_time, sound.time, length, sound, mach)
+        step = (sound.time - delay) / (1.0 - mach)
+        delay = delay + step
+        if step_count and not np.any(np.abs(step) > _CONVERGED + 4e-16 * np.abs(times)):
+            break
+        if np.isinf(source.end):
+            continue
+        emission_time = times - delay
+        flat = emission_time.ravel()
+        positions, velocities = (f(flat).reshape(*shape, 3) for f in (source.position, source.velocity))
+    return EdgeLengths(emitted_at, receiver_at, places, times - delay, delay, length, sound, mach)
+
+
+def polar(seen: Floats) -> tuple[Floats, Floats]:
+    """Distances from edges and places along them (P, T) of coordinates (3, P, T), m."""
+    x, y, z = seen
+    return np.maximum(np.hypot(x, y), ON_LINE), z
+
+
+def towards_edge(end: Floats, place: Floats) -> tuple[Floats, Floats]:
+    """Return unit vectors (3, P, T) from ends (3, P, T) to places on edges (P, T), and the distances (P, T), m."""
+    away = np.stack(np.broadcast_arrays(-end[0], -end[1], place - end[2]))
+    distance = np.sqrt(np.einsum("ipt,ipt->pt", away, away))
+    return away / np.maximum(distance, 1e-300), distance
+
+
+class LayeredLengths:
+    """Paths over edges to a receiver at places (T, 3), as the delay equation takes them in air that varies."""
+
+    def __init__(self, links: Links, received_at: Floats) -> None:
+        (self._before, after), self._received_at = links.legs, received_at
+        self._frame, self._end_place = links.vertex.frame, links.vertex.end_place
+        self._receiver_at = after.image(received_at[None])
+        self._after = after
+        scene = links.chain.scene
+        planes = scene.room.faces.normals, scene.room.faces.offsets
+        self._folds = [Folds(planes, walls) for walls in links.surfaces] if scene.air.layers else []
+
+    def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Return lengths and directions at the source, see `LegTable`."""
+        (first, direction), (second, _) = self._legs(p, t, start)
+        return first + second, np.einsum("pji,p...j->p...i", self._before.matrix[p], direction)
+
+    def arrive(self, start: Floats) -> Floats:
+        """Return directions at the receiver, see `LegTable`."""
+        _, (_, direction) = self._legs(slice(None), slice(None), start)
+        return np.asarray(np.einsum("pji,ptj->pti", self._after.matrix, direction))
+
+    def seen(self) -> Floats:
+        """Return the receiver as the source sees it, see `LegTable`."""
+        apart = self._receiver_at - self._before.offset[:, None]
+        return np.asarray(np.einsum("pji,ptj->pti", self._before.matrix, apart))
+
+    def bends(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
+        """Bends of paths, see `LegTable`."""
+        apex, first, second = self._parts(p, t, start)
+        one, other = straight(first, apex)[0][..., None], straight(apex, second)[0][..., None]
+        before, low = self._folds[0].bends(p, start, apex)
+        after, high = self._folds[1].bends(p, self._received_at[t], apex)  # from the receiver's side
+        shares = [one * before, one + other * (1.0 - after[..., -2::-1])]
+        return np.concatenate(shares, axis=-1) / (one + other), np.concatenate([low, high[..., -2::-1]], axis=-1)
+
+    def _legs(self, p: Any, t: Any, start: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        apex, first, second = self._parts(p, t, start)
+        return straight(first, apex), straight(apex, second)
+
+    def _parts(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats, Floats]:
+        """Points where paths meet the edges, and both endpoints as seen from these."""
+        receiver_at, frame, end = self._receiver_at[p, t], self._frame[p], self._end_place[p]
+        if receiver_at.ndim == 3:  # all times of a path, or one each
+            frame, end = frame[:, None], end[:, None]
+        emitted_at = self._before.part(p).image(np.broadcast_to(start, receiver_at.shape))
+        coordinates: list[Floats] = []
+        for place in (emitted_at, receiver_at):
+            away = place - frame[..., 0, :]
+            x, y, z = (np.sum(away * frame[..., axis, :], axis=-1) for axis in (1, 2, 3))
+            coordinates += [np.maximum(np.hypot(x, y), ON_LINE), z]
+        along = np.where(np.isnan(end), path_over_edge(*coordinates).apex, end)
+        return frame[..., 0, :] + along[..., None] * frame[..., 3, :], emitted_at, receiver_at
+
 
 BOTH = 2  # times a term's side: both paths round its boundary count as much beyond the end
 

@@ -26,7 +26,7 @@ from clsim.paths.links import Columns, Integers, Links, Pair
 from clsim.paths.propagation import straight
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import EdgeVertex
-from clsim.paths.vertices.edge_lengths import EdgeView, towards_edge
+from clsim.paths.vertices.edge_field import EdgeView, towards_edge
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.paths.vertices.scatterer_paths import PATIENCE, Body
 from clsim.scene.scatterer import Scatterer

@@ -20,7 +20,6 @@ from clsim.opencl.device import (
 )
 from clsim.opencl.launch import compiler_of, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
-from clsim.paths.trajectory_tables import PERTURBATIONS
 from clsim.paths.visibility.clearance import EVER, PARALLEL, TOUCHING
 from clsim.paths.visibility.intervals import (
     ALONG,
@@ -29,6 +28,7 @@ from clsim.paths.visibility.intervals import (
     GRAZE_TIME,
     LEAST_SHARE,
     MOST_EVALUATIONS,
+    PERTURBATIONS,
     SMALLEST_MOVE,
     Intervals,
     VisibilityQuery,

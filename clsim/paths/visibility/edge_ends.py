@@ -1,6 +1,12 @@
-"""Validity of paths over an edge and an end of another edge at an instant, and how far ends may move before it changes.
+"""Validity of paths over two edges with air between, or over an edge and an end of another, at an instant.
 
-The end rests, so that only the place on the other edge slides, as if the path began at rest there.
+And how far endpoints may move before it changes.
+
+Notes
+-----
+The places on both edges are where the length of the way is least; by how much they go where both ends go a distance is
+known to first order from its second derivatives. 2.5 times as much is taken, while that distance is small against all
+legs. An end rests, so that only the place on the other edge slides, as if the path began at rest there.
 """
 
 from __future__ import annotations
@@ -14,8 +20,8 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge, wedge_terms
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
 from clsim.arrays import Floats
-from clsim.paths.vertices.gap_events import MEETING, OF_LAST, TWO_ENDS
-from clsim.paths.visibility.edge_gaps import GapVisibility, seen_frames
+from clsim.paths.vertices.edge_events import MEETING, OF_LAST, TWO_ENDS
+from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status, turned
 from clsim.paths.visibility.edges import (
     FAR,
     Course,
@@ -28,6 +34,114 @@ from clsim.paths.visibility.edges import (
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
+
+SMALL = 0.3  # of the least leg, up to which the first order is taken for where places go
+SPARE = 2.5  # times that, for what it leaves out: second derivatives change by 1.3³ until there
+OVERLAP = 0.35, 0.71  # of the way from the last edge to the last reflection, from where is looked at either edge
+IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in its air
+
+
+def seen_frames(walls: Walls, edges: Edges, last: Rows, between: NDArray[np.int32]) -> Floats:
+    """Frames (n, 4, 3) of edges (n,) as they are seen by walls (n, B), the last of which is next to them."""
+    start, *axes = np.moveaxis(edges.frames[last], 1, 0)
+    for wall in between.T[::-1]:
+        some = np.flatnonzero(wall >= 0)
+        start, axes = np.array(start), [np.array(axis) for axis in axes]
+        start[some] = mirrored(walls, wall[some], start[some])
+        for axis in axes:
+            axis[some] = turned(walls, wall[some], axis[some])
+    return np.stack([start, *axes], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GapVisibility(EdgeVisibility):
+    """Tells of candidates over two edges with air between whether they are there, and which partners are seen."""
+
+    every: EdgeGap  # the air between the edges of all candidates
+
+    @staticmethod
+    def of(edges: Edges, candidates: EdgeCandidates, query: VisibilityQuery) -> GapVisibility:
+        """Make it for edges of a room."""
+        one, other = candidates.edge.T
+        seen = seen_frames(query.walls, edges, other, candidates.between)
+        return GapVisibility(edges, candidates, query, EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other])))
+
+    def gap(self, which: Rows) -> EdgeGap:
+        """Return the air between the edges of candidates `which` (n,)."""
+        every = self.every
+        return EdgeGap(every.first[which], every.last[which], (every.n[0][which], every.n[1][which]))
+
+    def course(self, which: Rows, source: End, receiver: End) -> Course:
+        """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
+        found = self.gap(which).cross(source, receiver)
+        before, between, behind = found.legs
+        slopes = source[0] / before, receiver[0] / behind
+        across = slopes[0] * (between + behind), slopes[1] * (before + between)
+        edge_paths = tuple(EdgePath(found.length, place, found.length) for place in found.places)
+        return Course((edge_paths[0], edge_paths[1]), across, found)
+
+    def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
+        """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns."""
+        gap, crossing = self.gap(which), stance.course.crossing
+        assert crossing is not None
+        ahead, back, _ = gap.angles(crossing.away)
+        skew = np.linalg.norm(np.cross(gap.first[:, 3], gap.last[:, 3]), axis=1)
+        no_end, more = np.full(len(which), -1), []
+        for edge, frame in ((1, gap.first), (0, gap.last)):  # sliding on the one turns what the other one sees
+            off = np.linalg.norm(np.cross(crossing.away, frame[:, 3]), axis=1)
+            moved = self.slides(stance, edge, no_end, 1.0) * skew
+            more.append(np.arcsin(np.minimum(moved / np.maximum(off, 1e-300), 1.0)))
+        return (ahead, back), (more[0], more[1])
+
+    def slides(self, stance: EdgeStance, edge: int, end: Rows, size: float) -> Floats:
+        """Largest motion of the point on the first or second edge along it, (n,) m."""
+        crossing, reach = stance.course.crossing, stance.reach
+        assert crossing is not None
+        small = reach < SMALL * np.min([*crossing.legs, *stance.distances], axis=0)
+        return np.where(small, SPARE * reach * crossing.slides[edge], FAR * size)
+
+    def evaluate(
+        self, side: int, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
+    ) -> tuple[Bools, Floats, Floats]:
+        """Return validity, clearance and how far the ends can move, of one side of candidates, each (n,).
+
+        The sides from the source and from the receiver are 0 and 1. Walls that hold a place on an edge hide nothing of
+        it: the way between is looked at in two parts that overlap, 2 and 3, from places between the last reflection and
+        the last edge to either edge.
+        """
+        if side < 2:
+            return EdgeVisibility.evaluate(self, side, sequence, receiver, time, half)
+        which, walls = sequence[:, 0].astype(np.int64), self.query.walls
+        stance, no_end = self.stance(which, time, half), np.full(len(sequence), -1)
+        moves = np.maximum(*(self.slides(stance, edge, no_end, walls.size) for edge in (0, 1)))
+        still, none = np.zeros(len(which)), np.zeros((len(which), 3))
+        (ahead, back), more = self.between(stance, which, (still, still))
+        edges = self.candidates.edge[which].T
+        off = [np.minimum(a, np.pi * self.edges.n[e] - a) for a, e in zip((ahead, back), edges, strict=True)]
+        free = np.minimum(*off) > IN_AIR
+        beside = np.minimum(*(moves_within(np.abs(o - IN_AIR), m) for o, m in zip(off, more, strict=True)))
+        met = self.candidates.between[which]
+        place = _before_last(walls, met, stance.apexes, OVERLAP[side - 2])
+        part = met[:, ::-1] if side == 2 else met[:, :0]
+        clear_path, clear = path_status(
+            walls, part, place, stance.apexes[side - 2], Reach(moves, moves, none, none), True
+        )
+        sure = moves_within(clear, moves)
+        blocked = np.where(free, sure, np.maximum(beside, sure))
+        ratio = np.where(clear_path, np.where(free, np.minimum(beside, sure), beside), blocked)
+        return free & clear_path, np.minimum(ratio, EVER) * stance.reach, stance.reach
+
+
+def _before_last(walls: Walls, between: NDArray[np.int32], ends: tuple[Floats, Floats], part: float) -> Floats:
+    """Places (n, 3) at a part of the way from the second ends to the last reflections by walls (n, B) between, m."""
+    image, share = ends[0], np.ones(len(between))
+    for wall in between.T:
+        image = mirrored(walls, wall, image)
+        heights = [np.einsum("ni,ni->n", x, walls.normal[wall]) - walls.offset[wall] for x in (ends[1], image)]
+        apart = heights[0] - heights[1]
+        share = np.clip(heights[0] / np.where(apart == 0.0, 1.0, apart), 0.0, 1.0)
+    return np.asarray(ends[1] + part * share[:, None] * (image - ends[1]))
+
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[np.int64]
@@ -61,16 +175,16 @@ class EndVisibility(GapVisibility):
     held: Floats  # (n,) where the other edge ends, of paths over ends of both, m; else NaN
 
     @staticmethod
-    def of(edges: Edges, candidates: EdgeCandidates, walls: Walls) -> EndVisibility:
-        """Make it for edges of a room with walls."""
+    def of(edges: Edges, candidates: EdgeCandidates, query: VisibilityQuery) -> EndVisibility:
+        """Make it for edges of a room."""
         one, other = candidates.edge.T
-        seen = seen_frames(walls, edges, other, candidates.between)
+        seen = seen_frames(query.walls, edges, other, candidates.between)
         along, _, (x, y, z) = off_edges(edges, candidates, seen, np.arange(len(one)))
         gap = EdgeGap(edges.frames[one], seen, (edges.n[one], edges.n[other]))
         last, length = candidates.end % MEETING >= OF_LAST, edges.length[candidates.edge]
         held = np.where(candidates.end // 4 == 3, np.where(last, *length.T), 0.0)
         held = np.where(candidates.end >= TWO_ENDS, held, np.nan)
-        return EndVisibility(edges, candidates, gap, last, along, np.hypot(x, y), z, held)
+        return EndVisibility(edges, candidates, query, gap, last, along, np.hypot(x, y), z, held)
 
     def course(self, which: Rows, source: End, receiver: End) -> Course:
         """Shortest ways of candidates `which` (n,) between ends at r and z about the first and the last edges, m."""
@@ -112,15 +226,13 @@ class EndVisibility(GapVisibility):
         sliding = reach * crossing.slides[edge] * (over_edge + reach) / np.where(across > 0.0, across, 1.0) ** 2
         return np.where(np.isnan(across), 0.0, np.where(across > 0.0, sliding, FAR * size))
 
-    def sides(
-        self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats
-    ) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
+    def sides(self, which: Rows, time: Floats, half: Floats) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
         """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`.
 
         Of the edge that ends the terms are 1; the side of the end is that of the path over both edges, and where both
         end that of the path over one end.
         """
-        stance, (one, other) = self.stance(query, which, time, half), self.candidates.edge[which].T
+        stance, (one, other) = self.stance(which, time, half), self.candidates.edge[which].T
         crossing, last, reach = stance.course.crossing, self.last[which], stance.reach
         assert crossing is not None
         moved = list(zip(stance.reaches, stance.distances, strict=True))
@@ -133,7 +245,7 @@ class EndVisibility(GapVisibility):
         sure = near & np.all(np.abs(angles) > np.where(last, *turns)[:, None], axis=1)
         beside, passed = beside_faces(self.edges.n[self.candidates.edge[which].T], np.stack(stance.angles))
         sure &= np.all(passed > np.stack(turns), axis=0)
-        inside, turning = self._inside(stance, which, query.walls.size)
+        inside, turning = self._inside(stance, which)
         inner, sliding = self._over_both(stance, which)
         both = ~np.isnan(self.held[which])
         inside, turning = np.where(both, inner, inside), np.where(both, sliding, turning)
@@ -156,7 +268,7 @@ class EndVisibility(GapVisibility):
         sliding = np.where(across > 0.0, reach * r_c * (route.length + reach) / across**2, np.inf)
         return np.where(self.held[which] == 0.0, route.apex, self.held[which] - route.apex), sliding
 
-    def _inside(self, stance: EdgeStance, which: Rows, size: float) -> tuple[Floats, Floats]:
+    def _inside(self, stance: EdgeStance, which: Rows) -> tuple[Floats, Floats]:
         """How far (n,) paths over both edges are inside the end, as a difference of cosines, and its change at most."""
         crossing, last, no_end = stance.course.crossing, self.last[which], np.full(len(which), -1)
         assert crossing is not None
@@ -165,25 +277,26 @@ class EndVisibility(GapVisibility):
         towards = np.einsum("ni,ni->n", crossing.away, frames) * np.where(last, 1.0, -1.0) / legs[1]
         slope = np.where(last, stance.places[1] - stance.heights[1], stance.places[0] - stance.heights[0]) / legs[0]
         slope = slope - towards
-        far, slides = stance.reaches[::-1], [self.slides(stance, edge, no_end, size) for edge in (0, 1)]
+        far, slides = (
+            stance.reaches[::-1],
+            [self.slides(stance, edge, no_end, self.query.walls.size) for edge in (0, 1)],
+        )
         moved = np.where(last, *far), np.where(last, *slides)
         change = [m / np.maximum(leg - m, _LEAST) for m, leg in zip(moved, legs, strict=True)]
         return np.where(self.candidates.end[which] % OF_LAST == 1, slope, -slope), change[0] + change[1]
 
 
-def end_levels(
-    seen: EdgeVisibility, query: VisibilityQuery, which: Rows, time: Floats, wave: float, direct: bool
-) -> Floats:
+def end_levels(seen: EdgeVisibility, which: Rows, time: Floats, wave: float, direct: bool) -> Floats:
     """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m.
 
     It is over that in free air: of the `direct` sound, or else as far away as the path is long.
     """
     still, longer = np.zeros(len(which)), np.full(len(which), np.nan)
     if isinstance(seen, EndVisibility):  # over ends of both edges a share of what is over one
-        whole = seen.stance(query, which, time, still).course.edge_paths[0].length
+        whole = seen.stance(which, time, still).course.edge_paths[0].length
         longer = np.where(np.isnan(seen.held[which]), np.nan, whole)
         seen = replace(seen, held=np.full_like(seen.held, np.nan))
-    stance, edges = seen.stance(query, which, time, still), seen.candidates.edge[which].T
+    stance, edges = seen.stance(which, time, still), seen.candidates.edge[which].T
     (ahead, back), _ = seen.between(stance, which, (still, still))
     crossing, last = stance.course.crossing, seen.candidates.end[which] % MEETING >= OF_LAST
     heights = tuple(height - place for place, height in zip(stance.places, stance.heights, strict=True))

@@ -14,11 +14,10 @@ from clsim.acoustics.diffraction import ON_LINE, TERMS, adjacent_reflections
 from clsim.acoustics.edge_gap import FOUND, NEWTON, STEPS
 from clsim.arrays import Floats
 from clsim.errors import InputError
-from clsim.paths.search.edge_chains import joined_over_ends
-from clsim.paths.vertices.gap_pair import ACROSS_AIR
+from clsim.paths.vertices.edge_field import BOTH
+from clsim.paths.vertices.edge_pair import ACROSS_AIR
 from clsim.paths.visibility.device import DeviceSearch
-from clsim.paths.visibility.edge_ends import EndVisibility
-from clsim.paths.visibility.edge_gaps import IN_AIR, OVERLAP, SMALL, SPARE, GapVisibility, seen_frames
+from clsim.paths.visibility.edge_ends import IN_AIR, OVERLAP, SMALL, SPARE, EndVisibility, GapVisibility, seen_frames
 from clsim.paths.visibility.edges import (
     CONTRACTED,
     CONTRACTIONS,
@@ -38,6 +37,7 @@ from clsim.paths.visibility.intervals import (
     VisibilityQuery,
     divided,
     find_intervals,
+    joined,
     merged,
 )
 from clsim.paths.visibility.occlusion import in_air
@@ -81,9 +81,7 @@ class EdgeSearch:
             row, receiver = np.arange(len(candidates.edge)), candidates.receiver
             found = self._find(candidates, side, row, (self.query.first[receiver], self.query.last[receiver]))
         row, walls = found.path, self.query.walls
-        stance = self.visibility(candidates).stance(
-            self.query, row, 0.5 * (found.begin + found.end), np.zeros(len(row))
-        )
+        stance = self.visibility(candidates).stance(row, 0.5 * (found.begin + found.end), np.zeros(len(row)))
         met = [
             in_air(walls, self.air, sequence[row], end)
             for sequence, end in zip((candidates.before, candidates.after), stance.ends, strict=True)
@@ -94,10 +92,10 @@ class EdgeSearch:
     def visibility(self, candidates: EdgeCandidates) -> EdgeVisibility:
         """Make the test of whether candidates are there."""
         if candidates.over_ends_of_pairs and not candidates.over_meeting_edges:
-            return EndVisibility.of(self.edges, candidates, self.query.walls)
+            return EndVisibility.of(self.edges, candidates, self.query)
         if np.any(candidates.face == ACROSS_AIR):
-            return GapVisibility.of(self.edges, candidates, self.query.walls)
-        return EdgeVisibility(self.edges, candidates)
+            return GapVisibility.of(self.edges, candidates, self.query)
+        return EdgeVisibility(self.edges, candidates, self.query)
 
     def _there(self, candidates: EdgeCandidates) -> Intervals:
         """Return the intervals in which candidates are there within the tolerances of outlines.
@@ -118,7 +116,7 @@ class EdgeSearch:
             found = self._find(candidates, side, row, (begin, end))
             row, begin, end = row[found.path], found.begin, found.end
             evaluations += found.evaluations
-        legs = FaceLegs(self.visibility(candidates), self.query.walls)
+        legs = FaceLegs(self.visibility(candidates))
         hindered = np.zeros(len(row), dtype=bool) if across_air else legs.hindered(row)
         if not hindered.any():
             return merged(row, begin, end, evaluations)
@@ -194,13 +192,13 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
             stack.append((row[_CHUNK:], begin[_CHUNK:], end[_CHUNK:]))
             row, begin, end = row[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
         half = 0.5 * (end - begin)
-        sides, sure, off, reach = visibility.sides(finder.query, row, begin + half, half)
+        sides, sure, off, reach = visibility.sides(row, begin + half, half)
         sides[ignored[row]] = 0
         done = sure | (2.0 * half <= finder.query.resolution)
         unsure = np.flatnonzero(~done & (off < near) & (half <= 0.5 * GRAZE_TIME))
         if len(unsure):
             both, instants = np.tile(row[unsure], 2), np.append(begin[unsure], end[unsure])
-            beside, _, off, _ = visibility.sides(finder.query, both, instants, np.zeros(len(both)))
+            beside, _, off, _ = visibility.sides(both, instants, np.zeros(len(both)))
             beside[ignored[both]] = 0
             along = off < np.tile(np.minimum(near, ALONG * reach[unsure]), 2)
             along &= np.all(beside == np.tile(sides[unsure], (2, 1)), axis=1)
@@ -235,21 +233,56 @@ def _joined_pieces(over: Bools, row: Rows, begin: Floats, end: Floats, sides: Si
 
     Those of candidates that run over the end of one edge, masked by `over`, are joined by `joined_over_ends`.
     """
-    rank = np.lexsort((begin, row))
-    row, begin, end, sides = row[rank], begin[rank], end[rank], sides[rank]
-    first = np.append(True, (row[1:] != row[:-1]) | (begin[1:] != end[:-1]) | np.any(sides[1:] != sides[:-1], axis=1))
-    starts = np.flatnonzero(first[: len(row)])
-    stops = np.append(starts[1:], len(row))[: len(starts)] - 1
-    row, begin, end, sides = row[starts], begin[starts], end[stops], sides[starts]
+    first, last = joined([row], begin, end, sides)
+    row, begin, end, sides = row[first], begin[first], end[last], sides[first]
     some, others = np.flatnonzero(over[row]), np.flatnonzero(~over[row])
     of_ends = sides[some, :TERMS], sides[some, TERMS], sides[some][:, ENDS_BESIDE]
     kept, starting, ending, lit = joined_over_ends(row[some], begin[some], end[some], *of_ends)
-    joined = np.array(sides[some[kept]])
-    joined[:, :TERMS] = lit
-    columns = ((row, row[some[kept]]), (begin, starting), (end, ending), (sides, joined))
+    of_joined = np.array(sides[some[kept]])
+    of_joined[:, :TERMS] = lit
+    columns = ((row, row[some[kept]]), (begin, starting), (end, ending), (sides, of_joined))
     row, begin, end, sides = (np.concatenate([column[others], more]) for column, more in columns)
     rank = np.lexsort((begin, row))
     return row[rank], begin[rank], end[rank], sides[rank]
+
+
+def joined_over_ends(
+    path: Rows, begin: Floats, end: Floats, lit: Sides, side: Sides, beside: Sides
+) -> tuple[Rows, Floats, Floats, Sides]:
+    """Join the pieces of paths over ends of edges between two changes of side of the end.
+
+    Shapes: path (n,); begin, end (n,) s; lit (n, 4); side (n,); beside (n, 2); result (m,), (m,) s, (m, 4).
+
+    path: which path each piece belongs to; pieces are in the order of paths and times.
+
+    lit: sides of the terms as the end changes sides: beyond that the field depends on them, elsewhere not. Times `BOTH`
+    where the term passes its own boundary at the same time: the line of sight passes the corner itself, and the paths
+    over both edges there cancel in what each would add by going round its boundary on one side.
+    """
+    follows = np.append(False, (path[1:] == path[:-1]) & (begin[1:] == end[:-1]))[: len(path)]
+    turns = follows & np.append(False, side[1:] != side[:-1])[: len(path)]
+    cut = ~follows | turns | np.append(False, np.any(beside[1:] != beside[:-1], axis=1))[: len(path)]
+    first = np.flatnonzero(cut)
+    last = np.append(first[1:], len(path))[: len(first)] - 1
+    times = np.ones(lit.shape, dtype=np.int8)
+    times[1:][lit[1:] != lit[:-1]] = BOTH
+    found: list[tuple[int, float, float, Sides]] = []
+    for one, other in zip(first.tolist(), last.tolist(), strict=True):
+        at_start = times[one] * lit[one] if turns[one] else None
+        at_end = times[other + 1] * lit[other] if other + 1 < len(path) and turns[other + 1] else None
+        at_start, at_end = (lit[one] if at_end is None else at_end) if at_start is None else at_start, at_end
+        if at_end is None or np.array_equal(at_start, at_end):
+            found.append((one, begin[one], end[other], at_start))
+        else:
+            middle = 0.5 * (begin[one] + end[other])
+            found += [(one, begin[one], middle, at_start), (one, middle, end[other], at_end)]
+    kept, starts, ends, sides = ([row[i] for row in found] for i in range(4))
+    return (
+        np.array(kept, np.int64),
+        np.array(starts),
+        np.array(ends),
+        np.array(sides, np.int8).reshape(-1, lit.shape[1]),
+    )
 
 
 def indistinct(moved: Floats, resolution: float, size: float) -> Floats:

@@ -30,10 +30,9 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge
 from clsim.acoustics.edge_gap import Crossing
 from clsim.arrays import Floats
-from clsim.paths.trajectory_tables import PERTURBATIONS
-from clsim.paths.vertices.gap_events import at_meeting
+from clsim.paths.vertices.edge_events import at_meeting
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
-from clsim.paths.visibility.intervals import VisibilityQuery
+from clsim.paths.visibility.intervals import PERTURBATIONS, VisibilityQuery
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 
@@ -126,10 +125,12 @@ class EdgeVisibility:
 
     edges: Edges  # of the room
     candidates: EdgeCandidates  # what is asked about
+    query: VisibilityQuery  # endpoints, walls and air
 
-    def stance(self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats) -> EdgeStance:
+    def stance(self, which: Rows, time: Floats, half: Floats) -> EdgeStance:
         """Course of candidates `which` (n,) at times (n,), with the motion of their endpoints within `half`, s."""
-        requested, tables, edges = self.candidates, query.trajectory_tables, self.edges
+        requested, query, edges = self.candidates, self.query, self.edges
+        tables = query.trajectory_tables
         row, source = requested.receiver[which] + 1, np.zeros(len(which), dtype=np.int64)
         (one, other), end = requested.edge[which].T, requested.end[which]
         over_end = (end >= 0) & (one == other) | at_meeting(end)
@@ -184,15 +185,15 @@ class EdgeVisibility:
         return (ahead, back), (np.where(double, still, turns[1]), np.where(double, still, turns[0]))
 
     def evaluate(
-        self, side: int, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
+        self, side: int, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
     ) -> tuple[Bools, Floats, Floats]:
         """Return validity, clearance and how far the ends can move, of one side of candidates, each (n,).
 
         The side is 0 from the source to the edge, 1 from the receiver; rows of candidates are all of `sequence`.
         """
         which = sequence[:, 0].astype(np.int64)
-        requested, stance = self.candidates, self.stance(query, which, time, half)
-        both = [self.slides(stance, edge, requested.end[which], query.walls.size) for edge in (0, 1)]
+        requested, stance = self.candidates, self.stance(which, time, half)
+        both = [self.slides(stance, edge, requested.end[which], self.query.walls.size) for edge in (0, 1)]
         moves, most = both[side], np.maximum(stance.reach, np.maximum(*both))
         off, places = self._margins(stance, which)
         least = np.minimum(off, places)
@@ -202,23 +203,22 @@ class EdgeVisibility:
         rows, still = np.flatnonzero(valid), np.zeros((np.sum(valid), 3))
         walls = (requested.before, requested.after)[side][which[rows]]
         reach = Reach(stance.reach[rows], moves[rows], still, still)
-        free, clear = path_status(query.walls, walls, stance.ends[side][rows], stance.apexes[side][rows], reach, True)
+        legs = stance.ends[side][rows], stance.apexes[side][rows]
+        free, clear = path_status(self.query.walls, walls, *legs, reach, True)
         sure = moves_within(clear, reach.most)
         valid[rows] = free
         ratio[rows] = np.where(free, np.minimum(ratio[rows], sure), sure)
         return valid, ratio * stance.reach, stance.reach
 
     def ahead(
-        self, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
+        self, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
     ) -> tuple[Bools, Floats, Floats]:
         """Test if either end is beyond the other one's edge, rolled out; the rest is as of `evaluate`."""
-        stance = self.stance(query, sequence[:, 0].astype(np.int64), time, half)
+        stance = self.stance(sequence[:, 0].astype(np.int64), time, half)
         off = np.minimum(*stance.course.across)
         return off >= 0.0, np.abs(off), stance.reach
 
-    def sides(
-        self, query: VisibilityQuery, which: Rows, time: Floats, half: Floats
-    ) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
+    def sides(self, which: Rows, time: Floats, half: Floats) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
         """Tell on which sides of their boundaries candidates are, (n, 11), and if that is sure.
 
         It is sure where it holds within `half` of the times, s. Then how far they are off the nearest boundary, and how
@@ -229,7 +229,7 @@ class EdgeVisibility:
         for paths over one; and those of both ends, -1 near the 0-face and 1 near the n-face of a sheet, or of a wedge
         nearly as thin, whose plane they may pass beyond its other edges, 0 elsewhere.
         """
-        requested, stance = self.candidates, self.stance(query, which, time, half)
+        requested, stance = self.candidates, self.stance(which, time, half)
         (one, other), end, double = requested.edge[which].T, requested.end[which], requested.face[which, 0] >= 0
         near = stance.reach < np.minimum(*stance.distances)
         turn, other_turn = (
@@ -244,7 +244,7 @@ class EdgeVisibility:
         sure &= np.all(passed > np.stack([turn, other_turn]), axis=0)
         apex = stance.course.edge_paths[0].apex
         inside = np.where(end % 2 == 0, apex, self.edges.length[one] - apex)
-        over_end = self.slides(stance, 0, np.full(len(end), -1), query.walls.size)
+        over_end = self.slides(stance, 0, np.full(len(end), -1), self.query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
         margins = [np.abs(angles).min(axis=1), passed.min(axis=0), np.where(double, np.abs(others).min(axis=1), np.inf)]
         off = np.minimum(
@@ -297,9 +297,9 @@ def imaged(walls: Walls, sequence: NDArray[np.int32], places: Floats) -> Floats:
 class FaceLegs:
     """Ways between two edges, on the faces that these share."""
 
-    def __init__(self, visibility: EdgeVisibility, walls: Walls) -> None:
-        self._visibility, self._walls = visibility, walls
-        self._footprint = cache(partial(footprint, visibility.edges, walls))
+    def __init__(self, visibility: EdgeVisibility) -> None:
+        self._visibility = visibility
+        self._footprint = cache(partial(footprint, visibility.edges, visibility.query.walls))
 
     def hindered(self, rows: Rows) -> Bools:
         """Mask of candidates (n,) with an obstacle between their edges."""
@@ -309,13 +309,13 @@ class FaceLegs:
         return np.array(found, dtype=bool)[which.ravel()]
 
     def evaluate(
-        self, query: VisibilityQuery, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
+        self, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
     ) -> tuple[Bools, Floats, Floats]:
         """Return validity, clearance and how far the ends of candidates can move, each (n,), see `EdgeVisibility`."""
         which, seen = sequence[:, 0].astype(np.int64), self._visibility
-        stance = seen.stance(query, which, time, half)
+        stance = seen.stance(which, time, half)
         no_end = np.full(len(which), -1)
-        moves = np.maximum(*(seen.slides(stance, edge, no_end, query.walls.size) for edge in (0, 1)))
+        moves = np.maximum(*(seen.slides(stance, edge, no_end, seen.query.walls.size) for edge in (0, 1)))
         free, clear = np.ones(len(which), dtype=bool), np.full(len(which), EVER)
         for i, row in enumerate(which.tolist()):
             edge, face = seen.candidates.edge[row].tolist(), seen.candidates.face[row].tolist()

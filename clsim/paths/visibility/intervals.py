@@ -1,4 +1,4 @@
-"""Intervals in which paths are valid, by certified subdivision of time; in NumPy.
+"""Intervals in which paths are valid, by certified subdivision of time; where their endpoints are meanwhile; in NumPy.
 
 The twin of ``intervals.cl``: an interval of time is done if the clearance at its middle exceeds what the ends can move
 within it. Otherwise the part that the clearance covers is done, and the rests on both sides are looked at.
@@ -6,23 +6,209 @@ within it. Otherwise the part that the clearance covers is done, and the rests o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
-from clsim.paths.propagation import UniformAir
-from clsim.paths.trajectory_tables import PERTURBATIONS, TrajectoryTables
+from clsim.arrays import Floats, read_only
+from clsim.errors import InputError
+from clsim.paths.cubics import KNOT_RATES, cubics_between
+from clsim.paths.propagation import Medium, UniformAir, contract_delay
 from clsim.paths.visibility.clearance import Reach, mirrored, path_status
+from clsim.scene.motion.motion import Motion
+from clsim.scene.room.faces import Mount
 from clsim.scene.room.walls import Walls
 
-Evaluation = Callable[
-    ["VisibilityQuery", NDArray[np.int32], NDArray[np.int64], Floats, Floats],
-    tuple[NDArray[np.bool_], Floats, Floats],
-]
+PERTURBATIONS = np.array([[6.1e-8, -3.7e-8, 7.0e-8], [-2.9e-8, 8.3e-8, 4.7e-8]])  # m, of the source and of receivers
+_TOLERANCE = 1e-8  # m, of a position between knots
+_WORST = 1e-3  # m, the same where a motion has corners, or knots are as many as they may be
+_MOST_KNOTS = 2_000_000
+_SLICE = 65536  # knots made at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoundingSpheres:
+    """Spheres that hold the ends of paths over the time that matters: centres (n, 3) and radii (n,), m."""
+
+    centre: Floats
+    radius: Floats
+
+    @staticmethod
+    def none() -> BoundingSpheres:
+        """Return none."""
+        return BoundingSpheres(np.empty((0, 3)), np.empty(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryTables:
+    """Trajectories of one source (row 0) and of receivers (rows 1, 2, …)."""
+
+    places: NDArray[np.int64]  # (rows, 3) first knot, first speed and number of knots of each
+    scales: Floats  # (rows, 3) time of the first knot (s), knots per second, largest speed (m/s)
+    knots: Floats  # (knots, 12) coefficients [power][xyz] of the cubic from each knot to the next, m
+    speeds: Floats  # (speeds,) bounds of the speed from each knot to the next, of pairs of them, and so on, m/s
+    # (rows, 4) unit normal of the wall that each sits in, and offset of the plane a step in front of it, m; zero in the
+    # open.
+    mounts: Floats
+
+    def position(self, row: NDArray[np.int64], time: Floats) -> Floats:
+        """Return positions (n, 3) at times (n,), m; before the first and after the last knot those at them."""
+        first, count = self.places[row, 0], self.places[row, 2]
+        place = (time - self.scales[row, 0]) * self.scales[row, 1]
+        knot = np.clip(place, 0.0, count - 1.0).astype(np.int64)
+        u = np.clip(place - knot, 0.0, 1.0)[:, None]
+        c = self.knots[first + knot].reshape(-1, 4, 3)
+        return np.asarray(c[:, 0] + u * (c[:, 1] + u * (c[:, 2] + u * c[:, 3])))
+
+    def lifted(self, row: NDArray[np.int64], positions: Floats) -> Floats:
+        """Return positions (n, 3) of ends as validity takes them: those in a wall a step in front of it, m."""
+        normal, offset = self.mounts[row, :3], self.mounts[row, 3]
+        return np.asarray(positions + (offset - np.sum(positions * normal, axis=1))[:, None] * normal)
+
+    def speed_over(self, row: NDArray[np.int64], begin: Floats, end: Floats) -> Floats:
+        """Return a bound of the speed between two times (n,), m/s."""
+        start, rate, last = self.scales[row, 0], self.scales[row, 1], self.places[row, 2] - 1
+        a, b = (np.clip((t - start) * rate, 0.0, last).astype(np.int64) for t in (begin, end))
+        level, count = self.places[row, 1].copy(), last + 1
+        while np.any(wide := b - a > 1):
+            level = np.where(wide, level + count, level)
+            count = np.where(wide, (count + 1) // 2, count)
+            a, b = np.where(wide, a // 2, a), np.where(wide, b // 2, b)
+        return np.asarray(np.maximum(self.speeds[level + a], self.speeds[level + b]))
+
+    def sphere(self, row: int, begin: float = 0.0, end: float = math.inf) -> tuple[Floats, float]:
+        """Return centre and radius of a sphere that holds a trajectory between two times, 0 to its end at most, m."""
+        start, count = self.places[row, 0], self.places[row, 2]
+        first, last = (int(min(max(t * self.scales[row, 1], 0.0), count - 1.0)) for t in (begin, end))
+        c = self.knots[start + first : start + last + 1].reshape(-1, 4, 3)
+        # Bézier points of each cubic: it stays within their hull.
+        hull = np.concatenate([c[:, 0], c[:, 0] + c[:, 1] / 3, c[:, 0] + (2 * c[:, 1] + c[:, 2]) / 3, c.sum(axis=1)])
+        centre = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
+        for _ in range(64):  # Ritter's steps towards the farthest point shrink the ball
+            away = hull - centre
+            distance = np.linalg.norm(away, axis=1)
+            i = int(np.argmax(distance))
+            better = centre + 0.05 * away[i]
+            if np.linalg.norm(hull - better, axis=1).max() >= distance[i]:
+                break
+            centre = better
+        return centre, float(np.linalg.norm(hull - centre, axis=1).max()) + self._lift(row, hull)
+
+    def _lift(self, row: int, hull: Floats) -> float:
+        """Largest distance by which an endpoint may be lifted off its wall, m."""
+        normal, offset = self.mounts[row, :3], self.mounts[row, 3]
+        return float(np.abs(offset - hull @ normal).max())
+
+    def receiver_spheres(self, begin: float = 0.0, end: float = math.inf) -> BoundingSpheres:
+        """Return spheres that hold the receivers, one for each."""
+        spheres = [self.sphere(row, begin, end) for row in range(1, len(self.places))]
+        return BoundingSpheres(np.array([s[0] for s in spheres]).reshape(-1, 3), np.array([s[1] for s in spheres]))
+
+    def delay(self, mirrored: Floats, receiver_at: Floats, time: Floats, medium: Medium) -> Floats:
+        """Return the delays (n,) from the source to places as it sees them and as they are, (n, 3) m each; s."""
+        source = np.zeros(len(time), dtype=np.int64)
+        return contract_delay(medium, lambda emitted: self.position(source, emitted), mirrored, receiver_at, time)
+
+
+def with_points(tables: TrajectoryTables, row: int, places: Floats) -> TrajectoryTables:
+    """Return tables of one of the ends, and of places (n, 3) at rest in the place of receivers, m."""
+    count, still = len(places), np.zeros((len(places), 9))
+    first = len(tables.knots), len(tables.speeds)
+    points = np.column_stack([first[0] + np.arange(count), first[1] + np.arange(count), np.ones(count, dtype=np.int64)])
+    return TrajectoryTables(
+        np.concatenate([tables.places[[row]], points]),
+        np.concatenate([tables.scales[[row]], np.tile([0.0, 1.0, 0.0], (count, 1))]),
+        np.concatenate([tables.knots, np.column_stack([places, still])]),
+        np.concatenate([tables.speeds, np.zeros(count)]),
+        np.concatenate([tables.mounts[[row]], np.zeros((count, 4))]),
+    )
+
+
+def trajectory_tables(
+    source: Motion, receivers: Sequence[Motion], mounts: Sequence[Mount | None] = ()
+) -> TrajectoryTables:
+    """Return the tables of one source and its receivers, from time 0 to the end of each; no mounts when left out."""
+    tables = [_knots("sources.trajectory", source)]
+    tables += [_knots(f"receivers[{i}].trajectory", motion) for i, motion in enumerate(receivers)]
+    levels = [_speeds(knots, rate) for knots, _, rate in tables]
+    counts = np.array([len(knots) for knots, _, _ in tables])
+    places = np.stack(
+        [
+            np.concatenate([[0], np.cumsum(counts)[:-1]]),
+            np.concatenate([[0], np.cumsum([len(level) for level in levels])[:-1]]),
+            counts,
+        ],
+        axis=1,
+    ).astype(np.int64)
+    scales = np.array([[first, rate, level.max()] for (_, first, rate), level in zip(tables, levels, strict=True)])
+    knots = np.concatenate([knots for knots, _, _ in tables])
+    planes = np.zeros((len(tables), 4))
+    for plane, mount in zip(planes, mounts, strict=False):
+        if mount is not None:
+            plane[:] = [*mount.normal, mount.offset + mount.step]
+    columns = (places, scales, knots, np.concatenate(levels), planes)
+    return TrajectoryTables(*(read_only(column) for column in columns))
+
+
+def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:
+    """Return cubics (n, 12), time of the first knot and knots per second."""
+    if motion.is_static:
+        still = np.zeros((1, 12))
+        still[0, :3] = motion.position(0.0)
+        return still, 0.0, 1.0
+    length = max(motion.end, 1e-3)
+    for rate in KNOT_RATES:
+        count = min(max(1, math.ceil(length * rate)), _MOST_KNOTS)
+        cubics, error = _cubics(motion, length, count)
+        if error <= _TOLERANCE or count == _MOST_KNOTS:
+            break
+    if error > _WORST and count == _MOST_KNOTS:
+        raise InputError(
+            field,
+            f"must be known within {_WORST:g} m from {_MOST_KNOTS} places for paths in a mesh, but {length:g} s of it "
+            f"are known within {error:.2g} m; make it shorter or smoother",
+        )
+    return cubics, 0.0, count / length
+
+
+def _cubics(motion: Motion, length: float, count: int) -> tuple[Floats, float]:
+    """Return cubics (count, 12) of even lengths from 0 s on, and the largest error that was met on any, m."""
+    cubics, largest, step = np.empty((count, 12)), 0.0, length / count
+    rng = np.random.default_rng(0)
+    for first in range(0, count, _SLICE):
+        last = min(first + _SLICE, count)
+        times = np.arange(2 * first, 2 * last + 1) * (0.5 * step)
+        position, velocity = motion.position(times), motion.velocity(times[::2]) * step
+        found = cubics_between(position[::2], velocity)
+        middle = sum(c * 0.5**power for power, c in enumerate(found))
+        largest = max(largest, float(np.abs(middle - position[1::2]).max()))
+        if step * KNOT_RATES[0] > 1.0:  # so long that motions may repeat from knot to knot
+            u = rng.random((last - first, 1))
+            anywhere = sum(c * u**power for power, c in enumerate(found))
+            largest = max(largest, float(np.abs(anywhere - motion.position(times[:-1:2] + step * u[:, 0])).max()))
+        cubics[first:last] = np.concatenate(found, axis=1)
+    return cubics, largest
+
+
+def _speeds(knots: Floats, rate: float) -> Floats:
+    """Return bounds of the speed on each cubic, on pairs of them and so on, in a row."""
+    c = knots.reshape(-1, 4, 3)
+    # Bézier points of the derivative.
+    points = np.stack([c[:, 1], c[:, 1] + c[:, 2], c[:, 1] + 2.0 * c[:, 2] + 3.0 * c[:, 3]])
+    level = np.linalg.norm(points, axis=2).max(axis=0) * rate
+    levels = [level]
+    while len(level) > 1:
+        level = np.maximum(level[::2], np.append(level[1::2], 0.0) if len(level) % 2 else level[1::2])
+        levels.append(level)
+    return np.concatenate(levels)
+
+
+Evaluation = Callable[[NDArray[np.int32], NDArray[np.int64], Floats, Floats], tuple[NDArray[np.bool_], Floats, Floats]]
 
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
 GRAZE = 1e-6  # of the room's size; paths that pass an edge nearer than this run along it
@@ -103,13 +289,13 @@ def find_intervals(
     Shapes: sequence (n, N); receiver (n,).
 
     evaluation: what says whether other paths than those by walls are valid, and how far their ends may move; as
-    `evaluate`.
+    `evaluate` of the query.
 
     spans: times from and up to which each path is looked at, s; those of its receiver when left out.
 
     parts: into how many what is left of an interval is cut at most, see `divided`.
     """
-    evaluate_at = evaluation or evaluate
+    evaluate_at = evaluation or partial(evaluate, query)
     first, last = spans or (query.first[receiver], query.last[receiver])
     path = np.flatnonzero(first < last)
     stack = [(path, first[path], last[path])]
@@ -121,13 +307,13 @@ def find_intervals(
             stack.append((path[_CHUNK:], begin[_CHUNK:], end[_CHUNK:]))
             path, begin, end = path[:_CHUNK], begin[:_CHUNK], end[:_CHUNK]
         half, middle = 0.5 * (end - begin), begin + 0.5 * (end - begin)
-        valid, clear, reach = evaluate_at(query, sequence[path], receiver[path], middle, half)
+        valid, clear, reach = evaluate_at(sequence[path], receiver[path], middle, half)
         evaluations += len(path)
         done = (clear > reach) | (2.0 * half <= query.resolution) | (reach < SMALLEST_MOVE * query.walls.size)
         grazing = np.flatnonzero(~done & (clear < GRAZE * query.walls.size) & (half <= 0.5 * GRAZE_TIME))
         for instant in (begin, end) if len(grazing) else ():
             requested = sequence[path[grazing]], receiver[path[grazing]]
-            seen, beside, most = evaluate_at(query, *requested, instant[grazing], half[grazing])
+            seen, beside, most = evaluate_at(*requested, instant[grazing], half[grazing])
             evaluations += len(grazing)
             grazing = grazing[(seen == valid[grazing]) & (beside < np.minimum(GRAZE * query.walls.size, ALONG * most))]
         done[grazing] = True
@@ -169,10 +355,18 @@ def evaluate(
 
 def merged(path: NDArray[np.int64], begin: Floats, end: Floats, evaluations: int) -> Intervals:
     """Sort intervals and join those that touch."""
-    order = np.lexsort((begin, path))
-    path, begin, end = path[order], begin[order], end[order]
-    first = np.ones(len(path), dtype=bool)
-    first[1:] = (path[1:] != path[:-1]) | (begin[1:] != end[:-1])
-    starts = np.flatnonzero(first)
-    ends = np.append(starts[1:], len(path))[: len(starts)] - 1
-    return Intervals(path[starts], begin[starts], end[ends], evaluations)
+    first, last = joined([path], begin, end)
+    return Intervals(path[first], begin[first], end[last], evaluations)
+
+
+def joined(keys: Sequence[Any], begin: Any, end: Any, state: Any = None) -> tuple[Any, Any]:
+    """Find the first and the last rows (m,) of intervals (n,) that touch, sorted by keys (n,) and beginnings.
+
+    They have the same keys and, row by row, the same state (n,) or (n, k).
+    """
+    rows = np.lexsort([begin, *keys[::-1]])
+    cut = begin[rows[1:]] > end[rows[:-1]]
+    for column in keys if state is None else (*keys, *np.atleast_2d(state.T)):
+        cut |= column[rows[1:]] != column[rows[:-1]]
+    starts = np.flatnonzero(np.append(True, cut)[: len(rows)])
+    return rows[starts], rows[np.append(starts[1:], len(rows))[: len(starts)] - 1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -64,12 +64,8 @@ class Obstacles:
     """What reflects and hides in a scene."""
 
     mirrors: Mirrors  # walls and faces
-    walls: Walls  # of the room
+    walls: tuple[Walls, ...]  # faces of each body, and the walls of the room, the last owner
     convex: bool  # whether no wall of the room hides anything in it
-    of_owner: tuple[Walls, ...] = field(init=False)  # faces of each body, and the walls of the room, the last owner
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "of_owner", (*(body.mesh.walls for body in self.mirrors.bodies), self.walls))
 
     def there(self, surfaces: NDArray[np.signedinteger[Any]], events: Events, times: Floats) -> Bools:
         """Mask (P, T) of valid paths by mirrors (P, N), received at times (P, T)."""
@@ -98,11 +94,12 @@ class Obstacles:
         """Mask of blocked legs, as `blocked`, and the time for which that is certain, (n,) s."""
         found, sure = np.zeros(len(legs.left), dtype=bool), np.full(len(legs.left), FAR)
         if not self.convex:
-            plane = np.append(self.walls.plane, -1)
-            ends = [plane[np.where(x < len(self.walls), x, -1)] for x in (first, last)]
+            room = self.walls[ROOM]
+            plane = np.append(room.plane, -1)
+            ends = [plane[np.where(x < len(room), x, -1)] for x in (first, last)]
             local = None if drift is None else local_drift(None, legs, legs.start, legs.stop, drift)
-            skipped = (ends[0][:, None] == self.walls.plane) | (ends[1][:, None] == self.walls.plane)
-            found, sure = _faced(self.walls, skipped, legs.start, legs.stop, None, local)
+            skipped = (ends[0][:, None] == room.plane) | (ends[1][:, None] == room.plane)
+            found, sure = _faced(room, skipped, legs.start, legs.stop, None, local)
         for body, (thing, face) in enumerate(zip(self.mirrors.bodies, self.mirrors.first.tolist(), strict=True)):
             rows = np.flatnonzero(~found)
             local_ends = [np.where(self.mirrors.owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last)]
@@ -114,7 +111,7 @@ class Obstacles:
 
     def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
         """Mask of places (n, 3) on a mirror at times (n,), and distances from its border and the body's middle, m."""
-        walls, face, own = self.of_owner[self.mirrors.owner[surface]], *self._seen(surface, places, times)
+        walls, face, own = self.walls[self.mirrors.owner[surface]], *self._seen(surface, places, times)
         apart = edges_apart(walls.edges_of(face), own, own)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
             apart = np.minimum(apart, edges_apart(walls.edges_of(int(twin)), own, own))
@@ -131,7 +128,7 @@ class Obstacles:
 
     def _holds(self, surface: int, places: Floats, times: Floats) -> Bools:
         """Mask of places (n, 3) in the plane of a mirror at times (n,) that are on it."""
-        walls, face, places = self.of_owner[self.mirrors.owner[surface]], *self._seen(surface, places, times)
+        walls, face, places = self.walls[self.mirrors.owner[surface]], *self._seen(surface, places, times)
         held: Bools = walls.holds(face, places)
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
             held &= ~walls.holds(int(twin), places)

@@ -1,6 +1,6 @@
 // Paths over an edge (VERTEX == EDGE): both ends as the edge sees them, and delays. Rolled out, the shortest path over an edge is
 // straight, and the change of the place where it meets the edge does not change its length: twin of
-// paths/vertices/edge_lengths.py.
+// paths/vertices/edge_field.py.
 
 #if VERTEX == EDGE
 // One Newton step from `a->delay`, as newton_step of delay.h; directions are not computed.

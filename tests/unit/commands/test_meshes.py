@@ -13,7 +13,7 @@ from scene_texts import along, receiver_at, scene_text, source_at, tone_of
 
 import clsim
 from clsim.cli import main
-from clsim.paths.view import viewed
+from clsim.paths.path_table import viewed
 from clsim.render.planning import plan_render
 from clsim.scene_file import load_scene
 

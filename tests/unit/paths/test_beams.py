@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 import clsim
-from clsim.paths.trajectory_tables import trajectory_tables
+from clsim.paths.visibility.intervals import trajectory_tables
 from clsim.paths.visibility.occlusion import beam_planes, clip_rings
 
 SQUARE = np.array([[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]], float)  # counterclockwise about +x

@@ -218,8 +218,7 @@ def test_drawn_scenes_at_every_sample(seed: int) -> None:
 def assert_certain(scene: clsim.Scene, family: Any) -> None:
     """Assert that what looks near changes say is certain holds, and that some of it fails for 30 times as long."""
     search = searched(scene, 2)
-    pair = search.pair(0, 0)
-    look = search.mirror_evaluation([pair])(family.legs[0].surfaces, np.zeros(len(family), dtype=int))
+    look = search.mirror_evaluation(0)(family.legs[0].surfaces, np.zeros(len(family), dtype=int))
     rng, changes = np.random.default_rng(0), np.stack([family.start, family.end], axis=1)
     row, side = np.nonzero(np.isfinite(changes))
     rows = np.repeat(row, 40)

@@ -13,8 +13,8 @@ import clsim
 from clsim.opencl.device import DeviceInfo, find_device, operations_in_launch
 from clsim.opencl.launch import Compiler
 from clsim.paths.search import mesh as mesh_module
-from clsim.paths.trajectory_tables import TrajectoryTables
 from clsim.paths.visibility.device import GROUP, OPERATIONS_PER_BOX, DeviceSearch
+from clsim.paths.visibility.intervals import TrajectoryTables
 
 pytestmark = pytest.mark.usefixtures("device")
 GIB = 2**30

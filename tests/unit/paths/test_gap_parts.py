@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_edge_search import BOARDS, room_of, search
 
-from clsim.paths.search.gap_parts import PARTS, Fans, cotangents, fans_of_ends, in_air, open_gaps, segment_off, unhidden
+from clsim.paths.search.edge_gaps import PARTS, Fans, cotangents, fans_of_ends, in_air, open_gaps, segment_off, unhidden
 from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.occlusion import crossed_pieces
 

@@ -11,7 +11,7 @@ from scene_texts import receiver_at, scene_text, source_at, tone_of
 import clsim
 from clsim.cli import main
 from clsim.output.result_files import write_ground_truth, write_table
-from clsim.paths.view import viewed
+from clsim.paths.path_table import viewed
 from clsim.study.content import _add_ground_truth, _add_paths
 
 TIMES = np.array([0.0, 0.04, 0.1])

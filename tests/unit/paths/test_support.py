@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import clsim
-from clsim.paths.support import DEVICE, HOST, MEDIA, METHODS, REFUSED, SUPPORT, media_of, program_of, support_tables
+from clsim.paths.chain import DEVICE, HOST, MEDIA, METHODS, REFUSED, SUPPORT, media_of, program_of, support_tables
 from clsim.render.methods import sampled_channel, static
 from clsim.render.opencl.path_columns import COLUMNS
 from clsim.render.options import RenderOptions

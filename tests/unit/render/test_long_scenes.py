@@ -15,7 +15,7 @@ import clsim
 from clsim.cli import main
 from clsim.commands import run as run_command
 from clsim.paths.path_set import PathSet
-from clsim.paths.trajectory_tables import trajectory_tables
+from clsim.paths.visibility.intervals import trajectory_tables
 from clsim.render.plan import within_memory
 from clsim.render.planning import plan_render
 from clsim.scene.motion.motion import Instants, Motion
@@ -272,7 +272,7 @@ def test_errors_name_what_asks_for_memory() -> None:
 
 
 def test_motions_in_a_mesh_are_tabled_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clsim.paths.trajectory_tables._MOST_KNOTS", 5000)
+    monkeypatch.setattr("clsim.paths.visibility.intervals._MOST_KNOTS", 5000)
     resting = clsim.Trajectory.line((1, 1, 1), (1, 1, 1), 1e9)
     assert len(trajectory_tables(resting, [STILL, resting]).knots) == 3
     long = clsim.Trajectory.circle((4, 3, 1.5), 1.0, period=1.0, duration=1e7)

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, read_only, unique_rows
 from clsim.paths.chain import Chain
-from clsim.paths.family import NONE, PathFamily, ends_at
-from clsim.paths.search.edge_chains import SAME_DELAY, delays_of
+from clsim.paths.family import DIFFRACTION, NONE, PathFamily, ends_at
 from clsim.paths.vertices.edge import EdgeVertex
 from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_field import BOTH
@@ -27,6 +26,7 @@ from clsim.scene.scene import Scene
 
 Rows = NDArray[np.int64]
 
+SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 
 _WINDOW = 1e-3  # s between two times of one event, at most: ends may go along an edge within the tolerance of outlines
 _GRAZED = 0.25  # s, the same where a way goes along an edge
@@ -144,7 +144,7 @@ class _Events:
         found = np.empty(len(which))
         for family in np.unique(self.family[which]).tolist():
             mine = self.family[which] == family
-            found[mine] = delays_of(self.chains[family], self.row[which[mine]], instants[mine])
+            found[mine] = self.chains[family].delays(self.row[which[mine]], instants[mine])
         return found
 
     def paths(self) -> Rows:
@@ -306,3 +306,76 @@ def _explained(scene: Scene, pair: Rows, times: Floats, resolution: float) -> Fl
             place = ends[each].trajectory.position(times[mine][:, None] + np.array([0.0, STEP]))
             moved[mine] += np.linalg.norm(place[:, 1] - place[:, 0], axis=-1)
     return indistinct(moved, resolution, scene.room.as_mesh().walls.size)
+
+
+def with_swaps(family: Chain, within: float) -> Chain:
+    """Return the paths with one time for the end of one and the beginning of another where they are the same event.
+
+    This is where two walls are met in another order, or where the apex goes on from an edge to the next one or to its
+    corner: both paths are as long as each other then. Pieces of one path meet already; where a path over an end of an
+    edge changes sides, the path over the edge itself begins or ends.
+    """
+    start, end = _with_ends(family, within)
+    pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
+    ends = np.flatnonzero(np.isfinite(end) & ~_among(pair, end, pair, start))
+    starts = np.flatnonzero(np.isfinite(start) & ~_among(pair, start, pair, end))
+    mine, theirs = _same_events(family, (starts, start[starts]), (ends, end[ends]), within)
+    longer = end[theirs] < end[mine]  # nothing ends as it begins
+    start[mine[longer][::-1]] = end[theirs[longer][::-1]]
+    family = replace(family, start=read_only(start), end=read_only(end))
+    kept = np.flatnonzero(start < end)
+    return family if len(kept) == len(start) else family.part(kept)
+
+
+def _with_ends(family: Chain, within: float) -> tuple[Floats, Floats]:
+    """Compute starts and ends, s, where paths over edges have the times at which those over their ends change sides."""
+    start, end, count = np.array(family.start), np.array(family.end), len(family.vertex.lines)
+    edges = (family.interactions == DIFFRACTION) & (family.objects >= count)
+    over = np.where(edges, (family.objects - count) // 2, family.objects)
+    keys = [tuple(row) for row in np.column_stack([family.source, family.receiver, over]).tolist()]
+    follows = np.append(False, np.all(family.objects[1:] == family.objects[:-1], axis=1) & (start[1:] == end[:-1]))
+    turns = follows & np.append(False, family.vertex.end_side[1:] != family.vertex.end_side[:-1])
+    passing: dict[tuple[int, ...], list[float]] = {}
+    for row in np.flatnonzero(turns[: len(start)]).tolist():
+        passing.setdefault(keys[row], []).append(float(start[row]))
+    first = np.flatnonzero(~follows[: len(start)])
+    for one, after in zip(first.tolist(), [*first[1:].tolist(), len(start)], strict=True) if passing else ():
+        rows = slice(one, after)
+        for time in passing.get(keys[one], []) if family.vertex.end_side[one] == 0 else ():
+            if abs(start[one] - time) <= within:
+                start[one] = time
+                start[rows] = np.maximum(start[rows], time)
+            elif abs(end[after - 1] - time) <= within:
+                end[after - 1] = time
+                end[rows] = np.minimum(end[rows], time)
+    return start, end
+
+
+def _same_events(
+    family: Chain, one: tuple[Rows, Floats], other: tuple[Rows, Floats], within: float
+) -> tuple[Rows, Rows]:
+    """Find the rows of `one` and of `other` (n,) at whose times, s, both paths between two ends are as long.
+
+    Each is given as rows and their times; times are at most `within` apart.
+    """
+    pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
+    found = [np.empty((2, 0), dtype=np.int64)]
+    for each in np.intersect1d(pair[one[0]], pair[other[0]]):
+        (rows, times), (others, their_times) = ((r[pair[r] == each], t[pair[r] == each]) for r, t in (one, other))
+        order = np.argsort(their_times, kind="stable")
+        others, their_times = others[order], their_times[order]
+        first = np.searchsorted(their_times, times - within)
+        after = np.searchsorted(their_times, times + within, side="right")
+        mine, theirs = np.repeat(np.arange(len(rows)), after - first), _ranges(first, after)
+        when = 0.5 * (times[mine] + their_times[theirs])
+        mine, theirs = rows[mine], others[theirs]
+        same = np.abs(family.delays(mine, when) - family.delays(theirs, when)) < SAME_DELAY
+        found.append(np.stack([mine[same], theirs[same]]))
+    both = np.concatenate(found, axis=1)
+    return both[0], both[1]
+
+
+def _among(pair: Rows, times: Floats, other_pair: Rows, others: Floats) -> NDArray[np.bool_]:
+    """Mask of times of pairs that are, to the last bit, among others of the same pair."""
+    known = set(zip(other_pair.tolist(), others.tolist(), strict=True))
+    return np.array([moment in known for moment in zip(pair.tolist(), times.tolist(), strict=True)], dtype=bool)
