@@ -22,6 +22,7 @@ from clsim.paths.ground_truth import DirectPath, EchoTruth
 from clsim.paths.path_table import PathTable, long_columns
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.receiver_array import row_receivers
+from clsim.scene.room.protocol import Room
 from clsim.scene.scene import Scene
 from clsim.version import __version__
 
@@ -185,8 +186,7 @@ def _describe_room(sofa: Any, scene: Scene) -> None:
     ]  # fmt: skip
     sofa.RoomTemperature = scene.air.state[0] + 273.15
     sofa.RoomTemperature_Units = "kelvin"
-    across = np.sort(np.abs(scene.room.faces.normals), axis=1)
-    if scene.room.is_convex and np.array_equal(across, np.tile([0.0, 0.0, 1.0], (6, 1))):  # a box along the axes
+    if _is_box(scene.room):
         sofa.GLOBAL_RoomType = "shoebox"
         sofa.RoomCornerA, sofa.RoomCornerB = (corner[None] for corner in scene.room.extent)
         unknown = unknown[:-2]
@@ -195,3 +195,9 @@ def _describe_room(sofa: Any, scene: Scene) -> None:
         unknown += ["RoomCornerA", "RoomCornerB"]
     for name in unknown:
         sofa.delete(name)
+
+
+def _is_box(room: Room) -> bool:
+    """Test whether a room is a box along the axes."""
+    across = np.sort(np.abs(room.faces.normals), axis=1)
+    return room.is_convex and np.array_equal(across, np.tile([0.0, 0.0, 1.0], (6, 1)))
