@@ -14,7 +14,7 @@ from clsim.arrays import Floats, as_choice, as_count, as_number
 from clsim.errors import InputError, settle
 from clsim.numerics.sphere import real_harmonics
 from clsim.scene.directivity.axial_table import AxialDirectivity
-from clsim.scene.directivity.directivity import AxisymmetricDirectivity, ChannelDirectivity, name_directivity
+from clsim.scene.directivity.directivity import NAMED, AxisymmetricDirectivity, ChannelDirectivity
 
 HIGHEST = 7  # order
 NORMALIZATIONS = ("SN3D", "N3D")
@@ -73,8 +73,6 @@ class Ambisonic(ChannelDirectivity):
 _MURATA_RADIUS = 0.0047  # m
 
 # Nicera, T4010A1: directivity at 40 kHz as published, 0 to 90 degrees in steps of 10.
-_NICERA_FREQUENCY = 40e3  # Hz
-_NICERA_ANGLES = np.arange(0.0, 91.0, 10.0)  # degrees
 _NICERA_DB = np.array([0.0, 0.0, 0.0, -1.0, -3.0, -6.0, -9.0, -12.0, -14.0, -15.0])
 
 _EVERYWHERE = (0.0, math.inf)
@@ -160,11 +158,7 @@ class Piston(AxisymmetricDirectivity):
         return piston_gain(cosine, frequency, self.radius, speed_of_sound)
 
 
-def _nicera(outside: str | None) -> AxialDirectivity:
-    table = _NICERA_ANGLES, [_NICERA_FREQUENCY], _NICERA_DB[:, None]
-    return AxialDirectivity.from_db(*table, rear="hold", outside=outside, name="T4010A1")
-
-
-name_directivity("MA40S4S", lambda outside: Piston(_MURATA_RADIUS))
-name_directivity("MA40S4R", lambda outside: Piston(_MURATA_RADIUS))
-name_directivity("T4010A1", _nicera)
+_NICERA = np.arange(0.0, 91.0, 10.0), [40e3], _NICERA_DB[:, None]  # degrees, Hz
+for _name in ("MA40S4S", "MA40S4R"):
+    NAMED[_name] = lambda outside: Piston(_MURATA_RADIUS)
+NAMED["T4010A1"] = lambda outside: AxialDirectivity.from_db(*_NICERA, rear="hold", outside=outside, name="T4010A1")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,16 +68,12 @@ class Instants:
                 met = int(hit[i])
                 first, middle, last, unsure = first[: i + 1], middle[: i + 1], last[: i + 1].copy(), unsure[: i + 1]
                 last[i] = met - 1
-            halves = _halves(first[unsure], middle[unsure], last[unsure])
+            ends = first, np.minimum(middle - 1, last), middle + 1, last
+            halves = np.stack([end[unsure] for end in ends], axis=1).reshape(-1, 2)
+            halves = halves[halves[:, 0] <= halves[:, 1]]  # before and behind middles, in the order of time
             if len(halves):
                 waiting.append(halves)
         return met
-
-
-def _halves(first: Indices, middle: Indices, last: Indices) -> Any:
-    """Return ranges before and behind their middles, (2 n, 2) at most, in the order of time."""
-    halves = np.stack([first, np.minimum(middle - 1, last), middle + 1, last], axis=1).reshape(-1, 2)
-    return halves[halves[:, 0] <= halves[:, 1]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
