@@ -322,11 +322,9 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
         raise InputError("path", problem)
     made_up = float(steps[wide].sum())
     if made_up > _LONGEST_INVENTED:
-        warn(
-            f'{poses.file}: repair=("gaps",) makes up {made_up:.4g} s of motion, the most of it '
-            f"{steps.max():.4g} s before {poses.row} {poses.lines[int(np.argmax(steps)) + 1]}; "
-            "leave that part out, or measure it again"
-        )
+        note = f'{poses.file}: repair=("gaps",) makes up {made_up:.4g} s of motion, the most of it '
+        note += f"{steps.max():.4g} s before {poses.row} {poses.lines[int(np.argmax(steps)) + 1]}; "
+        warn(f"{note}leave that part out, or measure it again")
     gaps = "1 gap" if len(wide) == 1 else f"{len(wide)} gaps"
     note = (
         f"Bridged {gaps} longer than {longest:.4g} s, the first before {poses.row} {poses.lines[i]}, "

@@ -42,10 +42,8 @@ def as_direction(field_name: str, value: Any) -> Floats:
 def question_turns(field_name: str, largest: float) -> None:
     """Warn of angles above two turns, rad, which are more often degrees than a spinning object."""
     if largest > _TWO_TURNS:
-        warn(
-            f"{field_name}: {largest:.6g} rad are {largest / (2.0 * np.pi):.3g} turns; angles are in radians: "
-            f"{largest:.6g} degrees are {np.radians(largest):.6g} rad"
-        )
+        note = f"{field_name}: {largest:.6g} rad are {largest / (2.0 * np.pi):.3g} turns; angles are in radians: "
+        warn(f"{note}{largest:.6g} degrees are {np.radians(largest):.6g} rad")
 
 
 def as_increasing(times: Any) -> Floats:
