@@ -18,8 +18,8 @@ from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.numerics.quaternions import rotate as turned
 from clsim.scene.motion.curves import spline_through
-from clsim.scene.motion.orientation import LONGEST, as_increasing, as_path, as_places, as_quaternions
-from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.motion.motion import LONGEST
+from clsim.scene.motion.trajectory import Trajectory, as_increasing, as_path, as_places, as_quaternions
 from clsim.scene.people import PARTS, SHANK, THIGH, pose_times, quaternions_along, through_poses
 from clsim.scene.scatterer import Scatterer
 

@@ -15,7 +15,7 @@ from clsim.arrays import FARTHEST, ByRow, Floats
 from clsim.errors import InputError, warn
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.scene.motion.bags import read_bag
-from clsim.scene.motion.orientation import LONGEST
+from clsim.scene.motion.motion import LONGEST
 
 FORMATS = ("tum", "euroc", "csv", "rosbag")
 REPAIRS = ("times", "gaps", "nan", "jumps")
