@@ -19,10 +19,16 @@ from clsim.room_measures import LateralMeasures, RoomMeasures, lateral_measures,
 from clsim.scene.air import Air
 from clsim.scene.body import Body
 from clsim.scene.captured import captured_person
-from clsim.scene.directivity.axial_table import AxialDirectivity
-from clsim.scene.directivity.directivity import AxisymmetricDirectivity, Directivity
 from clsim.scene.directivity.head_related import HeadRelated, SphericalHead
-from clsim.scene.directivity.patterns import Ambisonic, FirstOrder, Omni, Piston
+from clsim.scene.directivity.patterns import (
+    Ambisonic,
+    AxialDirectivity,
+    AxisymmetricDirectivity,
+    Directivity,
+    FirstOrder,
+    Omni,
+    Piston,
+)
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation, TargetFluctuation

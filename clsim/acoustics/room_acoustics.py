@@ -154,10 +154,7 @@ def centre_time(samples: Floats, sampling_rate: float, begin: int = 0) -> float:
 
 
 def clarity(samples: Floats, split: int) -> float:
-    """Return the level of early energy over late energy, dB; samples (n,).
-
-    ISO 3382-1:2009, annex A.2.3.
-    """
+    """Return the level of early energy over late energy, dB; samples (n,). ISO 3382-1:2009, annex A.2.3."""
     early, late = float(np.sum(np.square(samples[:split]))), float(np.sum(np.square(samples[split:])))
     if late == 0.0:
         return math.inf
@@ -165,10 +162,7 @@ def clarity(samples: Floats, split: int) -> float:
 
 
 def definition(samples: Floats, split: int) -> float:
-    """Return the share of early energy in all energy; samples (n,).
-
-    ISO 3382-1:2009, annex A.2.3.
-    """
+    """Return the share of early energy in all energy; samples (n,). ISO 3382-1:2009, annex A.2.3."""
     whole = float(np.sum(np.square(samples)))
     return float(np.sum(np.square(samples[:split]))) / whole if whole > 0.0 else math.nan
 

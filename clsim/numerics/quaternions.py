@@ -43,6 +43,14 @@ def cross_product(a: Floats, b: Floats) -> Floats:
     return out
 
 
+def quaternion_product(left: Floats, right: Floats) -> Floats:
+    """Return the Hamilton product of quaternions x y z w: turning by `right` first, then by `left`."""
+    a, b = left[..., :3], right[..., :3]
+    w, v = left[..., 3:], right[..., 3:]
+    vector = w * b + v * a + np.cross(a, b)
+    return np.concatenate([vector, w * v - np.sum(a * b, axis=-1, keepdims=True)], axis=-1)
+
+
 def quaternion_from_direction(direction: ArrayLike) -> Floats:
     """Return the rotation that turns +x into a direction and keeps +z as far up as it goes.
 

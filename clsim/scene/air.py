@@ -230,10 +230,8 @@ class Air:
             lines.append("air: wind of ({:g}, {:g}, {:g}) m/s".format(*self.wind))
         if self.fluctuation is not None:
             given = self.fluctuation
-            lines.append(
-                f"air: delays fluctuate by {1e6 * given.rms:g} µs, over {given.correlation_time:g} s and "
-                f"{given.correlation_length:g} m, seed {given.seed}"
-            )
+            note = f"air: delays fluctuate by {1e6 * given.rms:g} µs, over {given.correlation_time:g} s and "
+            lines.append(f"{note}{given.correlation_length:g} m, seed {given.seed}")
         return lines
 
     def absorption_at(self, frequency: ArrayLike) -> Floats:
@@ -255,10 +253,8 @@ class Air:
         if not self.absorption:
             return np.zeros(f.shape)
         if np.any(f > 10.0 * self.pressure):
-            warn(
-                f"the absorption of air is asked for at {np.max(f):g} Hz, but ISO 9613-1 states its accuracy "
-                f"up to 10 Hz/Pa only, here {10.0 * self.pressure:g} Hz"
-            )
+            note = f"the absorption of air is asked for at {np.max(f):g} Hz, but ISO 9613-1 states its accuracy "
+            warn(f"{note}up to 10 Hz/Pa only, here {10.0 * self.pressure:g} Hz")
         return formulae.absorption_iso9613(f, *self.state)
 
     def wavenumber_at(self, frequency: ArrayLike) -> Complexes:
@@ -312,10 +308,8 @@ def _layers(air: Air) -> tuple[Air, ...]:
             break
         terms = 2 * terms - 1
     if wrong[0] > _TIME_WRONG:
-        warn(
-            f"temperature_celsius changes so suddenly with the height that travel times have an error of up to "
-            f"{1e9 * 10.0 * wrong[0] * exact[:, 0].max():.3g} ns over 10 m; make the profile smoother"
-        )
+        note = "temperature_celsius changes so suddenly with the height that travel times have an error of up to "
+        warn(f"{note}{1e9 * 10.0 * wrong[0] * exact[:, 0].max():.3g} ns over 10 m; make the profile smoother")
     return layers
 
 
@@ -351,10 +345,8 @@ def _warn_of_range(air: Air, vapour: float) -> None:
     has = f"but the air has {celsius:g} °C, {air.pressure / 1e3:g} kPa"
     inside = 0.0 <= celsius <= 30.0 and 75e3 <= air.pressure <= 102e3 and vapour <= 0.06
     if air._requested_speed is None and not inside:
-        warn(
-            f"Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of vapour, "
-            f'{has} and {100 * vapour:.3g} %; give speed_of_sound as a number or as "iso9613"'
-        )
+        note = "Cramer's formula of the speed of sound holds from 0 to 30 °C, 75 to 102 kPa and up to 6 % of vapour, "
+        warn(f'{note}{has} and {100 * vapour:.3g} %; give speed_of_sound as a number or as "iso9613"')
     if air.absorption and not (-20.0 <= celsius <= 50.0 and air.pressure < 200e3 and percent >= 0.005):
         warn(
             "ISO 9613-1 gives the absorption of air within 20 % from -20 to 50 °C, below 200 kPa and from 0.005 % of "

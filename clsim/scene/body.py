@@ -17,8 +17,7 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.flush import in_face
 from clsim.scene.material.material import Material
 from clsim.scene.motion.motion import Instants, Moved, even_lengths, seen_by
-from clsim.scene.motion.orientation import as_places
-from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.motion.trajectory import Trajectory, as_places
 from clsim.scene.placement import Placed, check_lasts, first_refused
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.protocol import Room, is_room

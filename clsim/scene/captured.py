@@ -18,8 +18,8 @@ from clsim.errors import InputError
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.numerics.quaternions import rotate as turned
 from clsim.scene.motion.curves import spline_through
-from clsim.scene.motion.orientation import LONGEST, as_increasing, as_path, as_places, as_quaternions
-from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.motion.motion import LONGEST
+from clsim.scene.motion.trajectory import Trajectory, as_increasing, as_path, as_places, as_quaternions
 from clsim.scene.people import PARTS, SHANK, THIGH, pose_times, quaternions_along, through_poses
 from clsim.scene.scatterer import Scatterer
 
@@ -287,24 +287,17 @@ def captured_person(
     """
     joints = read_joints(as_path(path))
     as_choice("shape", shape, SHAPES)
-    place = _placed(
-        as_number("scale", scale, at_least=1e-9, at_most=1e9),
-        joints.up if up is None else as_choice("up", up, UPS),
-        as_quaternions("rotate", rotate, (4,)),
-        as_places("translate", translate, (3,)),
-    )
+    scale = as_number("scale", scale, at_least=1e-9, at_most=1e9)
+    axes = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[joints.up if up is None else as_choice("up", up, UPS)]
+    turn, shift = as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,))
     start = as_number("time_offset", time_offset, at_least=-LONGEST, at_most=0.0, unit="s")
     times = pose_times(0.0, float(joints.times[-1]))
-    curves = [spline_through(joints.times, place(x), "not-a-knot") for x in joints.positions]
+    curves = [
+        spline_through(joints.times, turned(turn, scale * x[:, axes]) + shift, "not-a-knot") for x in joints.positions
+    ]
     known = dict(zip(joints.names, (curve.position(times) for curve in curves), strict=True))
     parts = _usual(joints, known) if segments is None else _between(known, segments)
     return [_scatterer(f"{name} {part.name}", part, start + times, shape) for part in parts]
-
-
-def _placed(scale: float, up: str, rotation: Floats, translation: Floats) -> Any:
-    """Return the map of points (n, 3) from a file's axes into the room."""
-    axes = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[up]
-    return lambda points: turned(rotation, scale * points[:, axes]) + translation
 
 
 def _between(known: dict[str, Floats], segments: Any) -> list[_Part]:

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_choice, as_count, as_flag, as_floats, as_number, short_repr
 from clsim.errors import InputError, check_kind, check_name, settle, with_field
-from clsim.numerics.quaternions import normalised, quaternion_from_direction, rotate
+from clsim.numerics.quaternions import normalised, quaternion_from_direction, quaternion_product, rotate
 from clsim.scene.directivity.directivity import ChannelDirectivity, Directivity
 from clsim.scene.directivity.head_related import EARS, HeadRelated, SphericalHead
 from clsim.scene.directivity.patterns import HIGHEST, Ambisonic, Omni
 from clsim.scene.motion.curves import CONTINUATION
-from clsim.scene.motion.motion import Moved
-from clsim.scene.motion.orientation import LONGEST, as_direction, as_places, quaternion_product, turning_between
-from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.motion.motion import LONGEST, Moved, turning_between
+from clsim.scene.motion.trajectory import Trajectory, as_direction, as_places
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer.electronics import Electronics
 from clsim.scene.transducer.transducer import Transducer

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 
 from clsim.arrays import Floats, as_floats, as_number, read_only
 from clsim.errors import InputError, check_kind, inside
-from clsim.numerics.quaternions import rotate
+from clsim.numerics.quaternions import quaternion_product, rotate
 from clsim.scene.motion.curves import spline_through
-from clsim.scene.motion.orientation import as_increasing, quaternion_product, turning_between
-from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.motion.motion import turning_between
+from clsim.scene.motion.trajectory import Trajectory, as_increasing
 from clsim.scene.scatterer import Scatterer
 
 Pose = dict[str, tuple[Floats, tuple[Floats, Floats, Floats]]]

@@ -297,10 +297,8 @@ def warn_of_units(room: Room, sources: Sequence[Source]) -> None:
     for i, source in enumerate(sources):
         frequency = source.signal.centre_frequency
         if frequency < _LOWEST:
-            warn(
-                f"sources[{i}].signal: {frequency:.4g} Hz is low for paths in a room; "
-                f"frequencies are in Hz: for {frequency:.4g} kHz, try {frequency:.4g}e3"
-            )
+            note = f"sources[{i}].signal: {frequency:.4g} Hz is low for paths in a room; "
+            warn(f"{note}frequencies are in Hz: for {frequency:.4g} kHz, try {frequency:.4g}e3")
 
 
 def warn_of_roles(sources: Sequence[Source], receivers: Sequence[Receiver]) -> None:

@@ -14,8 +14,7 @@ from clsim.errors import InputError, check_kind, check_name
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Element, Receiver
-from clsim.scene.motion.orientation import as_direction, as_places
-from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.motion.trajectory import Trajectory, as_direction, as_places
 
 _MOST = 100_000  # receivers of an array
 

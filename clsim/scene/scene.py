@@ -241,11 +241,9 @@ class Scene:
         lines = [*self.room.describe(), *self.air.describe()[1:]]
         for source in self.sources if self.air.dispersion else ():
             centre = source.emitted.centre_frequency
-            lines.append(
-                f"air disperses: what {source.name!r} sends about {centre:.6g} Hz goes "
-                f"{self.air.group_speed_at(centre):.3f} m/s, its phase at {self.air.speed_at(centre):.3f} m/s; "
-                f"{self.air.speed_of_sound:.3f} m/s at 0 Hz"
-            )
+            note = f"air disperses: what {source.name!r} sends about {centre:.6g} Hz goes "
+            note += f"{self.air.group_speed_at(centre):.3f} m/s, its phase at {self.air.speed_at(centre):.3f} m/s; "
+            lines.append(f"{note}{self.air.speed_of_sound:.3f} m/s at 0 Hz")
         for field_name, item in [] if self.room.is_convex or not self.room.is_closed else self.named_ends():
             inside = self.room.contains(placement.first_place(self.room, item)[None])[0]
             lines.append(f"{field_name}: {item.name!r} is {'inside' if inside else 'outside'} at 0 s")

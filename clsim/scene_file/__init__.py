@@ -92,10 +92,3 @@ def as_toml(text: str) -> str:
     text = _TUPLE.sub(r"\1 = [\2]", text)
     text = _ALONE.sub(r"\1 = …", _VALUE.sub(r"\1 = ", text))
     return re.sub(r"\b(True|False)\b", lambda found: _WORDS[found[1]], text)
-
-
-def of_file(error: InputError, name: str) -> InputError:
-    """Return an error of what a file holds, with the file's name and in its words."""
-    given = InputError(error.field, as_toml(error.problem))
-    given.file = error.file or name
-    return given

@@ -12,10 +12,9 @@ from pydantic import Field
 from clsim.errors import InputError
 from clsim.scene.body import Body
 from clsim.scene.captured import SHAPES, UPS, captured_person
-from clsim.scene.directivity.axial_table import AxialDirectivity
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.directivity.head_related import HeadRelated, SphericalHead
-from clsim.scene.directivity.patterns import Ambisonic, FirstOrder, Omni, Piston
+from clsim.scene.directivity.patterns import Ambisonic, AxialDirectivity, FirstOrder, Omni, Piston
 from clsim.scene.directivity.spherical_table import SphericalDirectivity
 from clsim.scene.fluctuation import TargetFluctuation
 from clsim.scene.motion.trajectory import Trajectory

@@ -19,16 +19,7 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.receiver_array import grid_positions, positions_from_file, receiver_array
 from clsim.scene.scene import Scene
-from clsim.scene_file.ends import (
-    BodyModel,
-    DirectivityModel,
-    ElectronicsModel,
-    OmniModel,
-    ScattererModel,
-    SignalModel,
-    TrajectoryModel,
-    TransducerModel,
-)  # fmt: skip
+from clsim.scene_file import ends
 from clsim.scene_file.model import PATHS, Model, Numbers, Pair, Table, Vector, built, explain, one_of, table
 from clsim.scene_file.rooms import RoomModel
 
@@ -86,32 +77,32 @@ else:
 
 class _Common(Table):
     name: str
-    directivity: DirectivityModel = OmniModel()
+    directivity: ends.DirectivityModel = ends.OmniModel()
     aim: Vector | Literal["forward"] | None = None
     aim_at: Vector | None = None
-    transducer: TransducerModel | None = None
+    transducer: ends.TransducerModel | None = None
     flush: bool | Vector = False
     mounted_on: str | None = None
 
 
 class _Receiver(_Common):
-    trajectory: TrajectoryModel
-    electronics: ElectronicsModel | None = None
+    trajectory: ends.TrajectoryModel
+    electronics: ends.ElectronicsModel | None = None
 
     constructor = Receiver
 
 
 class _ReceiverArray(_Common):
     positions: PositionsModel
-    trajectory: TrajectoryModel | None = None  # positions are in its frame then
-    electronics: ElectronicsModel | None = None
+    trajectory: ends.TrajectoryModel | None = None  # positions are in its frame then
+    electronics: ends.ElectronicsModel | None = None
 
     constructor = staticmethod(receiver_array)
 
 
 class _Source(_Common):
-    trajectory: TrajectoryModel
-    signal: SignalModel
+    trajectory: ends.TrajectoryModel
+    signal: ends.SignalModel
     start: float = 0.0
 
     constructor = Source
@@ -161,8 +152,8 @@ class SceneModel(Model):
             Discriminator(lambda given: "array" if isinstance(given, dict) and "positions" in given else "one"),
         ]
     ]
-    scatterers: list[ScattererModel] | None = None
-    bodies: list[BodyModel] | None = None
+    scatterers: list[ends.ScattererModel] | None = None
+    bodies: list[ends.BodyModel] | None = None
     paths: _Paths
     render: RenderModel
 

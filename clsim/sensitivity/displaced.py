@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
+from clsim.numerics.quaternions import quaternion_product
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import PairPaths
 from clsim.paths.response import SceneResponse, covered, to_transducer_frame
@@ -20,7 +21,6 @@ from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.ends import Receiver
 from clsim.scene.material.material import Material
 from clsim.scene.motion.curves import Curve, Piecewise, Static, spline_through
-from clsim.scene.motion.orientation import quaternion_product
 from clsim.scene.room.faces import Faces
 from clsim.scene.room.protocol import Room
 from clsim.scene.scene import Scene

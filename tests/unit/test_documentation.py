@@ -78,6 +78,7 @@ OWN = {
     "chebyshev_points": "what the name says",
     "interpolation": "the discrete orthogonality of Chebyshev polynomials",
     "inverse": "what the name says",
+    "quaternion_product": "likewise",
     "silhouette_bound": "derived: Kirchhoff's field of a disc",
 }
 

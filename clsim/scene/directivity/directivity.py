@@ -107,27 +107,17 @@ def joined_over_frequency(frequencies: Floats, values: NDArray[Any], at: Floats,
     return joined
 
 
-_NAMED: dict[str, Callable[[str | None], AxisymmetricDirectivity]] = {}  # filled where the patterns are made
+NAMED: dict[str, Callable[[str | None], AxisymmetricDirectivity]] = {}  # by `outside`; filled where patterns are made
 
 
 class Directivity(ABC):
-    """Gain of sound pressure by direction and frequency; subclass it, or `AxisymmetricDirectivity`.
-
-    Attributes
-    ----------
-    channels : tuple of str
-        Names of the outputs of a receiver: one without a name, unless it is a `ChannelDirectivity`.
-    is_complex : bool
-        Whether gains have a phase.
-    band : tuple of float
-        Frequencies (low, high) in Hz that the directivity covers; ``(0, inf)`` if all.
-    """
+    """Gain of sound pressure by direction and frequency; subclass it, or `AxisymmetricDirectivity`."""
 
     __slots__ = ()
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the outputs of a receiver."""
+        """Names of the outputs of a receiver: one without a name, unless it is a `ChannelDirectivity`."""
         return ("",)
 
     @property
@@ -138,7 +128,7 @@ class Directivity(ABC):
     @property
     @abstractmethod
     def band(self) -> tuple[float, float]:
-        """Frequencies (low, high) in Hz that the directivity covers."""
+        """Frequencies (low, high) in Hz that the directivity covers; ``(0, inf)`` if all."""
 
     @abstractmethod
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
@@ -168,7 +158,7 @@ class Directivity(ABC):
     @staticmethod
     def names() -> tuple[str, ...]:
         """Return the names that `named` takes."""
-        return tuple(_NAMED)
+        return tuple(NAMED)
 
     @staticmethod
     def named(name: str, outside: str | None = None) -> AxisymmetricDirectivity:
@@ -195,19 +185,13 @@ class Directivity(ABC):
         """
         if outside is not None:
             as_choice("outside", outside, ("hold",))
-        return _NAMED[as_choice("name", name, Directivity.names())](outside)
+        return NAMED[as_choice("name", name, Directivity.names())](outside)
 
 
 class ChannelDirectivity(Directivity):
     """Directivities of a receiver with several outputs at one place: ears, or ambisonic components.
 
     `gain_towards` has shape (..., C), C channels; a subclass gives `channels`.
-
-    Attributes
-    ----------
-    reach : float
-        Bound of how much earlier or later than at the centre sound arrives at a channel, s; 0 where all channels have
-        the centre's delay, or else `lateness` is asked for.
     """
 
     __slots__ = ()
@@ -224,7 +208,7 @@ class ChannelDirectivity(Directivity):
 
     @property
     def reach(self) -> float:
-        """Bound of the magnitude of `lateness`, s."""
+        """Bound of the magnitude of `lateness`, s; 0 where all channels have the centre's delay."""
         return 0.0
 
     def lateness(self, direction: Floats, speed_of_sound: float) -> Floats:
@@ -288,8 +272,3 @@ class AxisymmetricDirectivity(Directivity):
     def gain_towards(self, direction: Floats, frequency: ArrayLike, speed_of_sound: float) -> NDArray[Any]:
         """Return the gain by direction (..., 3); see `Directivity.gain_towards`."""
         return self.gain(np.clip(np.asarray(direction)[..., 0], -1.0, 1.0), frequency, speed_of_sound)
-
-
-def name_directivity(name: str, make: Callable[[str | None], AxisymmetricDirectivity]) -> None:
-    """Register a name for `Directivity.named`; `make` gets its `outside`."""
-    _NAMED[name] = make

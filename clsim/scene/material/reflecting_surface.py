@@ -82,10 +82,8 @@ def check_clear_phase(frequencies: Floats, factors: NDArray[Any]) -> None:
     turn[np.minimum(magnitude[1:], magnitude[:-1]) < _FAINT * magnitude.max()] = 0.0  # through zero any turn is fair
     for i in np.flatnonzero(turn > _UNCLEAR)[:1]:
         f = frequencies
-        warn(
-            f"factors: the phase turns by {turn[i]:.2f} rad from {f[i]:g} to {f[i + 1]:g} Hz, one way or the other; "
-            "give frequencies closer together, or take away the delay"
-        )
+        note = f"factors: the phase turns by {turn[i]:.2f} rad from {f[i]:g} to {f[i + 1]:g} Hz, one way or the other; "
+        warn(f"{note}give frequencies closer together, or take away the delay")
 
 
 def check_passive_echo(samples: Floats, sampling_rate: float, band: tuple[float, float], tolerance: float) -> None:
@@ -116,10 +114,8 @@ def warn_of_noise(samples: Floats, name: str) -> None:
     error = rms * math.sqrt(len(samples))
     if error > _NOISE:
         called = f" of {name!r}" if name else ""
-        warn(
-            f"samples: the last tenth of the impulse response{called} still holds {rms:.2g} rms, which over "
-            f"{len(samples)} samples makes factors uncertain by some {error:.2g}; cut it or fade it out"
-        )
+        note = f"samples: the last tenth of the impulse response{called} still holds {rms:.2g} rms, which over "
+        warn(f"{note}{len(samples)} samples makes factors uncertain by some {error:.2g}; cut it or fade it out")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

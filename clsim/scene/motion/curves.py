@@ -308,10 +308,8 @@ def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: 
     acceleration = np.linalg.norm(curve.polynomial(times, nu=2), axis=1)
     i = int(np.argmax(acceleration))
     if acceleration[i] > _ROUGH:
-        warn(
-            f"trajectory: accelerates by {acceleration[i]:.3g} m/s² at {times[i]:.6g} s, more than "
-            f"{_ROUGH:g}: the noise may not be white (dropouts, filters); smooth=<metres> smooths more"
-        )
+        note = f"trajectory: accelerates by {acceleration[i]:.3g} m/s² at {times[i]:.6g} s, more than "
+        warn(f"{note}{_ROUGH:g}: the noise may not be white (dropouts, filters); smooth=<metres> smooths more")
     return Fit(curve, read_only(found.residual), (note,))
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import FARTHEST, Floats
+from clsim.arrays import FARTHEST, ByRow, Floats
 from clsim.errors import InputError, warn
 from clsim.files.input_files import LARGEST_TEXT, read_file
 from clsim.scene.motion.bags import read_bag
-from clsim.scene.motion.orientation import LONGEST
+from clsim.scene.motion.motion import LONGEST
 
 FORMATS = ("tum", "euroc", "csv", "rosbag")
 REPAIRS = ("times", "gaps", "nan", "jumps")
@@ -38,7 +38,7 @@ Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poses:
+class Poses(ByRow):
     """Rows of a file; lines (n,); stamps (n,); times (n,) s; positions (n, 3) m; orientations (n, 4)."""
 
     file: str
@@ -60,16 +60,7 @@ class Poses:
         if 2 * count >= len(bad):
             raise InputError("repair", f"would drop {count} of {len(bad)} rows of {self.file} ({what})")
         note = f"Dropped {count} of {len(bad)} rows ({what}), the first in {self.row} {self.lines[first]}."
-        keep = ~bad
-        return replace(
-            self,
-            lines=self.lines[keep],
-            stamps=self.stamps[keep],
-            times=self.times[keep],
-            positions=self.positions[keep],
-            orientations=None if self.orientations is None else self.orientations[keep],
-            notes=(*self.notes, note),
-        )
+        return replace(self.part(~bad), notes=(*self.notes, note))
 
 
 def read_poses(
@@ -322,11 +313,9 @@ def _check_gaps(poses: Poses, repair: bool, max_gap: float | None) -> Poses:
         raise InputError("path", problem)
     made_up = float(steps[wide].sum())
     if made_up > _LONGEST_INVENTED:
-        warn(
-            f'{poses.file}: repair=("gaps",) makes up {made_up:.4g} s of motion, the most of it '
-            f"{steps.max():.4g} s before {poses.row} {poses.lines[int(np.argmax(steps)) + 1]}; "
-            "leave that part out, or measure it again"
-        )
+        note = f'{poses.file}: repair=("gaps",) makes up {made_up:.4g} s of motion, the most of it '
+        note += f"{steps.max():.4g} s before {poses.row} {poses.lines[int(np.argmax(steps)) + 1]}; "
+        warn(f"{note}leave that part out, or measure it again")
     gaps = "1 gap" if len(wide) == 1 else f"{len(wide)} gaps"
     note = (
         f"Bridged {gaps} longer than {longest:.4g} s, the first before {poses.row} {poses.lines[i]}, "

@@ -1,27 +1,152 @@
-"""Position, velocity and orientation over time, with a beginning and an end."""
+"""Position, velocity and orientation (great arcs, hinges) over time, with a beginning and an end."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsim.arrays import Floats, as_number, read_only
 from clsim.errors import InputError
-from clsim.numerics.quaternions import inverse, rotate
-from clsim.scene.motion.curves import CONTINUATION, Curve, is_static
-from clsim.scene.motion.orientation import Hinge, Turning, quaternion_product
+from clsim.numerics.quaternions import inverse, quaternion_product, rotate, same_hemisphere
+from clsim.scene.motion.curves import CONTINUATION, Curve, Piecewise, is_static
 
 Indices = NDArray[np.int64]
 Probe = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
 
+SHORTEST, LONGEST = 1e-9, 1e9  # s, bounds of lengths of time
 _BATCH = 8192  # ranges evaluated at a time
 _SAME = 1e-9  # relative difference of speeds that does not matter
 _SPARE = 1.0 + 1e-12  # for the rounding of bounds
+
+
+class Turning(Protocol):
+    """An orientation for every time, in which `time` has any shape."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether it changes."""
+
+    @property
+    def peak(self) -> float:
+        """Bound of the angular velocity, rad/s."""
+
+    @property
+    def breaks(self) -> Floats:
+        """Times (k,) at which the angular velocity may jump, s."""
+
+    def lever(self, points: Floats) -> float:
+        """Return a bound of the distance of points (n, 3) of what turns from the axes about which it does, m."""
+
+    def orientation(self, time: Floats) -> Floats:
+        """Return unit quaternions x y z w with 4 more columns, whose sign does not jump."""
+
+    def angular_velocity(self, time: Floats) -> Floats:
+        """Return angular velocities in the room with 3 more columns, rad/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GreatArcs:
+    """Spherical linear interpolation between orientations, held before the first and after the last."""
+
+    # On each piece ``q(u) = base cos(u Ω) + side sin(u Ω)``, u from 0 to 1, with the angle Ω between both quaternions
+    # and the unit quaternion `side` at a right angle to `base`; the last piece does not turn. The sign never jumps.
+    # Shapes: times (n,) s; base, side (n, 4); angle (n,) rad. K. Shoemake, "Animating rotation with quaternion curves",
+    # SIGGRAPH Computer Graphics 19(3), 1985.
+    times: Floats
+    base: Floats
+    side: Floats
+    angle: Floats
+
+    @property
+    def turns(self) -> bool:
+        return bool(np.any(self.angle))
+
+    @property
+    def peak(self) -> float:
+        return float(np.linalg.norm(self.angular_velocity(self.times), axis=-1).max())
+
+    @property
+    def breaks(self) -> Floats:
+        return self.times if self.turns else self.times[:0]
+
+    def lever(self, points: Floats) -> float:
+        return float(np.linalg.norm(points, axis=-1).max())
+
+    def orientation(self, time: Floats) -> Floats:
+        if len(self.times) == 1:
+            return np.tile(self.base[0], (*time.shape, 1))
+        held = np.clip(time, self.times[0], self.times[-1])
+        piece = np.maximum(np.searchsorted(self.times, held, side="right") - 1, 0)
+        step = np.append(np.diff(self.times), 1.0)
+        angle = ((held - self.times[piece]) / step[piece] * self.angle[piece])[..., None]
+        turned: Floats = self.base[piece] * np.cos(angle) + self.side[piece] * np.sin(angle)
+        return turned
+
+    def angular_velocity(self, time: Floats) -> Floats:
+        """Return angular velocities in the room, rad/s, at `time` of any shape, with 3 more columns."""
+        # At the end of a piece it is that of the next one; before the first and from the last orientation on it is 0.
+        inverse = self.base * np.array([-1.0, -1.0, -1.0, 1.0])
+        step = np.append(np.diff(self.times), np.inf)
+        turns = 2.0 * (self.angle / step)[:, None] * quaternion_product(self.side, inverse)[:, :3]
+        piece = np.searchsorted(self.times, time, side="right") - 1
+        return np.where((piece >= 0)[..., None], turns[piece], 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hinge:
+    """A turn about one axis, by an angle that is a smooth function of time; axis (3,)."""
+
+    axis: Floats
+    angle: Piecewise
+
+    @property
+    def turns(self) -> bool:
+        return bool(np.any(self.angle.derivative.c))
+
+    @property
+    def peak(self) -> float:
+        knots = self.angle.derivative.x
+        return float(self.angle.speed_over(knots[:1], knots[-1:])[0])
+
+    @property
+    def breaks(self) -> Floats:
+        return np.empty(0)
+
+    def lever(self, points: Floats) -> float:
+        return float(np.linalg.norm(np.cross(self.axis, points), axis=-1).max())
+
+    def at(self, time: Floats) -> Floats:
+        """Return angles of the shape of `time`, rad; constant after the end of the motion."""
+        return self.angle.position(self._held(time))[..., 0]
+
+    def orientation(self, time: Floats) -> Floats:
+        half = 0.5 * self.at(time)[..., None]
+        return np.concatenate([np.sin(half) * self.axis, np.cos(half)], axis=-1)
+
+    def angular_velocity(self, time: Floats) -> Floats:
+        rate = np.where(time == self._held(time), self.angle.velocity(self._held(time))[..., 0], 0.0)
+        return np.asarray(rate[..., None] * self.axis)
+
+    def _held(self, time: Floats) -> Floats:
+        knots = self.angle.derivative.x
+        return np.clip(time, knots[0], knots[-1])
+
+
+def turning_between(times: Floats, quaternions: Floats) -> GreatArcs:
+    """Return the turning through unit quaternions (n, 4) at strictly increasing `times` (n,) s."""
+    base = same_hemisphere(quaternions)
+    following = np.concatenate([base[1:], base[-1:]])
+    cosine = np.sum(base * following, axis=1, keepdims=True)
+    across = following - cosine * base
+    sine = np.linalg.norm(across, axis=1, keepdims=True)
+    side = np.divide(across, sine, out=np.zeros_like(across), where=sine > 0.0)
+    angle = np.arctan2(sine, cosine)[:, 0]
+    return GreatArcs(read_only(times), read_only(base), read_only(side), read_only(angle))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +194,12 @@ class Instants:
                 met = int(hit[i])
                 first, middle, last, unsure = first[: i + 1], middle[: i + 1], last[: i + 1].copy(), unsure[: i + 1]
                 last[i] = met - 1
-            halves = _halves(first[unsure], middle[unsure], last[unsure])
+            ends = first, np.minimum(middle - 1, last), middle + 1, last
+            halves = np.stack([end[unsure] for end in ends], axis=1).reshape(-1, 2)
+            halves = halves[halves[:, 0] <= halves[:, 1]]  # before and behind middles, in the order of time
             if len(halves):
                 waiting.append(halves)
         return met
-
-
-def _halves(first: Indices, middle: Indices, last: Indices) -> Any:
-    """Return ranges before and behind their middles, (2 n, 2) at most, in the order of time."""
-    halves = np.stack([first, np.minimum(middle - 1, last), middle + 1, last], axis=1).reshape(-1, 2)
-    return halves[halves[:, 0] <= halves[:, 1]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,19 +6,102 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
-from clsim.errors import InputError
-from clsim.numerics.quaternions import quaternion_from_direction
+from clsim.errors import InputError, check_rising, warn
+from clsim.numerics.quaternions import quaternion_from_direction, quaternion_product
 from clsim.scene.motion import curves
-from clsim.scene.motion import orientation as checks
-from clsim.scene.motion.motion import Carried, CarriedTurning, Motion, Swung, velocity_breaks
-from clsim.scene.motion.orientation import LONGEST, Hinge, quaternion_product, turning_between
+from clsim.scene.motion import motion as motions
+from clsim.scene.motion.motion import LONGEST, SHORTEST, Motion, turning_between
 
 _MOST_SAMPLES = 2e7  # of a function
+_NO_LENGTH = 1e-100  # of a direction
+_TWO_TURNS = 4.0 * np.pi + 1e-9  # rad
+_UNIT_TOLERANCE = 1e-2  # largest error of a quaternion's norm that counts as rounding
+
+
+def as_span(field_name: str, value: Any) -> float:
+    """Return a length of time, s."""
+    as_number(field_name, value, above=0.0, unit="s")
+    return as_number(field_name, value, at_least=SHORTEST, at_most=LONGEST, unit="s")
+
+
+def as_places(field_name: str, value: Any, shape: tuple[int | None, ...]) -> Floats:
+    """Return positions, m."""
+    return as_floats(field_name, value, shape, within=FARTHEST, unit="m")
+
+
+def as_direction(field_name: str, value: Any) -> Floats:
+    """Return a direction (3,) of any length."""
+    direction = as_floats(field_name, value, (3,), within=1.0 / _NO_LENGTH)
+    if not np.linalg.norm(direction) > _NO_LENGTH:
+        raise InputError(field_name, f"must be a direction, but is {', '.join(f'{x:g}' for x in direction)}")
+    return direction
+
+
+def question_turns(field_name: str, largest: float) -> None:
+    """Warn of angles above two turns, rad, which are more often degrees than a spinning object."""
+    if largest > _TWO_TURNS:
+        note = f"{field_name}: {largest:.6g} rad are {largest / (2.0 * np.pi):.3g} turns; angles are in radians: "
+        warn(f"{note}{largest:.6g} degrees are {np.radians(largest):.6g} rad")
+
+
+def as_increasing(times: Any) -> Floats:
+    """Return the field ``times`` (n,) s."""
+    t = as_floats("times", times, (None,))
+    if len(t) < 2:
+        raise InputError("times", f"must hold at least two, but holds {len(t)}")
+    as_floats("times", t, (None,), within=2.0 * LONGEST, unit="s")  # seconds since 1970 pass
+    check_rising("times", t, np.diff(t) >= SHORTEST, " s", ".12g")
+    return t
+
+
+def as_choices(field_name: str, values: Any, choices: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a tuple of names."""
+    if not isinstance(values, list | tuple):
+        raise InputError(field_name, f"must be a list of names, but is {values!r:.80}")
+    return tuple(as_choice(f"{field_name}[{i}]", value, choices) for i, value in enumerate(values))
+
+
+def as_path(value: Any) -> Path:
+    """Return the field ``path``."""
+    if not isinstance(value, str | PathLike) or not str(value).strip():
+        raise InputError("path", f"must be the path of a file, but is {value!r:.80}")
+    return Path(value)
+
+
+def as_columns(value: Any, known: tuple[str, ...]) -> dict[str, str] | None:
+    """Names of a file's columns by what stands in them, some of `known`."""
+    if value is None:
+        return None
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value.values()):
+        raise InputError("columns", f"must be a mapping to names of columns, but is {value!r:.80}")
+    for name in value:
+        as_choice("columns", name, known)
+    return dict(value)
+
+
+def as_topic(value: Any) -> str:
+    """Return the field ``topic``."""
+    if not isinstance(value, str) or not value.strip():
+        raise InputError("topic", f"must name the topic of a bag, such as '/robot/pose', but is {value!r:.80}")
+    return value
+
+
+def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> Floats:
+    """Return unit quaternions x y z w, freed of rounding in their norm."""
+    quaternions = as_floats(field, value, shape, within=1e100)  # whose squares are numbers
+    norm = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    for index in np.argwhere(np.abs(norm[..., 0] - 1.0) > _UNIT_TOLERANCE)[:1].tolist():
+        name = field + "".join(f"[{i}]" for i in index)
+        raise InputError(name, f"must be a unit quaternion x y z w, but its norm is {norm[tuple(index)][0]:.6g}")
+    unit: Floats = quaternions / norm
+    return unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +150,8 @@ class Trajectory(Motion):
         """
         turning = None
         if orientation is not None:
-            turning = turning_between(np.zeros(1), checks.as_quaternions("orientation", orientation, (4,))[None])
-        return Trajectory(curves.Static(checks.as_places("position", position, (3,))), -math.inf, math.inf, turning)
+            turning = turning_between(np.zeros(1), as_quaternions("orientation", orientation, (4,))[None])
+        return Trajectory(curves.Static(as_places("position", position, (3,))), -math.inf, math.inf, turning)
 
     @staticmethod
     def line(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:
@@ -86,8 +169,8 @@ class Trajectory(Motion):
         >>> Trajectory.line((0, 0, 0), (1, 2, 3), duration=2.0).position(1.0)
         array([0.5, 1. , 1.5])
         """
-        first, last = checks.as_places("start", start, (3,)), checks.as_places("end", end, (3,))
-        duration = checks.as_span("duration", duration)
+        first, last = as_places("start", start, (3,)), as_places("end", end, (3,))
+        duration = as_span("duration", duration)
         return Trajectory(curves.Straight(first, read_only((last - first) / duration)), 0.0, duration)
 
     @staticmethod
@@ -121,18 +204,18 @@ class Trajectory(Motion):
         array([[5. , 3. , 1.5],
                [4. , 4. , 1.5]])
         """
-        e1, e2 = curves.frame_about(checks.as_direction("axis", axis))
+        e1, e2 = curves.frame_about(as_direction("axis", axis))
         phase = as_number("phase", phase, at_least=-LONGEST, at_most=LONGEST, unit="rad")
-        checks.question_turns("phase", abs(phase))
+        question_turns("phase", abs(phase))
         curve = curves.Circular(
-            checks.as_places("center", center, (3,)),
+            as_places("center", center, (3,)),
             read_only(e1),
             read_only(e2),
             as_number("radius", radius, above=0.0, at_most=FARTHEST, unit="m"),
-            2.0 * math.pi / checks.as_span("period", period),
+            2.0 * math.pi / as_span("period", period),
             phase,
         )
-        return Trajectory(curve, 0.0, checks.as_span("duration", duration))
+        return Trajectory(curve, 0.0, as_span("duration", duration))
 
     @staticmethod
     def swing(
@@ -162,19 +245,19 @@ class Trajectory(Motion):
         (array([[3.   , 0.   , 0.   ],
                [2.071, 0.997, 0.   ]]), array([0.  , 0.  , 0.75]))
         """
-        t = checks.as_increasing(times)
+        t = as_increasing(times)
         theta = as_floats("angles", angles, (len(t),), within=LONGEST, unit="rad")
-        checks.question_turns("angles", float(np.abs(theta).max()))
-        point = checks.as_places("axis_point", axis_point, (3,))
-        unit = checks.as_direction("axis", axis)
+        question_turns("angles", float(np.abs(theta).max()))
+        point = as_places("axis_point", axis_point, (3,))
+        unit = as_direction("axis", axis)
         unit = unit / np.abs(unit).max()
         unit = unit / np.linalg.norm(unit)
-        hinge = Hinge(read_only(unit), curves.spline_through(t, theta[:, None] * np.eye(3)[0], "not-a-knot"))
-        arm = (point if origin is None else checks.as_places("origin", origin, (3,))) - point
+        hinge = motions.Hinge(read_only(unit), curves.spline_through(t, theta[:, None] * np.eye(3)[0], "not-a-knot"))
+        arm = (point if origin is None else as_places("origin", origin, (3,))) - point
         along = arm - (arm @ unit) * unit
         foot = point + (arm @ unit) * unit
         still = np.linalg.norm(along) == 0.0
-        curve = curves.Static(read_only(foot)) if still else Swung(foot, along, np.cross(unit, along), hinge)
+        curve = curves.Static(read_only(foot)) if still else motions.Swung(foot, along, np.cross(unit, along), hinge)
         return Trajectory(curve, float(t[0]), float(t[-1]), hinge)
 
     @staticmethod
@@ -202,13 +285,13 @@ class Trajectory(Motion):
         (array([[0.5, 0. , 0. ],
                [1. , 1. , 0. ]]), array([1.]))
         """
-        t = checks.as_increasing(times)
-        x = checks.as_places("positions", positions, (len(t), 3))
+        t = as_increasing(times)
+        x = as_places("positions", positions, (len(t), 3))
         if not isinstance(smooth, bool | np.bool_):
             raise InputError("smooth", f"must be true or false, but is {smooth!r:.80}")
         turning = None
         if orientations is not None:
-            turning = turning_between(t, checks.as_quaternions("orientations", orientations, (len(t), 4)))
+            turning = turning_between(t, as_quaternions("orientations", orientations, (len(t), 4)))
         if smooth:
             return Trajectory(curves.spline_through(t, x, "not-a-knot"), float(t[0]), float(t[-1]), turning)
         return Trajectory(
@@ -239,10 +322,10 @@ class Trajectory(Motion):
         """
         if not callable(function):
             raise InputError("function", f"must be callable, but is {function!r:.80}")
-        duration = checks.as_span("duration", duration)
+        duration = as_span("duration", duration)
         rate = as_number("rate", rate, above=0.0, at_most=_MOST_SAMPLES / duration, unit="Hz")
         times = np.linspace(0.0, duration, max(3, math.ceil(duration * rate * (1 - 1e-12))) + 1)
-        positions = checks.as_places("function", function(times.copy()), (len(times), 3))
+        positions = as_places("function", function(times.copy()), (len(times), 3))
         return Trajectory(curves.spline_through(times, positions, "not-a-knot"), 0.0, duration)
 
     @staticmethod
@@ -265,11 +348,11 @@ class Trajectory(Motion):
         array([0.5, 0.1, 0.3])
         """
         towards = np.array([0.0, 0.0, 0.0, 1.0]) if aim is None else quaternion_from_direction(aim)
-        curve, turning = Carried(carrier, own), CarriedTurning(carrier, own, towards)
+        curve, turning = motions.Carried(carrier, own), motions.CarriedTurning(carrier, own, towards)
         if carrier.is_static and own.is_static and not turning.turns:
             return Trajectory.fixed(curve.position(np.zeros(())), turning.orientation(np.zeros(())))
         start, end = max(carrier.start, own.start), min(carrier.end, own.end)
-        return Trajectory(curve, start, end, turning, breaks=velocity_breaks(carrier, own))
+        return Trajectory(curve, start, end, turning, breaks=motions.velocity_breaks(carrier, own))
 
     @staticmethod
     def from_file(
@@ -332,19 +415,17 @@ class Trajectory(Motion):
 
         strength = curves.as_smooth(smooth)
         poses = files.read_poses(
-            checks.as_path(path),
+            as_path(path),
             as_choice("format", format, files.FORMATS),
-            topic=topic if format != "rosbag" else checks.as_topic(topic),
-            columns=checks.as_columns(columns, files.POSE),
+            topic=topic if format != "rosbag" else as_topic(topic),
+            columns=as_columns(columns, files.POSE),
             time_scale=as_number("time_scale", time_scale, at_least=1e-12, at_most=1e6, unit="s"),
             scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
-            repair=checks.as_choices("repair", repair, files.REPAIRS),
+            repair=as_choices("repair", repair, files.REPAIRS),
             max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
-            max_gap=None if max_gap is None else checks.as_span("max_gap", max_gap),
+            max_gap=None if max_gap is None else as_span("max_gap", max_gap),
         )
-        place = curves.Placement(
-            checks.as_quaternions("rotate", rotate, (4,)), checks.as_places("translate", translate, (3,))
-        )
+        place = curves.Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
         times = poses.times + as_number("time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s")
         fit = curves.fit_measured(times, poses.positions, strength, place)
         turning = None

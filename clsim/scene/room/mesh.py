@@ -15,18 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from clsim.arrays import FARTHEST, Complexes, Floats, as_count, as_floats, as_number, read_only, short_repr
 from clsim.errors import InputError, check_kind, meant, settle
 from clsim.scene.material.material import Material
+from clsim.scene.room import mesh_cleaning
 from clsim.scene.room.edges import Edges, find_edges, numbered
 from clsim.scene.room.faces import NEAREST, Contact, Faces, Mount, first_of
 from clsim.scene.room.healing import HEAL, clean_mesh, heal_mesh, healing_tolerance
-from clsim.scene.room.mesh_cleaning import (
-    MeshShape,
-    cross_products,
-    describe_mesh,
-    enclosed_volume,
-    mesh_shape,
-    panels,
-    thin_panels,
-)
+from clsim.scene.room.mesh_cleaning import MeshShape, cross_products
 from clsim.scene.room.polygons import checked_polygons, extruded_plan, triangulated
 from clsim.scene.room.walls import FLATNESS, Walls, build_walls, first_contact, first_off, walls_at
 
@@ -128,7 +121,7 @@ class MeshRoom:
             materials=tuple(kept), flatness=flatness, labels=tuple(labels[i] for i in clean.kept),
             notes=(*self.notes, *clean.notes), walls=walls,
             faces=Faces(walls.normal, walls.offset, names, tuple(kept[i] for i in first)),
-            shape=mesh_shape(clean.vertices, clean.triangles),
+            shape=mesh_cleaning.mesh_shape(clean.vertices, clean.triangles),
         )  # fmt: skip
 
     @staticmethod
@@ -314,7 +307,7 @@ class MeshRoom:
         """
         thickness = as_number("thinner_than", thinner_than, at_least=0.0, at_most=_BENT, unit="m")
         labels, materials = tuple(self.labels or ()), self.triangle_materials
-        vertices, triangles, origin, notes = thin_panels(self.vertices, self.triangles, labels, thickness)
+        vertices, triangles, origin, notes = mesh_cleaning.thin_panels(self.vertices, self.triangles, labels, thickness)
         return MeshRoom(
             vertices, triangles, [materials[i] for i in origin], self.flatness, [labels[i] for i in origin],
             (*self.notes, *notes), self.scale, self.healed_at,
@@ -322,7 +315,7 @@ class MeshRoom:
 
     def thin_panels(self, thinner_than: float) -> list[tuple[str, float]]:
         """Return name and thickness, m, of panels below `thinner_than`, m, of which `with_sheets` makes sheets."""
-        found = panels(self.vertices, self.triangles)
+        found = mesh_cleaning.panels(self.vertices, self.triangles)
         of = self.labels or ()
         return [(of[mine[0]] or "a panel", thick) for mine, _, _, thick in found if 0.0 < thick < thinner_than]
 
@@ -451,7 +444,7 @@ class MeshRoom:
         room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m
         room: watertight
         """
-        return describe_mesh(self.vertices, self.triangles, self.walls.plane, self.shape, self.notes)
+        return mesh_cleaning.describe_mesh(self.vertices, self.triangles, self.walls.plane, self.shape, self.notes)
 
     def _met(self, x: Floats, ray: Floats) -> NDArray[np.int64]:
         """Return number of walls (n,), but for sheets, hit by a ray from each of positions (n, 3)."""
@@ -471,7 +464,9 @@ def _edges(room: MeshRoom, wall: int | None) -> Edges:
 
 @lru_cache(maxsize=4)
 def _volume(room: MeshRoom) -> float | None:
-    return enclosed_volume(room.vertices, room.triangles[~room.shape.sheets], room.walls.crossing, room.contains)
+    return mesh_cleaning.enclosed_volume(
+        room.vertices, room.triangles[~room.shape.sheets], room.walls.crossing, room.contains
+    )
 
 
 def _per_one(name: str, materials: object, count: int, of: str) -> list[Material]:

@@ -475,10 +475,8 @@ def _question_level(field: str, pressure: NDArray[Any]) -> None:
     level = 20.0 * math.log10(max(peak, _REFERENCE) / (math.sqrt(2.0) * _REFERENCE))
     if level > _LOUD:
         remedy = "scale is the value of a sample of 1" if field in ("samples", "scale") else "it may be in another unit"
-        warn(
-            f"{field}: gives samples of up to {peak:.5g}: without a transducer Pa, a tone of {level:.0f} dB SPL at "
-            f"1 m, with one the volts that drive it; {remedy}"
-        )
+        note = f"{field}: gives samples of up to {peak:.5g}: without a transducer Pa, a tone of {level:.0f} dB SPL at "
+        warn(f"{note}1 m, with one the volts that drive it; {remedy}")
 
 
 def energy_centroid(signal: Signal) -> float | None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from os import PathLike
 from typing import Any, Protocol
 
@@ -108,113 +108,88 @@ def _filtered_block(filtered: Filtered, k: int, sampling_rate: float) -> Floats:
     return np.asarray(made[before : before + _BLOCK], dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class Resonance:
-    """A second-order band-pass: centre and -6 dB width in Hz, magnitude at the centre."""
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseModel:
+    """Model of a response on the axis."""
 
-    frequency: float
-    width: float
-    peak: float
+    taps: Callable[[float], Floats] = field(repr=False)  # impulse response by sampling rate, Hz
+    description: str
+    peak: float  # largest magnitude
+    band: tuple[float, float]  # covered frequencies, Hz
+    outside: bool = False  # whether more of it may be had by `outside`
 
-    @property
-    def band(self) -> tuple[float, float]:
-        return 0.0, math.inf
 
-    def taps(self, sampling_rate: float) -> Floats:
-        """Return the impulse response."""
-        # With three samples a period or more the response is the band-pass's own, phase included, at both -6 dB points,
-        # and within 0.05 dB and 2 degrees between them. With fewer, magnitudes are its own everywhere and the phase is
-        # the least, which is early by up to half a sample.
-        top = self.frequency + self.width
-        if top > 0.5 * sampling_rate:
-            problem = f"must lie a width below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is "
-            raise InputError("frequency", f"{problem}{self.frequency:g} Hz with a width of {self.width:g} Hz")
-        if top <= _EASY * sampling_rate:
-            return self.peak * _cut(resonance_taps(self.frequency, self.width, sampling_rate))
+def _ringing(frequency: float, width: float, peak: float, sampling_rate: float) -> Floats:
+    """Return the impulse response of a second-order band-pass of a centre and a -6 dB width, Hz."""
+    # With three samples a period or more the response is the band-pass's own, phase included, at both -6 dB points,
+    # and within 0.05 dB and 2 degrees between them. With fewer, magnitudes are its own everywhere and the phase is the
+    # least, which is early by up to half a sample.
+    top = frequency + width
+    if top > 0.5 * sampling_rate:
+        problem = f"must lie a width below half the sampling rate, {0.5 * sampling_rate:g} Hz, but is "
+        raise InputError("frequency", f"{problem}{frequency:g} Hz with a width of {width:g} Hz")
+    if top <= _EASY * sampling_rate:
+        return peak * _cut(resonance_taps(frequency, width, sampling_rate))
 
-        def magnitude(f: Floats) -> Floats:
-            """Return the magnitude of the resonance, bounded from below, since its logarithm is taken."""
-            return np.maximum(np.abs(resonance_response(f, self.frequency, self.width)), 1e-6)
+    def magnitude(f: Floats) -> Floats:
+        """Return the magnitude of the resonance, bounded from below, since its logarithm is taken."""
+        return np.maximum(np.abs(resonance_response(f, frequency, width)), 1e-6)
 
-        return self.peak * _converged(lambda f: minimum_phase(magnitude(f)), sampling_rate)
+    return peak * _converged(lambda f: minimum_phase(magnitude(f)), sampling_rate)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ResponseTable:
+class _Table:
     """Magnitudes, and unwrapped phases in rad or None for minimum phase, at increasing frequencies in Hz."""
 
     frequencies: Floats
     magnitudes: Floats
     phases: Floats | None
-    outside: str | None
-
-    @property
-    def peak(self) -> float:
-        return float(self.magnitudes.max())
-
-    @property
-    def band(self) -> tuple[float, float]:
-        if self.outside is not None:
-            return 0.0, math.inf
-        return float(self.frequencies[0]), float(self.frequencies[-1])
+    held: bool
 
     def magnitude_at(self, f: Floats) -> Floats:
         """Return the magnitude at frequencies (n,)."""
         log = np.interp(f, self.frequencies, np.log(self.magnitudes))
-        if self.outside != "hold":
+        if not self.held:
             low, high = self.frequencies[0], self.frequencies[-1]
             beyond = np.maximum((low - f) / (_SKIRT * max(low, 1e-300)), (f - high) / (_SKIRT * high))
             share = np.sin(0.5 * math.pi * np.clip(beyond, 0.0, 1.0)) ** 2
-            log += share * (math.log(_NOTHING * self.peak) - log)
+            log += share * (math.log(_NOTHING * float(self.magnitudes.max())) - log)
         return np.asarray(np.exp(log))
 
-    def phase_at(self, f: Floats) -> Floats:
-        """Return the phase at frequencies (n,), continued straight beyond the table."""
-        assert self.phases is not None
-        x, y = self.frequencies, self.phases
+    def phase_at(self, f: Floats, y: Floats) -> Floats:
+        """Return the phase at frequencies (n,), continued straight beyond the table's own (m,)."""
+        x = self.frequencies
         inside = np.interp(f, x, y)
         below = (y[1] - y[0]) / (x[1] - x[0]) * np.minimum(f - x[0], 0.0)
         above = (y[-1] - y[-2]) / (x[-1] - x[-2]) * np.maximum(f - x[-1], 0.0)
         return np.asarray(inside + below + above)
 
-    def taps(self, sampling_rate: float) -> Floats:
+    def __call__(self, sampling_rate: float) -> Floats:
         """Return the impulse response: with minimum phase, or with the table's own, if that is causal."""
-        if self.phases is None:
+        phases = self.phases
+        if phases is None:
             return _converged(lambda f: minimum_phase(self.magnitude_at(f)), sampling_rate)
 
         def transformed(f: Floats) -> Floats:
             """Return the impulse response that magnitude and phase at frequencies (Hz) give."""
-            return np.asarray(scipy.fft.irfft(self.magnitude_at(f) * np.exp(1j * self.phase_at(f))), dtype=np.float64)
+            spectrum = self.magnitude_at(f) * np.exp(1j * self.phase_at(f, phases))
+            return np.asarray(scipy.fft.irfft(spectrum), dtype=np.float64)
 
         taps = _converged(transformed, sampling_rate, acausal=True)
         return _causal(taps, "values", "delay them by what the measurement took away, or give magnitudes only")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImpulseResponse:
-    """Taps, at the rate `recorded` in Hz."""
-
-    samples: Floats
-    recorded: float
-
-    @property
-    def peak(self) -> float:
-        return float(np.abs(np.fft.rfft(self.samples, 4 * max(len(self.samples), 256))).max())
-
-    @property
-    def band(self) -> tuple[float, float]:
-        return 0.0, 0.5 * self.recorded
-
-    def taps(self, sampling_rate: float) -> Floats:
-        """Return the samples, resampled for another rate."""
-        if sampling_rate == self.recorded:
-            return self.samples
-        resampler = Resampler.between(self.recorded, sampling_rate)
-        count = resampler.count(len(self.samples))
-        taps = resampler.read(self.samples, -count, 2 * count) * (self.recorded / sampling_rate)
-        whole = np.concatenate([taps[count:], taps[:count]])  # what lies before 0 s stands at the end
-        advice = f"render at {self.recorded:g} Hz, or put silence in front of them"
-        return _cut(_causal(whole, "samples", advice, count))
+def _resampled(samples: Floats, recorded: float, sampling_rate: float) -> Floats:
+    """Return taps (n,) of a rate, Hz, resampled for another one."""
+    if sampling_rate == recorded:
+        return samples
+    resampler = Resampler.between(recorded, sampling_rate)
+    count = resampler.count(len(samples))
+    taps = resampler.read(samples, -count, 2 * count) * (recorded / sampling_rate)
+    whole = np.concatenate([taps[count:], taps[:count]])  # what lies before 0 s stands at the end
+    advice = f"render at {recorded:g} Hz, or put silence in front of them"
+    return _cut(_causal(whole, "samples", advice, count))
 
 
 def _converged(make: Callable[[Floats], Floats], sampling_rate: float, *, acausal: bool = False) -> Floats:
@@ -257,20 +232,19 @@ class Transducer:
 
     Parameters
     ----------
-    model : Resonance, ResponseTable or ImpulseResponse
+    model : ResponseModel
         Model of the response.
     name : str
         Name in messages.
     """
 
-    model: Resonance | ResponseTable | ImpulseResponse
+    model: ResponseModel
     name: str = ""
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        kinds = Resonance | ResponseTable | ImpulseResponse
-        check_kind("model", self.model, kinds, "a Resonance, ResponseTable or ImpulseResponse")
+        check_kind("model", self.model, ResponseModel, "a ResponseModel")
         check_kind("name", self.name, str, "a text")
 
     @property
@@ -313,7 +287,7 @@ class Transducer:
         """Raise an InputError if the `band` (low, high), Hz, of `what` is not covered by the response."""
         low, high = self.model.band
         if band[0] < low or band[1] > high:
-            extend = ' or give outside="zero" or "hold"' if isinstance(self.model, ResponseTable) else ""
+            extend = ' or give outside="zero" or "hold"' if self.model.outside else ""
             problem = f"must cover the band of {what} (99 % of its energy), {band[0]:.6g} to {band[1]:.6g} Hz, "
             problem += f"but covers {low:.6g} to {high:.6g} Hz; measure more of it, fade or window the signal{extend}"
             raise InputError("transducer", problem)
@@ -340,7 +314,8 @@ class Transducer:
         frequency = as_number("frequency", frequency, at_least=1.0, at_most=50e6, unit="Hz")
         width = as_number("width", width, at_least=1e-3 * frequency, below=frequency, unit="Hz")
         sensitivity = as_number("sensitivity", sensitivity, at_least=QUIETEST, at_most=LOUDEST)
-        return cls(Resonance(frequency, width, sensitivity), name)
+        taps, what = partial(_ringing, frequency, width, sensitivity), f"resonance at {frequency:g} Hz"
+        return cls(ResponseModel(taps, what, sensitivity, (0.0, math.inf)), name)
 
     @classmethod
     def from_table(cls, frequencies: ArrayLike, values: Any, outside: str | None = None, name: str = "") -> Transducer:
@@ -383,7 +358,9 @@ class Transducer:
             magnitudes, phases = as_floats("values", values, (len(f),), within=LOUDEST), None
         for i in np.flatnonzero(magnitudes < QUIETEST)[:1]:
             raise InputError(f"values[{i}]", f"must have a magnitude above 0, but is {given[i]}")
-        return cls(ResponseTable(f, read_only(magnitudes), phases, outside), name)
+        band = (float(f[0]), float(f[-1])) if outside is None else (0.0, math.inf)
+        table = _Table(f, read_only(magnitudes), phases, outside == "hold")
+        return cls(ResponseModel(table, "table", float(magnitudes.max()), band, True), name)
 
     @classmethod
     def from_impulse_response(cls, samples: ArrayLike, sampling_rate: float, name: str = "") -> Transducer:
@@ -400,7 +377,9 @@ class Transducer:
         taps = as_floats("samples", samples, (None,), within=LOUDEST)
         if not np.abs(taps).max() >= QUIETEST:
             raise InputError("samples", "must not all be 0")
-        return cls(ImpulseResponse(taps, rate), name)
+        peak = float(np.abs(np.fft.rfft(taps, 4 * max(len(taps), 256))).max())
+        what = f"impulse response of {len(taps)} samples"
+        return cls(ResponseModel(partial(_resampled, taps, rate), what, peak, (0.0, 0.5 * rate)), name)
 
     @classmethod
     def from_wav(

@@ -1,5 +1,7 @@
 """Directivities as tables over the whole sphere, and by formulae."""
 
+import subprocess
+import sys
 from fractions import Fraction
 
 import numpy as np
@@ -113,6 +115,12 @@ def test_murata_s_transducers_have_a_beam_of_80_degrees(name):
     assert level[0] == pytest.approx(-6.02, abs=0.13)
     assert level[2] < -6.5
     assert level[1] > -5.5
+
+
+def test_names_are_known_to_who_imports_nothing_else():
+    code = "import clsim; print(*clsim.Directivity.names(), clsim.Directivity.named('MA40S4S'))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.split() == ["MA40S4S", "MA40S4R", "T4010A1", "Piston(radius=0.0047)"]
 
 
 def test_nicera_s_transducer_has_the_published_levels():
