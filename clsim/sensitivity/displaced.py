@@ -64,23 +64,6 @@ class Displaced:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ramp:
-    """Displacement along a vector (3,) that grows by its length in a second, and is nothing at a time, s."""
-
-    vector: Floats
-    begin: float
-
-    def position(self, time: Floats) -> Floats:
-        return np.asarray((time - self.begin)[..., None] * self.vector)
-
-    def velocity(self, time: Floats) -> Floats:
-        return np.broadcast_to(self.vector, (*time.shape, 3))
-
-    def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        return np.full(np.shape(begin), np.linalg.norm(self.vector))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Knot:
     """Displacement along an axis by one point of a motion; `spread` has the curves of all points side by side."""
 
