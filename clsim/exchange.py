@@ -99,14 +99,6 @@ def flac_bytes(frames: NDArray[np.float32], rate: float) -> tuple[bytes, float]:
     return buffer.getvalue(), scale
 
 
-def decoded_frames(content: bytes, scale: float) -> NDArray[np.float32]:
-    """Return the frames (n, channels) of a FLAC file of a given full scale."""
-    import soundfile
-
-    frames: NDArray[np.float32] = soundfile.read(io.BytesIO(content), dtype="float32", always_2d=True)[0]
-    return frames * np.float32(scale)
-
-
 def _rate(value: float) -> int:
     step = 1 if value <= _FINEST else 10
     if not (1.0 <= value <= _FASTEST and float(value / step).is_integer()):

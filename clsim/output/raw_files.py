@@ -9,7 +9,7 @@ import json
 import math
 import os
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 _UNKNOWN_TO_SYSTEM = (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS)
 CHECKSUM_BYTES = 4
 LARGEST_CHUNK = 2**32 - 1 - CHECKSUM_BYTES  # bytes: its length is a number of 32 bits
-_PAGE = 1 << 14  # bytes
 _HEAP = struct.Struct("<4s4xQ")  # signature and version of a global heap, its bytes
 _OBJECT = struct.Struct("<H6xQ")  # index of an object in it, 0 for free space, and its bytes
 
@@ -108,23 +107,11 @@ class SampleFile:
 
 
 class _Image(io.RawIOBase):
-    """A file in memory that holds the pages which are not zeros throughout."""
+    """A file in memory that holds all that is written but zeros."""
 
     def __init__(self) -> None:
-        self._pages: dict[int, bytearray] = {}
+        self._written: list[tuple[int, bytes]] = []  # first byte and content, later ones over earlier ones
         self._length = self._at = 0
-
-    def readable(self) -> bool:
-        return True
-
-    def writable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._at
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         self._at = offset + (0, self._at, self._length)[whence]
@@ -137,35 +124,27 @@ class _Image(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         out = memoryview(buffer).cast("B")
         count = min(len(out), max(self._length - self._at, 0))
-        for done, page, begin, size in self._parts(count):
-            out[done : done + size] = self._pages.get(page, bytes(_PAGE))[begin : begin + size]
+        out[:count] = bytes(count)
+        for at, content in self._written:
+            begin, end = max(at, self._at), min(at + len(content), self._at + count)
+            if begin < end:
+                out[begin - self._at : end - self._at] = content[begin - at : end - at]
         self._at += count
         return count
 
     def write(self, data: Any) -> int:
-        given = np.frombuffer(data, np.uint8)
-        for done, page, begin, size in self._parts(len(given)):
-            part = given[done : done + size]
-            if page in self._pages or part.any():
-                self._pages.setdefault(page, bytearray(_PAGE))[begin : begin + size] = part.tobytes()
-        self._at += len(given)
-        self._length = max(self._length, self._at)
-        return len(given)
-
-    def _parts(self, count: int) -> Iterator[tuple[int, int, int, int]]:
-        """Cut the next bytes at pages: bytes before, page, first byte in it, bytes."""
-        done = 0
-        while done < count:
-            page, begin = divmod(self._at + done, _PAGE)
-            size = min(_PAGE - begin, count - done)
-            yield done, page, begin, size
-            done += size
+        end = self._at + len(data)
+        over = any(at < end and self._at < at + len(old) for at, old in self._written)
+        if over or np.frombuffer(data, np.uint8).any():
+            self._written.append((self._at, bytes(data)))
+        self._at, self._length = end, max(self._length, end)
+        return len(data)
 
     def save(self, path: Path) -> None:
-        """Write a file whose pages of zeros take no space yet."""
+        """Write a file in which zeros take no space yet."""
         with path.open("wb") as out:
-            for page, content in self._pages.items():
-                out.seek(page * _PAGE)
+            for at, content in self._written:
+                out.seek(at)
                 out.write(content)
             out.truncate(self._length)
 

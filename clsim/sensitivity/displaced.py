@@ -54,36 +54,13 @@ class Displaced:
     by: float
 
     def position(self, time: Floats) -> Floats:
-        """Return positions (..., 3), m."""
         return self.curve.position(time) + self.by * self.shift.position(time)
 
     def velocity(self, time: Floats) -> Floats:
-        """Return velocities (..., 3), m/s."""
         return self.curve.velocity(time) + self.by * self.shift.velocity(time)
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds (n,) of the speed between two times, m/s."""
         return self.curve.speed_over(begin, end) + abs(self.by) * self.shift.speed_over(begin, end)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Ramp:
-    """Displacement along a vector (3,) that grows by its length in a second, and is nothing at a time, s."""
-
-    vector: Floats
-    begin: float
-
-    def position(self, time: Floats) -> Floats:
-        """Return displacements (..., 3), m s/m."""
-        return np.asarray((time - self.begin)[..., None] * self.vector)
-
-    def velocity(self, time: Floats) -> Floats:
-        """Return their rates (..., 3), m/m."""
-        return np.broadcast_to(self.vector, (*time.shape, 3))
-
-    def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds (n,) of the speed between two times, m/m."""
-        return np.full(np.shape(begin), np.linalg.norm(self.vector))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,17 +72,14 @@ class Knot:
     axis: int
 
     def position(self, time: Floats) -> Floats:
-        """Return displacements (..., 3), m/m."""
         return self._along(self.spread.polynomial, time)
 
     def velocity(self, time: Floats) -> Floats:
-        """Return their rates (..., 3), 1/s."""
         knots = self.spread.derivative.x
         inside = (time >= knots[0]) & (time <= knots[-1])
         return np.asarray(self._along(self.spread.derivative, time) * inside[..., None])
 
     def speed_over(self, begin: Floats, end: Floats) -> Floats:
-        """Return bounds (n,) of the speed between two times, 1/s."""
         return self.spread.speed_over(begin, end)
 
     def _along(self, polynomial: PPoly, time: Floats) -> Floats:
@@ -155,7 +129,6 @@ class _Turned:
     turn: Floats
 
     def orientation(self, time: Floats) -> Floats:
-        """Return unit quaternions (..., 4)."""
         own = self.own.orientation(time.ravel()).reshape(*time.shape, 4)
         return quaternion_product(np.broadcast_to(self.turn, own.shape), own)
 

@@ -16,10 +16,10 @@ from clsim.errors import InputError
 from clsim.paths.family import BODY, DIFFRACTION, SCATTERING, SPECULAR, TRANSMISSION, PathFamily
 from clsim.paths.path_set import PathSet
 from clsim.scene.directivity.patterns import Omni
-from clsim.scene.motion.curves import Curve, Piecewise, Static, legs_through, spline_through
+from clsim.scene.motion.curves import Curve, Piecewise, Static, Straight, legs_through, spline_through
 from clsim.scene.scene import Scene
 from clsim.scene.transducer.electronics import Electronics
-from clsim.sensitivity.displaced import Knot, Ramp, displaced, turned, varied, with_wall
+from clsim.sensitivity.displaced import Knot, displaced, turned, varied, with_wall
 
 Moved = Callable[[Scene, float], Scene]
 
@@ -226,7 +226,7 @@ def along(parameter: Parameter, begin: float | None = None) -> Parameter:
     if not isinstance(parameter.shift, Knot):
         return parameter
     axis = np.eye(3)[parameter.shift.axis]
-    shift = Static(axis) if begin is None else Ramp(axis, begin)
+    shift = Static(axis) if begin is None else Straight(-begin * axis, axis)
     name = f"{parameter.name.partition('.')[0]}.position.{_AXES[parameter.shift.axis]}"
     return _of_end(parameter, name, shift)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import InputError, check_packages, warn
-from clsim.exchange import decoded_frames, flac_bytes
+from clsim.exchange import flac_bytes
 from clsim.files.atomic import safe_path, sha256_of
 from clsim.files.sound import as_frames, wav_header
 from clsim.study.content import Computed
@@ -109,10 +109,9 @@ def sound_of(labels: dict[str, Any], files: dict[str, bytes], part: str = "") ->
     kind = next((name for name in (f"{before}wav", f"{before}flac") if name in files), None)
     if kind is None:
         raise InputError("sounds", f"must be kept by the study, but {labels['key']} has {', '.join(files)}")
-    if kind.endswith("flac"):
-        return decoded_frames(files[kind], labels["full_scale" + (f"_{part}" if part else "")]).T
+    scale = labels["full_scale" + (f"_{part}" if part else "")] if kind.endswith("flac") else 1.0
     samples: NDArray[np.float32] = soundfile.read(io.BytesIO(files[kind]), dtype="float32", always_2d=True)[0]
-    return samples.T
+    return samples.T * np.float32(scale)
 
 
 def read_shards(

@@ -225,8 +225,7 @@ class _Traced:
         rows, walls = np.flatnonzero(gone), len(self._run.room.plane)
         cell = np.where(self._last[rows] < 0, walls, self._last[rows])
         whole = (self._energy[rows] * np.float32(ESCAPE_SCALE)).astype(np.uint64)
-        for b in range(whole.shape[1]):
-            np.add.at(self._energies.escaped[:, self._bands.start + b], cell, whole[:, b])
+        np.add.at(self._energies.escaped[:, self._bands], cell, whole)
         places = np.concatenate([self._o[rows], self._d[rows]], axis=1)
         self._energies.places = np.concatenate([self._energies.places, places])
 
@@ -316,26 +315,20 @@ class _Traced:
         window = (p.length[good] * np.float32(1.0 / to.per_window)).astype(np.int64)
         energy = self._energy[rows] * weight[:, None]
         whole = energy.astype(np.uint64)
-        in_bins = bin_ < to.bins
-        bands = range(whole.shape[1])
+        in_bins, bands = bin_ < to.bins, self._bands
         if images:
-            for b in bands:
-                np.add.at(e.images[zone, :, self._bands.start + b], bin_[in_bins], whole[in_bins, b])
+            np.add.at(e.images[zone, :, bands], bin_[in_bins], whole[in_bins])
             return
         slot = self._ray[rows] % SLOTS
         within = window < to.windows
-        for b in bands:
-            band = self._bands.start + b
-            np.add.at(e.windows[:, zone, :, band], (slot[within], window[within]), whole[within, b])
+        np.add.at(e.windows[:, zone, :, bands], (slot[within], window[within]), whole[within])
         arrival = np.argmax(np.stack([-dot(direction, m[:3]) for m in to.arrivals], axis=1), axis=1)
         early, late = in_bins & (bin_ < to.early), in_bins & (bin_ >= to.early)
-        for b in bands:
-            band = self._bands.start + b
-            np.add.at(e.early[zone, :, :, band], (bin_[early], arrival[early]), whole[early, b])
-            row = e.late[int(to.late_row[zone]), :, :, band]
-            np.add.at(row, (bin_[late] - to.early, arrival[late]), whole[late, b])
+        np.add.at(e.early[zone, :, :, bands], (bin_[early], arrival[early]), whole[early])
+        row = e.late[int(to.late_row[zone]), :, :, bands]
+        np.add.at(row, (bin_[late] - to.early, arrival[late]), whole[late])
         total = np.zeros(len(rows), np.float32)
-        for b in bands:
+        for b in range(energy.shape[1]):  # in the kernel's order
             total = total + energy[:, b]
         departure = self._run.departure[self._ray[rows]]
         np.add.at(e.departures[zone], departure[in_bins], total[in_bins].astype(np.uint64))
