@@ -132,7 +132,7 @@ def agree(wanted: dict[str, list[tuple[EdgeCandidates, Intervals]]]) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", few(CASES))
+@pytest.mark.parametrize("name", few(CASES, (1,)))
 def test_both_find_the_same(name: str, wanted) -> None:
     parts = wanted(name)
     assert agree({name: parts})
@@ -203,7 +203,7 @@ MUTANTS = FOLD_MUTANTS | GAP_MUTANTS
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "rooms"),
-    [(["valid outside"], ["into the fold"]), exhaustive((FOLD_MUTANTS, FOLDS)), exhaustive((GAP_MUTANTS, [BOARDS]))],
+    [(["valid outside"], ["from the fold"]), exhaustive((FOLD_MUTANTS, FOLDS)), exhaustive((GAP_MUTANTS, [BOARDS]))],
     ids=["one", "all", "across air"],
 )
 def test_mutants_are_caught(names, rooms, wanted, monkeypatch: pytest.MonkeyPatch) -> None:

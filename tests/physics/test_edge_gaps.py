@@ -161,7 +161,7 @@ def test_behind_two_posts(measured: Callable[..., float]) -> None:
     without = PathSet(paths.scene, tuple(f for f in paths.families if f.kind != "static edge gap"))
     silent = [over_free_field(without, now, 15.0, i)[0] for i in range(len(ears))]
     assert decibels(np.sqrt(np.mean(np.abs(silent - exact) ** 2))) > -25.0
-    for i in (0, 3, 5):
+    for i in (0, 5):
         back = clsim.find_paths(scene_of(room, ears[i], [source]), 1, diffraction=2)
         assert decibels(over_free_field(back, now, 15.0)[0] / found[i] - 1.0) < -100.0
 
