@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from corner_oracle import Edge, Face, box, plate, total, turned
 from edge_fields import field, jumps
-from exhaustive import exhaustive
+from exhaustive import exhaustive, few
 
 import clsim
 from clsim.paths.path_set import PathSet
@@ -150,7 +150,7 @@ ALONG = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", ALONG)
+@pytest.mark.parametrize("what", few(ALONG, (1, 2)))
 def test_walks_through_a_corner_along_an_edge(what: str, measured: Callable[..., float]) -> None:
     """Tests of both edges find the corner some 0.1 ms apart, as ends go along one of them at 0.4 m/s.
 

@@ -10,6 +10,7 @@ import frozen_sums
 import numpy as np
 import pytest
 import soundfile
+from exhaustive import few
 from made_responses import OffCentre
 
 import clsim
@@ -208,7 +209,7 @@ def test_files_that_hold_no_response(tmp_path: Path) -> None:
             clsim.speech_transmission(tmp_path / "short.wav", level)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("length", [1.0, 2.5])
+@pytest.mark.parametrize("length", few([1.0, 2.5]))
 @pytest.mark.parametrize("snr_db", [None, 0.0, 5.0, 10.0, 12.0])
 def test_noise_has_no_reverberation_time(snr_db: float | None, length: float, tmp_path, rng) -> None:
     """A decay of 1 s that little noise hides, and noise alone: times of 1.3 to 6 s were given as those of the room."""

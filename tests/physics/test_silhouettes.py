@@ -180,7 +180,10 @@ def test_bodies_against_point_sources(body: str, ka: float, measured: Callable[.
     fixed = clsim.Trajectory.fixed(MIDDLE)
     if body == "ellipsoid":
         axes = np.array([1.0, 0.6, 0.4])
-        thing, exact = clsim.Scatterer.ellipsoid("e", axes, fixed, shadow=True), ellipsoid(axes, ka, 900 if ka > 4.0 else 450)
+        thing, exact = (
+            clsim.Scatterer.ellipsoid("e", axes, fixed, shadow=True),
+            ellipsoid(axes, ka, 900 if ka > 4.0 else 450),
+        )
     else:
         thing, exact = clsim.Scatterer.capsule("c", 0.5, 1.0, fixed, shadow=True), capsule(0.5, 0.5, ka, 900)
     found = []
