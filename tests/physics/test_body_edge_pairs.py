@@ -154,12 +154,8 @@ def test_a_pillar_at_rest_is_that_of_the_room_both_ways(measured: Callable[..., 
         sums += [field(paths, time, TONE)[0] for paths in (built, placed)]
         assert len(pairs_of(built)) == len(pairs_of(placed)) > 8
     assert abs(sums[0]) > 0.05
-    measured(
-        "a pillar as a body, both ways",
-        "the pillar built into the room",
-        float(decibels(np.abs(np.subtract(sums, sums[0])) / abs(sums[0]))),
-        -100.0,
-    )
+    error = float(decibels(np.abs(np.subtract(sums, sums[0])) / abs(sums[0])))
+    measured("a pillar as a body, both ways", "the pillar built into the room", error, -100.0)
 
 
 def test_a_box_at_rest_is_that_of_the_room_on_every_side_of_its_boundaries(measured: Callable[..., float]) -> None:

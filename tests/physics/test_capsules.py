@@ -184,12 +184,8 @@ def test_a_capsule_that_moves_and_turns_is_heard_as_its_law(engine: str, measure
     exact = np.real(table.gain[0] * np.exp(2j * np.pi * 40e3 * (samples / rate - table.delay[0] - 0.25 / 40e3)))
     assert np.ptp(np.abs(table.gain[0])) > 0.2 * np.abs(table.gain[0]).max()
     heard = clsim.render(paths, rate, duration=0.08, engine=engine).pressure[0, samples]
-    measured(
-        "a capsule that moves and turns",
-        "gains and delays of its law",
-        float(20.0 * np.log10(np.linalg.norm(heard - exact) / np.linalg.norm(exact))),
-        -85.0,
-    )
+    error = float(20.0 * np.log10(np.linalg.norm(heard - exact) / np.linalg.norm(exact)))
+    measured("a capsule that moves and turns", "gains and delays of its law", error, -85.0)
 
 
 @pytest.mark.parametrize(

@@ -272,12 +272,8 @@ def test_a_rendered_walk_past_a_corner(beside: float, device: None, measured: Ca
     k = np.array([2.0 * np.pi * 40e3 / C])
     wanted = [total(*oracle, ends[0], place, k)[0] for place in ends[1] + share * (ends[2] - ends[1])]
     wrong = heard[n] - np.imag(wanted * np.exp(2j * np.pi * 40e3 * n / RATE))
-    measured(
-        "a walk past a corner, rendered",
-        "line integrals over the edges",
-        float(20.0 * np.log10(np.abs(wrong).max() * 3.5)),
-        -80.0,
-    )
+    error = float(20.0 * np.log10(np.abs(wrong).max() * 3.5))
+    measured("a walk past a corner, rendered", "line integrals over the edges", error, -80.0)
 
 
 @pytest.mark.parametrize("count", [3, exhaustive(40, long=True)])

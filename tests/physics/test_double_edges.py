@@ -112,12 +112,8 @@ def test_behind_thin_walls(millimetres: int, bound: float, measured: Callable[..
     wall, exact = prism(thickness, HEIGHT), WALLS[thickness]
     sheet = closed(wall).with_sheets(0.03)
     assert len(sheet.walls) == 1
-    measured(
-        "behind walls of 2 to 20 mm as sheets",
-        "collocation in two dimensions",
-        error_db(at_rest(1, sheet), exact),
-        bound,
-    )
+    error = error_db(at_rest(1, sheet), exact)
+    measured("behind walls of 2 to 20 mm as sheets", "collocation in two dimensions", error, bound)
     measured(
         "behind walls of 2 to 20 mm, 2 edges", "collocation in two dimensions", error_db(at_rest(2, wall), exact), -58.0
     )
