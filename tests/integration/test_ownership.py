@@ -170,13 +170,10 @@ def test_no_input_is_written_over(attack: Callable[[Path], list[str]], tmp_path:
 
 
 SINGLE = {
-    "rir": ["rir", "s.toml", "-o", "x.npz"],
-    "rir folder": ["rir", "s.toml", "-o", "."],
-    "paths": ["paths", "s.toml", "-o", "x.npz"],
-    "view": ["view", "s.toml", "--frames", "1"],
-    "plot": ["plot", "air", "-o", "x.png"],
-    "materials": ["materials", "concrete", "-o", "x.png"],
-}
+    "rir": ["rir", "s.toml", "-o", "x.npz"], "rir folder": ["rir", "s.toml", "-o", "."],
+    "paths": ["paths", "s.toml", "-o", "x.npz"], "view": ["view", "s.toml", "--frames", "1"],
+    "plot": ["plot", "air", "-o", "x.png"], "materials": ["materials", "concrete", "-o", "x.png"],
+}  # fmt: skip
 MADE = {"rir folder": "robot_left.wav", "view": "s.html", "plot": "x.png", "materials": "x.png"}
 
 

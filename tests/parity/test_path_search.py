@@ -58,11 +58,8 @@ def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Tra
 
 # m/s: what is heard when comes earlier or later.
 GALES = {
-    "L": (9.0, -4.0, 1.0),
-    "bursts": (5.0, 3.0, 0.0),
-    "bursts heard": (-4.0, 6.0, 0.0),
-    "slats": (-20.0, 5.0, 0.0),
-}
+    "L": (9.0, -4.0, 1.0), "bursts": (5.0, 3.0, 0.0), "bursts heard": (-4.0, 6.0, 0.0), "slats": (-20.0, 5.0, 0.0),
+}  # fmt: skip
 
 
 def query(name, room, source, receivers, _order) -> VisibilityQuery:

@@ -100,12 +100,10 @@ def test_specular_points_are_those_of_the_shortest_way(rng: np.random.Generator)
 @pytest.mark.parametrize(
     ("radius", "length", "distance", "apart", "error"),
     [
-        (0.04, 0.4, 1.5, 0.0, -37.0),
-        (0.04, 0.4, 0.6, 0.6, -35.0),
-        (0.02, 0.1, 0.5, 0.6, -27.0),
+        (0.04, 0.4, 1.5, 0.0, -37.0), (0.04, 0.4, 0.6, 0.6, -35.0), (0.02, 0.1, 0.5, 0.6, -27.0),
         (0.01, 0.1, 0.5, 0.0, -27.0),
     ],
-)
+)  # fmt: skip
 def test_fields_are_those_of_the_integral_over_the_surface(radius, length, distance, apart, error) -> None:
     """From broadside, where a finite line shines 18 dB above its ends, to the tips; about ``1 / (k R)`` is left."""
     angle = np.radians(np.linspace(-90.0, 90.0, 13))

@@ -88,13 +88,10 @@ def test_identifiers_of_the_package_are_the_fields_words() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "Return what is heard.",
-        "Return by how much it grows.",
-        "Return whether it is.",
-        "Of a sphere, m.",
+        "Return what is heard.", "Return by how much it grows.", "Return whether it is.", "Of a sphere, m.",
         f"A {'very ' * 30}.",
     ],
-)
+)  # fmt: skip
 def test_what_does_not_name_it_is_seen(line: str) -> None:
     assert faults(f'class A:\n    def b(self):\n        """{line}\n\n        More.\n        """\n')
     assert faults('class A:\n    """A thing.\n\n    Of which there are many.\n    """\n') == []

@@ -149,11 +149,9 @@ def test_sides_of_what_is_no_closed_shell_are_not_told() -> None:
     turned[0] = turned[0, ::-1]
     pane = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float), np.array([[0, 1, 2], [0, 2, 3]])
     sides = {
-        "box": ((corners, triangles), True),
-        "open": ((corners, triangles[1:]), False),
-        "a triangle turned": ((corners, turned), False),
-        "pane": (pane, False),
-    }
+        "box": ((corners, triangles), True), "open": ((corners, triangles[1:]), False),
+        "a triangle turned": ((corners, turned), False), "pane": (pane, False),
+    }  # fmt: skip
     for name, (mesh, told) in sides.items():
         assert np.all((clsim.MeshRoom(*mesh, WALL).walls.outward != 0) == told), name
     walls = clsim.MeshRoom(corners, triangles[:, ::-1], WALL).walls

@@ -243,16 +243,12 @@ def test_phases_come_from_a_second_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds 0 rows"),
-        ("# only a comment\n", "holds 0 rows"),
-        ("angle,40e3\n", "holds 1 rows"),
-        ("angle,40e3\n0,0\n90\n", "line 3 has 0"),
-        ("angle,40e3\n0,0\n90,-3,-4\n", "line 3 has 2"),
-        ("angle,40e3\n0,0\n90,much\n", "line 3 is '90,much'"),
-        ("angle,forty\n0,0\n", "line 1 is"),
+        ("", "holds 0 rows"), ("# only a comment\n", "holds 0 rows"), ("angle,40e3\n", "holds 1 rows"),
+        ("angle,40e3\n0,0\n90\n", "line 3 has 0"), ("angle,40e3\n0,0\n90,-3,-4\n", "line 3 has 2"),
+        ("angle,40e3\n0,0\n90,much\n", "line 3 is '90,much'"), ("angle,forty\n0,0\n", "line 1 is"),
         ("angle\n0\n", "line 1 is 'angle'"),
     ],
-)
+)  # fmt: skip
 def test_text_files_that_are_no_table_name_the_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "beam.csv"
     path.write_text(text)
