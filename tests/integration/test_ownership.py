@@ -141,15 +141,8 @@ def plot_over_table(folder: Path) -> list[str]:
     (folder / "beam.csv").write_text("angle,1000,2000\n0,0,0\n90,-6,-9\n180,-12,-20\n")
     os.link(folder / "beam.csv", folder / "beam.png")
     return [
-        "plot",
-        "directivity",
-        "--table",
-        str(folder / "beam.csv"),
-        "--rear",
-        "hold",
-        "-o",
-        str(folder / "beam.png"),
-    ]
+        "plot", "directivity", "--table", str(folder / "beam.csv"), "--rear", "hold", "-o", str(folder / "beam.png"),
+    ]  # fmt: skip
 
 
 INPUTS = [

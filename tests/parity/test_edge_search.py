@@ -75,11 +75,9 @@ def scenes() -> dict[str, tuple[clsim.Trajectory, list[clsim.Trajectory]]]:
         [0.0, 0.2, 0.4, 0.5], [(0.7, 0.1, 1.9), (0.66, 0.02, 0.1), (0.9, -0.3, -0.4), (0.72, -0.1, 2.6)], smooth=False
     )
     return {
-        "into the fold": (into, [behind, around]),
-        "from the fold": (behind, [into]),
-        "along a fold": (near, [low]),
+        "into the fold": (into, [behind, around]), "from the fold": (behind, [into]), "along a fold": (near, [low]),
         BOARDS: (beside, [beyond, close]),
-    }
+    }  # fmt: skip
 
 
 BOARDS = "between boards"

@@ -65,13 +65,9 @@ GALES = {
 def query(name, room, source, receivers, _order) -> VisibilityQuery:
     last = np.array([min(source.end + 0.1, r.end) for r in receivers])
     return VisibilityQuery(
-        room.walls,
-        trajectory_tables(source, receivers),
-        UniformAir(343.0, GALES.get(name)),
-        np.zeros(len(last)),
-        last,
+        room.walls, trajectory_tables(source, receivers), UniformAir(343.0, GALES.get(name)), np.zeros(len(last)), last,
         STEP,
-    )
+    )  # fmt: skip
 
 
 def candidates(room, source, receivers, order) -> list[Candidates]:

@@ -149,14 +149,9 @@ def test_plane_waves_at_a_wedge(kr: float, bound: float) -> None:
         assert decibels(abs(found + beside - wanted)) < bound
         r, far = np.float64(1.0), np.float64(1e9)
         terms = exact_wedge_terms(
-            n,
-            lit_angles(n, came, angle),
-            np.where(seen, 1, -1),
-            far,
-            r,
-            path_over_edge(far, 0.0 * r, r, 0.0 * r),
+            n, lit_angles(n, came, angle), np.where(seen, 1, -1), far, r, path_over_edge(far, 0.0 * r, r, 0.0 * r),
             np.array([kr]),
-        )
+        )  # fmt: skip
         assert decibels(abs(np.exp(-1j * kr) * np.sum(terms) + beside - wanted)) < -120.0
 
 

@@ -214,11 +214,9 @@ def test_paths_in_a_hall_of_many_walls_are_reciprocal(bays: int) -> None:
 
 def test_far_walls_in_one_plane_own_nothing_of_each_other() -> None:
     things = joined(
-        l_room(),
-        screen((1, 1, 0), (1, 0, 0), 1.0),
-        screen((1.5, 1, 0), (1, 0, 0), 1.0),
+        l_room(), screen((1, 1, 0), (1, 0, 0), 1.0), screen((1.5, 1, 0), (1, 0, 0), 1.0),
         screen((5, 1, 0), (1, 0, 0), 1.0),
-    )
+    )  # fmt: skip
     walls = clsim.MeshRoom(*things, WALL).walls
     first, second, far = (int(w) for w in walls.of_triangle[-6::2])
     assert walls.plane[first] == walls.plane[second] == walls.plane[far]
