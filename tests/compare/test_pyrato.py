@@ -27,7 +27,7 @@ def decaying(seconds: float, noise_db: float, rng: np.random.Generator, length: 
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(("seconds", "noise_db"), [(0.6, -50.0), (1.0, -48.0), (1.6, -60.0)])
+@pytest.mark.parametrize(("seconds", "noise_db"), few([(0.6, -50.0), (1.6, -60.0), (1.0, -48.0)], (0, 1)))
 def test_times_of_noisy_decays(pyrato: Any, seconds: float, noise_db: float, rng: np.random.Generator) -> None:
     """Theirs by Lundeby's crossing and Chu's subtraction."""
     import pyfar

@@ -15,19 +15,9 @@ from drivers import EVERYTHING, INTEL, OPTIONS, PARITY_DB, Driver, apart_db, lau
 from clsim.opencl.launch import PROGRAMS
 
 AS_USERS = [
-    "crowd.cpu",
-    "waves.cpu",
-    "rays.cpu",
-    "channels.cpu",
-    "tapered.cpu",
-    "moments.cpu",
-    "heads.cpu",
-    "doubled.cpu",
-    "baseband_pulses.cpu",
-    "baseband_bend.cpu",
-    "pairs.cpu",
-    "plain.gpu",
-]
+    "crowd.cpu", "waves.cpu", "rays.cpu", "channels.cpu", "tapered.cpu", "moments.cpu", "heads.cpu", "doubled.cpu",
+    "baseband_pulses.cpu", "baseband_bend.cpu", "pairs.cpu", "plain.gpu",
+]  # fmt: skip
 SCALAR = [
     "functions.cpu", "harmonics.cpu", "phased.cpu", "fine.cpu", "pulses.cpu", "mesh.cpu", "bend.cpu", "swinging.cpu", "sonar.cpu",
     "pairs_pulses.cpu", "lopsided.cpu", "baseband_tilted.cpu", "baseband.gpu", "waves.gpu", "moments.gpu",

@@ -46,12 +46,9 @@ def scatterer(random: np.random.Generator, name: str) -> dict[str, Any]:
 def body(random: np.random.Generator, name: str, materials: list[Any]) -> dict[str, Any]:
     slide = {"kind": "line", "start": [2.0, 0.4, 0.6], "end": [2.2, 0.4, 0.6], "duration": 0.5}
     swing = {
-        "kind": "swing",
-        "axis_point": [2.1, 0.4, 0.5],
-        "axis": [0.0, 0.0, 1.0],
-        "angles": [0.0, 0.2, 0.3],
+        "kind": "swing", "axis_point": [2.1, 0.4, 0.5], "axis": [0.0, 0.0, 1.0], "angles": [0.0, 0.2, 0.3],
         "times": [0.0, 0.2, 0.5],
-    }
+    }  # fmt: skip
     wall = pick(random, materials)
     return {"name": name} | pick(random, [
         {"kind": "box", "size": [0.3, 0.2, 0.4], "material": wall, "trajectory": slide},

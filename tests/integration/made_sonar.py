@@ -14,10 +14,7 @@ SCENE = scene_text(
     source_at("sonar", chirp_of(24e3, 26e3, 0.02, 96e3, window="hann"), (1.0, 2.0, 1.0)),
     receiver_at("ear", (1.0, 2.2, 1.0)),
     thing_at(
-        "scatterers",
-        "hand",
-        along((3.0, 2.0, 1.0), (2.9, 2.2, 1.1), 0.2),
-        kind="ellipsoid",
+        "scatterers", "hand", along((3.0, 2.0, 1.0), (2.9, 2.2, 1.1), 0.2), kind="ellipsoid",
         semi_axes=(0.02, 0.05, 0.09),
     ),
     thing_at("scatterers", "ball", (3.0, 3.0, 1.0), kind="sphere", radius=0.03),
@@ -33,7 +30,7 @@ SCENE = scene_text(
     paths={"scattering_order": 1},
     rate=96e3,
     render={"duration": 0.06, "chunk": 18432},
-)
+)  # fmt: skip
 
 
 def sonar(folder: Path) -> SceneFile:

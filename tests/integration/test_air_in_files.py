@@ -96,12 +96,9 @@ def test_studies_vary_wind_temperature_and_humidity(tmp_path: Path) -> None:
 def test_ground_truth_is_that_of_the_paths() -> None:
     """In air of every kind at once, and with ends that move."""
     air = clsim.Air(
-        (19.0, 24.0),
-        (0.6, 0.4),
-        dispersion=True,
-        wind=(3.0, -2.0, 0.5),
+        (19.0, 24.0), (0.6, 0.4), dispersion=True, wind=(3.0, -2.0, 0.5),
         fluctuation=clsim.Fluctuation(2e-6, 0.2, 0.3, 3),
-    )
+    )  # fmt: skip
     tone = clsim.Signal.tone(40e3, 0.3, 192e3)
     source = clsim.Source("s", tone, clsim.Trajectory.line(A, (1.5, 1.2, 0.9), 0.4))
     ears = [clsim.Receiver("r", clsim.Trajectory.line(B, (3.2, 1.4, 1.5), 0.4))]

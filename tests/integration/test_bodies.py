@@ -87,10 +87,7 @@ def test_a_door_in_tables_pages_and_studies(tmp_path: Path, capsys: pytest.Captu
 RATE = 96e3
 SCENE = scene_text(
     source_at(
-        "sonar",
-        chirp_of(24e3, 26e3, 0.03, 96e3, window="hann"),
-        (0.21, 0.0, 0.3),
-        mounted_on="robot",
+        "sonar", chirp_of(24e3, 26e3, 0.03, 96e3, window="hann"), (0.21, 0.0, 0.3), mounted_on="robot",
         aim=(1.0, 0.0, 0.0),
     ),
     receiver_at("ear", (3.5, 2.6, 1.2)),
@@ -116,7 +113,7 @@ SCENE = scene_text(
     room=shoebox_of(reflection=0.8),
     rate=96e3,
     render={"duration": 0.06},
-)
+)  # fmt: skip
 STUDY = 'format = 1\nscene = "scene.toml"\nkeep = ["ground_truth"]\n[[vary]]\nfield = "paths.max_order"\nvalues = [0]\n'
 
 

@@ -14,9 +14,7 @@ from clsim.cli import main
 SCENE = scene_text(
     source_at("s", tone_of(1e3, 0.2, 16e3, fade=0.02), along((2.0, 2.0, 1.5), (3.0, 3.0, 1.6), 1.0)),
     receiver_at(
-        "hoa",
-        (5.0, 4.0, 1.2),
-        directivity={"kind": "ambisonic", "order": 1},
+        "hoa", (5.0, 4.0, 1.2), directivity={"kind": "ambisonic", "order": 1},
         electronics={"self_noise_db": 20.0, "low_cut": 20.0},
     ),
     receiver_at("omni", (6.0, 4.0, 1.2)),
@@ -24,7 +22,7 @@ SCENE = scene_text(
     room=shoebox_of(8.0, 6.0, 3.0, reflection=0.8),
     rate=16e3,
     render={"duration": 0.25},
-)
+)  # fmt: skip
 
 
 @pytest.fixture

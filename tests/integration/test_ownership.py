@@ -141,15 +141,8 @@ def plot_over_table(folder: Path) -> list[str]:
     (folder / "beam.csv").write_text("angle,1000,2000\n0,0,0\n90,-6,-9\n180,-12,-20\n")
     os.link(folder / "beam.csv", folder / "beam.png")
     return [
-        "plot",
-        "directivity",
-        "--table",
-        str(folder / "beam.csv"),
-        "--rear",
-        "hold",
-        "-o",
-        str(folder / "beam.png"),
-    ]
+        "plot", "directivity", "--table", str(folder / "beam.csv"), "--rear", "hold", "-o", str(folder / "beam.png"),
+    ]  # fmt: skip
 
 
 INPUTS = [
@@ -170,13 +163,10 @@ def test_no_input_is_written_over(attack: Callable[[Path], list[str]], tmp_path:
 
 
 SINGLE = {
-    "rir": ["rir", "s.toml", "-o", "x.npz"],
-    "rir folder": ["rir", "s.toml", "-o", "."],
-    "paths": ["paths", "s.toml", "-o", "x.npz"],
-    "view": ["view", "s.toml", "--frames", "1"],
-    "plot": ["plot", "air", "-o", "x.png"],
-    "materials": ["materials", "concrete", "-o", "x.png"],
-}
+    "rir": ["rir", "s.toml", "-o", "x.npz"], "rir folder": ["rir", "s.toml", "-o", "."],
+    "paths": ["paths", "s.toml", "-o", "x.npz"], "view": ["view", "s.toml", "--frames", "1"],
+    "plot": ["plot", "air", "-o", "x.png"], "materials": ["materials", "concrete", "-o", "x.png"],
+}  # fmt: skip
 MADE = {"rir folder": "robot_left.wav", "view": "s.html", "plot": "x.png", "materials": "x.png"}
 
 

@@ -26,23 +26,14 @@ SCENE = scene_text(
         (3.0, 1.0, 2.0),
         transducer={"kind": "named", "name": "MA40S4R"},
         electronics={
-            "ambient_noise_db": 10.0,
-            "self_noise_db": 20.0,
-            "seed": 3,
-            "low_cut": 20e3,
-            "high_cut": 80e3,
-            "order": 4,
-            "gain_db": 40.0,
-            "adc_bits": 12,
-            "adc_full_scale": 0.25,
-            "clock_ppm": 50.0,
-            "clock_offset": 0.001,
+            "ambient_noise_db": 10.0, "self_noise_db": 20.0, "seed": 3, "low_cut": 20e3, "high_cut": 80e3, "order": 4,
+            "gain_db": 40.0, "adc_bits": 12, "adc_full_scale": 0.25, "clock_ppm": 50.0, "clock_offset": 0.001,
         },
     ),
     receiver_at("right", (3.0, 2.0, 2.0)),
     max_order="%d",
     render={"chunk": 18432},
-)
+)  # fmt: skip
 LONG = SCENE % (0.6, 2)  # seven chunks
 SHORT = SCENE % (1.2, 1)
 AIR = """

@@ -177,17 +177,8 @@ def certificates(tmp_path: Path) -> dict[str, str]:
         pytest.skip("openssl makes the certificates")
     key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
     line = [
-        "openssl",
-        "req",
-        "-x509",
-        "-newkey",
-        "ec",
-        "-pkeyopt",
-        "ec_paramgen_curve:prime256v1",
-        "-nodes",
-        "-days",
-        "1",
-    ]
+        "openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "1",
+    ]  # fmt: skip
     subprocess.run([*line, "-subj", "/CN=clsim", "-keyout", key, "-out", certificate], check=True, capture_output=True)
     place = "DASK_DISTRIBUTED__COMM__TLS__"
     files = {

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exhaustive import few
 from late import installed
 from made_studies import METRICS, SCENE, index, runs, write, write_scene
 
@@ -257,7 +258,7 @@ def of_another(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "damage",
-    [
+    few([
         lambda group: cut(group / "zarr.json"),
         lambda group: (group / "zarr.json").write_bytes(b""),
         lambda group: (group / "zarr.json").write_bytes(b"[]"),
@@ -266,9 +267,9 @@ def of_another(path: Path) -> None:
         lambda group: of_another(group / "zarr.json"),
         lambda group: shutil.rmtree(group / "sound"),
         lambda group: shutil.rmtree(group) or group.write_text("a file", "utf-8"),
-    ],
+    ], (0, 4, 5, 6)),
     ids=["cut", "empty", "another kind", "missing", "no row", "of another member", "an array is missing", "a file"],
-)
+)  # fmt: skip
 def test_a_broken_member_is_run_again(folder: Path, damage: Any) -> None:
     out = folder / "out"
     group = out / "study.zarr" / "m000001"

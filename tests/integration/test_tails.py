@@ -174,11 +174,8 @@ SCENE = scene_text(
     receiver_at(
         "turning",
         {
-            "kind": "waypoints",
-            "times": (0, 5),
-            "positions": [(2, 2, 1), (2.3, 1.7, 1.2)],
-            "orientations": [(0, 0, 0, 1), (0, 0, 0.8, 0.6)],
-            "smooth": False,
+            "kind": "waypoints", "times": (0, 5), "positions": [(2, 2, 1), (2.3, 1.7, 1.2)],
+            "orientations": [(0, 0, 0, 1), (0, 0, 0.8, 0.6)], "smooth": False,
         },
         directivity={"kind": "first-order", "weight": 0.5},
     ),
@@ -186,7 +183,7 @@ SCENE = scene_text(
     room={"kind": "shoebox", "size": (4.0, 3.0, 2.5), "walls": {"reflection": 0.6, "scattering": 0.3}},
     rate=16e3,
     render={"chunk": 18432, "tail": "auto", "tail_directions": 16, "tail_error_db": 3.0},
-)
+)  # fmt: skip
 
 
 STUDY = """

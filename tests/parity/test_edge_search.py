@@ -75,11 +75,9 @@ def scenes() -> dict[str, tuple[clsim.Trajectory, list[clsim.Trajectory]]]:
         [0.0, 0.2, 0.4, 0.5], [(0.7, 0.1, 1.9), (0.66, 0.02, 0.1), (0.9, -0.3, -0.4), (0.72, -0.1, 2.6)], smooth=False
     )
     return {
-        "into the fold": (into, [behind, around]),
-        "from the fold": (behind, [into]),
-        "along a fold": (near, [low]),
+        "into the fold": (into, [behind, around]), "from the fold": (behind, [into]), "along a fold": (near, [low]),
         BOARDS: (beside, [beyond, close]),
-    }
+    }  # fmt: skip
 
 
 BOARDS = "between boards"
@@ -132,7 +130,7 @@ def agree(wanted: dict[str, list[tuple[EdgeCandidates, Intervals]]]) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", few(CASES))
+@pytest.mark.parametrize("name", few(CASES, (1,)))
 def test_both_find_the_same(name: str, wanted) -> None:
     parts = wanted(name)
     assert agree({name: parts})
@@ -203,7 +201,7 @@ MUTANTS = FOLD_MUTANTS | GAP_MUTANTS
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "rooms"),
-    [(["valid outside"], ["into the fold"]), exhaustive((FOLD_MUTANTS, FOLDS)), exhaustive((GAP_MUTANTS, [BOARDS]))],
+    [(["valid outside"], ["from the fold"]), exhaustive((FOLD_MUTANTS, FOLDS)), exhaustive((GAP_MUTANTS, [BOARDS]))],
     ids=["one", "all", "across air"],
 )
 def test_mutants_are_caught(names, rooms, wanted, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,12 +43,8 @@ def scene(source_beam=None, receiver_beam=None, signal: clsim.Signal = TONE, sta
 
 def plan(world: clsim.Scene, order: int = 3, **options) -> Plan:
     return plan_render(
-        clsim.find_paths(world, order),
-        RATE,
-        duration=options.pop("duration", 0.08),
-        responses="centre",
-        **options,
-    )
+        clsim.find_paths(world, order), RATE, duration=options.pop("duration", 0.08), responses="centre", **options,
+    )  # fmt: skip
 
 
 def pressure(made: Plan, **options) -> np.ndarray:

@@ -58,23 +58,16 @@ def scenes() -> dict[str, tuple[clsim.MeshRoom, clsim.Trajectory, list[clsim.Tra
 
 # m/s: what is heard when comes earlier or later.
 GALES = {
-    "L": (9.0, -4.0, 1.0),
-    "bursts": (5.0, 3.0, 0.0),
-    "bursts heard": (-4.0, 6.0, 0.0),
-    "slats": (-20.0, 5.0, 0.0),
-}
+    "L": (9.0, -4.0, 1.0), "bursts": (5.0, 3.0, 0.0), "bursts heard": (-4.0, 6.0, 0.0), "slats": (-20.0, 5.0, 0.0),
+}  # fmt: skip
 
 
 def query(name, room, source, receivers, _order) -> VisibilityQuery:
     last = np.array([min(source.end + 0.1, r.end) for r in receivers])
     return VisibilityQuery(
-        room.walls,
-        trajectory_tables(source, receivers),
-        UniformAir(343.0, GALES.get(name)),
-        np.zeros(len(last)),
-        last,
+        room.walls, trajectory_tables(source, receivers), UniformAir(343.0, GALES.get(name)), np.zeros(len(last)), last,
         STEP,
-    )
+    )  # fmt: skip
 
 
 def candidates(room, source, receivers, order) -> list[Candidates]:

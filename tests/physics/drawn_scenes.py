@@ -147,18 +147,9 @@ def drawn(seed: int) -> Drawn:
     beams = "+".join("piston" if e.beam.radius else "first" if e.beam.weight is not None else "omni" for e in ends)
     name = f"{seed}: {rate / 1e3:g} kHz, {kind}, order {order}, {speed:.2g} m/s, {beams}, {' and '.join(texts)}"
     return Drawn(
-        name,
-        room,
-        walls,
-        rate,
-        signals,
-        given,
-        starts,
-        tuple(ends[:sources]),
-        tuple(ends[sources:]),
-        duration,
+        name, room, walls, rate, signals, given, starts, tuple(ends[:sources]), tuple(ends[sources:]), duration,
         max(silence(walls, x, rate) for x in signals),
-    )
+    )  # fmt: skip
 
 
 def drawn_wall(rng: np.random.Generator, kind: str, rate: float) -> Wall:

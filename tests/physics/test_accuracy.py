@@ -70,12 +70,9 @@ def test_tones(engine: str, rng, rate: float, duration: float, share: float, mea
     scene, source, receiver = moving_scene(rng, signal)
     plan = plan_render(clsim.find_paths(scene, 3), rate, responses="centre", engine=engine, duration=duration)
     made = rendered(plan, int(0.7 * plan.samples))
-    measured(
-        "accuracy at one frequency: tones",
-        "images mirrored point after point, emission times by iteration",
-        error_db(plan, formula, source, receiver, 3, *made, rng),
-        -85.0,
-    )
+    error = error_db(plan, formula, source, receiver, 3, *made, rng)
+    oracle = "images mirrored point after point, emission times by iteration"
+    measured("accuracy at one frequency: tones", oracle, error, -85.0)
 
 
 @pytest.mark.parametrize(("rate", "duration"), few([(192e3, 0.2), (48e3, 0.4), (500e3, 0.1)]))
@@ -104,12 +101,8 @@ def test_ten_minutes_later(engine: str, rng, begin: float, measured: Any) -> Non
     start = int(begin * rate) // SEGMENT * SEGMENT
     kind, length = (OpenclEngine, SEGMENT) if engine == "opencl" else (ReferenceEngine, WINDOW)
     made = kind(plan).render(start, start + length)[0]
-    measured(
-        "accuracy at one frequency, late in a run",
-        "the same",
-        error_db(plan, formula, source, receiver, 3, made, start, rng),
-        -85.0,
-    )
+    error = error_db(plan, formula, source, receiver, 3, made, start, rng)
+    measured("accuracy at one frequency, late in a run", "the same", error, -85.0)
 
 
 def test_lagrange_reaches_its_own_error(engine: str, rng) -> None:
@@ -142,12 +135,8 @@ def test_fly_by(engine: str, rng, measured: Any) -> None:
     plan = plan_render(clsim.find_paths(scene, 1), rate, responses="centre", engine=engine, duration=0.12)
     whole, start = rendered(plan, int(0.1 * rate) - WINDOW // 2)
     close = slice(int(0.09 * rate) - start, int(0.11 * rate) - start) if engine == "opencl" else slice(None)
-    measured(
-        "fly-by at 0.1 m and 10 m/s",
-        "the same",
-        error_db(plan, formula, line, fixed, 1, whole[close], start + (close.start or 0), rng),
-        -80.0,
-    )
+    error = error_db(plan, formula, line, fixed, 1, whole[close], start + (close.start or 0), rng)
+    measured("fly-by at 0.1 m and 10 m/s", "the same", error, -80.0)
 
 
 @pytest.mark.filterwarnings("ignore::clsim.errors.ClsimWarning")  # a tone that begins at once

@@ -154,16 +154,12 @@ def test_a_pillar_at_rest_is_that_of_the_room_both_ways(measured: Callable[..., 
         sums += [field(paths, time, TONE)[0] for paths in (built, placed)]
         assert len(pairs_of(built)) == len(pairs_of(placed)) > 8
     assert abs(sums[0]) > 0.05
-    measured(
-        "a pillar as a body, both ways",
-        "the pillar built into the room",
-        float(decibels(np.abs(np.subtract(sums, sums[0])) / abs(sums[0]))),
-        -100.0,
-    )
+    error = float(decibels(np.abs(np.subtract(sums, sums[0])) / abs(sums[0])))
+    measured("a pillar as a body, both ways", "the pillar built into the room", error, -100.0)
 
 
 def test_a_box_at_rest_is_that_of_the_room_on_every_side_of_its_boundaries(measured: Callable[..., float]) -> None:
-    """Past a turned box, from the line of sight into its shadow and behind two corners: 2, 10, 40 kHz, both ways."""
+    """Past a turned box, from the line of sight into its shadow and behind two corners: 2 and 40 kHz, both ways."""
     turn = np.array([0.1, 0.02, 0.3, 1.0])
     body = clsim.Body.box("box", (0.5, 0.4, 0.6), HARD, FIXED(MIDDLE, turn / np.linalg.norm(turn)))
     ends, times = (
@@ -176,7 +172,7 @@ def test_a_box_at_rest_is_that_of_the_room_on_every_side_of_its_boundaries(measu
         for built in (True, False)
     ]
     assert min(len(pairs_of(found, "edge and end")) for found in paths) > 50
-    for tone in (2e3, 10e3, TONE):
+    for tone in (2e3, TONE):
         built, placed, *turned = (field(found, times, tone) for found in paths)
         errors = placed - built, turned[1] - turned[0]
         name = f"a box as a body, {tone / 1e3:g} kHz"
@@ -200,7 +196,7 @@ def test_echoes_of_plates_are_those_of_the_room(
 
     monkeypatch.setattr(edge_ends, "QUIET_ECHO", 0.0)  # a path that is quiet now may be loud at another time
     slow = clsim.Body.box("plate", (0.1, 0.1, 0.0), HARD, LINE(at(0.0, -0.25, -0.125), at(0.0, 0.25, 0.125), 1000.0))
-    scene, times = far_scene(ends, [slow], LONG), np.array([450.0, 530.0, 580.0, 700.0])
+    scene, times = far_scene(ends, [slow], LONG), np.array([450.0, 580.0])
     for time, one in zip(times, field(clsim.find_paths(scene, 0, **options), times, TONE), strict=True):
         still = clsim.find_paths(as_it_is(scene, float(time) - 0.3 / C), 0, **options)
         error = decibels(np.abs(one - field(still, np.array([0.05]), TONE)[0]) * 0.6)
@@ -225,13 +221,14 @@ def test_slow_pillars_are_the_room_as_it_is(monkeypatch: pytest.MonkeyPatch, mea
 def test_pillars_that_move_with_everything_are_at_rest_in_wind() -> None:
     """All at 17 m/s along an oblique line: delays and pressures of a pillar at rest in wind the other way."""
     u, places = np.array([12.0, -9.0, 8.0]), [ends.position(0.0).ravel() for ends in ENDS] + [MIDDLE]
-    ways = [[LINE(x, x + 0.2 * u, 0.2) for x in places], [FIXED(x) for x in places]]
+    tone = clsim.Signal.tone(TONE, 0.02, 192e3, fade=0.001)
+    ways = [[LINE(x, x + 0.02 * u, 0.02) for x in places], [FIXED(x) for x in places]]
     found = [
-        clsim.find_paths(far_scene((w[0], w[1]), [pillar(w[2])], LONG, **wind), 0, diffraction=2)
+        clsim.find_paths(far_scene((w[0], w[1]), [pillar(w[2])], tone, **wind), 0, diffraction=2)
         for w, wind in zip(ways, ({}, {"wind": tuple(-u)}), strict=True)
     ]
     for kind in KINDS:
-        tables = [pairs_of(paths, kind).table([0.1]) for paths in found]
+        tables = [pairs_of(paths, kind).table([0.016]) for paths in found]
         assert len(tables[0].delay) == len(tables[1].delay) >= 4
         for name, within in (("delay", 1e-13), ("doppler_factor", 1e-11), ("gain", 1e-9)):
             moved, still = (getattr(table, name)[:, 0] for table in tables)
@@ -269,9 +266,10 @@ def test_pillars_in_tables_and_both_engines(device: None) -> None:
         legs = np.linalg.norm(np.diff(corners, axis=1), axis=2).sum(axis=1)
         np.testing.assert_allclose(legs, C * pair.arrivals(np.array([0.02])).delay[:, 0], atol=1e-5)
         assert np.all(family.order == 2)
-    one, other = (clsim.render(paths, 192e3, duration=0.03, engine=name).pressure for name in ("opencl", "reference"))
+    paths = PathSet(paths.scene, tuple(family for family in paths.families if family.kind.endswith(KINDS)))
+    one, other = (clsim.render(paths, 192e3, duration=0.012, engine=name).pressure for name in ("opencl", "reference"))
     assert decibels(np.abs(one - other) / np.abs(other).max()) < -85.0
-    np.testing.assert_array_equal(one, clsim.render(paths, 192e3, duration=0.03, chunk=1536).pressure)
+    np.testing.assert_array_equal(one, clsim.render(paths, 192e3, duration=0.012, chunk=1536).pressure)
 
 
 def test_what_stands_on_the_face_hides_one_edge_from_the_other() -> None:

@@ -100,12 +100,10 @@ def test_specular_points_are_those_of_the_shortest_way(rng: np.random.Generator)
 @pytest.mark.parametrize(
     ("radius", "length", "distance", "apart", "error"),
     [
-        (0.04, 0.4, 1.5, 0.0, -37.0),
-        (0.04, 0.4, 0.6, 0.6, -35.0),
-        (0.02, 0.1, 0.5, 0.6, -27.0),
+        (0.04, 0.4, 1.5, 0.0, -37.0), (0.04, 0.4, 0.6, 0.6, -35.0), (0.02, 0.1, 0.5, 0.6, -27.0),
         (0.01, 0.1, 0.5, 0.0, -27.0),
     ],
-)
+)  # fmt: skip
 def test_fields_are_those_of_the_integral_over_the_surface(radius, length, distance, apart, error) -> None:
     """From broadside, where a finite line shines 18 dB above its ends, to the tips; about ``1 / (k R)`` is left."""
     angle = np.radians(np.linspace(-90.0, 90.0, 13))
@@ -184,12 +182,8 @@ def test_a_capsule_that_moves_and_turns_is_heard_as_its_law(engine: str, measure
     exact = np.real(table.gain[0] * np.exp(2j * np.pi * 40e3 * (samples / rate - table.delay[0] - 0.25 / 40e3)))
     assert np.ptp(np.abs(table.gain[0])) > 0.2 * np.abs(table.gain[0]).max()
     heard = clsim.render(paths, rate, duration=0.08, engine=engine).pressure[0, samples]
-    measured(
-        "a capsule that moves and turns",
-        "gains and delays of its law",
-        float(20.0 * np.log10(np.linalg.norm(heard - exact) / np.linalg.norm(exact))),
-        -85.0,
-    )
+    error = float(20.0 * np.log10(np.linalg.norm(heard - exact) / np.linalg.norm(exact)))
+    measured("a capsule that moves and turns", "gains and delays of its law", error, -85.0)
 
 
 @pytest.mark.parametrize(

@@ -68,11 +68,9 @@ def test_taps_of_a_tone_are_the_paths(paths: clsim.PathSet) -> None:
         for s, r in np.ndindex(2, 2):
             mine = (rays.source == s) & (rays.receiver == r)
             np.testing.assert_allclose(
-                taps.gain[s, r].sum(axis=0),
-                rays.gain[mine].sum(axis=0),
-                rtol=0,
+                taps.gain[s, r].sum(axis=0), rays.gain[mine].sum(axis=0), rtol=0,
                 atol=5e-5 * np.abs(rays.gain[mine]).max(),
-            )
+            )  # fmt: skip
     off = 3.7e3
     elsewhere = paths.cir(times, carrier=CARRIER + off)
     turned = np.einsum("l,srlt->srt", np.exp(-2j * np.pi * off * taps.delays), taps.gain)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from corner_oracle import Edge, Face, box, plate, total, turned
 from edge_fields import field, jumps
-from exhaustive import exhaustive
+from exhaustive import exhaustive, few
 
 import clsim
 from clsim.paths.path_set import PathSet
@@ -150,7 +150,7 @@ ALONG = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", ALONG)
+@pytest.mark.parametrize("what", few(ALONG, (1, 2)))
 def test_walks_through_a_corner_along_an_edge(what: str, measured: Callable[..., float]) -> None:
     """Tests of both edges find the corner some 0.1 ms apart, as ends go along one of them at 0.4 m/s.
 
@@ -162,7 +162,7 @@ def test_walks_through_a_corner_along_an_edge(what: str, measured: Callable[...,
     measured("walks through a corner along an edge", "no jump", loudest_jump(paths), -60.0)
 
 
-@pytest.mark.parametrize("count", [16, exhaustive(400, long=True)])
+@pytest.mark.parametrize("count", [8, exhaustive(16), exhaustive(400, long=True)])
 @pytest.mark.parametrize("beside", [False, True])
 def test_drawn_walks_past_a_corner(beside: bool, count: int, rng: np.random.Generator) -> None:
     """Through it, or so near that its edges' events follow each other within a millisecond: 0.1 µm to 3 cm beside it."""
@@ -177,7 +177,7 @@ def test_drawn_walks_past_a_corner(beside: bool, count: int, rng: np.random.Gene
         assert loudest_jump(paths_past(kind, ends)) < -60.0, (kind, ends)
 
 
-@pytest.mark.parametrize("count", [16, exhaustive(200, long=True)])
+@pytest.mark.parametrize("count", [8, exhaustive(16), exhaustive(200, long=True)])
 def test_drawn_walks_along_an_edge(count: int, rng: np.random.Generator) -> None:
     """Within 1 to 70 µrad of its direction and past a corner, 10 µm to 3 mm beside it, at some 0.24 m/s.
 
@@ -195,7 +195,7 @@ def test_drawn_walks_along_an_edge(count: int, rng: np.random.Generator) -> None
         assert loudest_jump(paths_past(f"plate {angle}", ends)) < -60.0, (angle, ends)
 
 
-@pytest.mark.parametrize("count", [12, exhaustive(150, long=True)])
+@pytest.mark.parametrize("count", [8, exhaustive(12), exhaustive(150, long=True)])
 def test_drawn_walks_of_both_ends_past_a_corner(count: int, rng: np.random.Generator) -> None:
     """In a room of 40 m, half of them past the corner as the source sets out: 0.1 mm to 3 cm beside it."""
     middle, duration = np.full(3, 20.0), 0.12
@@ -272,12 +272,8 @@ def test_a_rendered_walk_past_a_corner(beside: float, device: None, measured: Ca
     k = np.array([2.0 * np.pi * 40e3 / C])
     wanted = [total(*oracle, ends[0], place, k)[0] for place in ends[1] + share * (ends[2] - ends[1])]
     wrong = heard[n] - np.imag(wanted * np.exp(2j * np.pi * 40e3 * n / RATE))
-    measured(
-        "a walk past a corner, rendered",
-        "line integrals over the edges",
-        float(20.0 * np.log10(np.abs(wrong).max() * 3.5)),
-        -80.0,
-    )
+    error = float(20.0 * np.log10(np.abs(wrong).max() * 3.5))
+    measured("a walk past a corner, rendered", "line integrals over the edges", error, -80.0)
 
 
 @pytest.mark.parametrize("count", [3, exhaustive(40, long=True)])

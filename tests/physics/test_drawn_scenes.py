@@ -60,11 +60,9 @@ def test_the_sums_are_closed_forms() -> None:
     """A steady tone past an impedance, an echo, an absorption and a piston: each path's factor by hand."""
     f, rate, room = 5e3, 32e3, Room((6.0, 5.0, 4.0), 1.0, 1, 343.0)
     walls = (
-        Impedance((f,), (3.0 - 2.0j,)),
-        Echo((0.5, 0.3), rate, 0.5),
-        Absorption((4e3, 8e3), (0.36, 0.36)),
+        Impedance((f,), (3.0 - 2.0j,)), Echo((0.5, 0.3), rate, 0.5), Absorption((4e3, 8e3), (0.36, 0.36)),
         *[Factor(0.0)] * 3,
-    )
+    )  # fmt: skip
     t = np.arange(round(0.1 * rate)) / rate
     fade = np.sin(0.5 * np.pi * np.clip(np.minimum(t, 0.1 - t) / 0.03, 0.0, 1.0)) ** 2
     sound = Sound(fade * np.sin(2 * np.pi * f * t), rate, 0.0, 0.03, np.ones(1))

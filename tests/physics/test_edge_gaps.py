@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from corner_oracle import Edge, field_of_both
 from edge_fields import field, jumps
+from exhaustive import few
 from pillar_bem import C, field_about
 from scipy.optimize import minimize
 from scipy.special import hankel2, wofz
@@ -161,7 +162,7 @@ def test_behind_two_posts(measured: Callable[..., float]) -> None:
     without = PathSet(paths.scene, tuple(f for f in paths.families if f.kind != "static edge gap"))
     silent = [over_free_field(without, now, 15.0, i)[0] for i in range(len(ears))]
     assert decibels(np.sqrt(np.mean(np.abs(silent - exact) ** 2))) > -25.0
-    for i in (0, 3, 5):
+    for i in (0, 5):
         back = clsim.find_paths(scene_of(room, ears[i], [source]), 1, diffraction=2)
         assert decibels(over_free_field(back, now, 15.0)[0] / found[i] - 1.0) < -100.0
 
@@ -182,7 +183,7 @@ def test_no_jump_behind_two_screens(measured: Callable[..., float]) -> None:
     measured("walks behind two screens", "no jump", max(worst), -66.0)
 
 
-@pytest.mark.parametrize("slope", [0.2, -0.5, 1.0])
+@pytest.mark.parametrize("slope", few([-0.5, 0.2, 1.0]))
 def test_behind_skew_edges(slope: float, measured: Callable[..., float]) -> None:
     """Edges at up to 45 degrees to each other, from the shadow of either into that of the other."""
     lean = np.array([0.0, slope, 1.0]) / np.hypot(slope, 1.0)

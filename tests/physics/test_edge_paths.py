@@ -162,12 +162,8 @@ def test_what_a_moving_source_sends_round_an_edge(device, monkeypatch, measured)
         wanted = sent_on_the_way(n / RATE, way, receiver)
         found = field(paths, np.array([n / RATE]), TONE)[0] * np.exp(2j * np.pi * TONE * n / RATE)
         assert decibels(abs(found - wanted) * 1.85) < -95.0
-        measured(
-            "a source at 5 m/s behind an edge, rendered",
-            "integral over times of emission",
-            decibels(abs(heard[n] - wanted.imag) * 1.85),
-            -85.0,
-        )
+        error = decibels(abs(heard[n] - wanted.imag) * 1.85)
+        measured("a source at 5 m/s behind an edge, rendered", "integral over times of emission", error, -85.0)
     # Without the shift of the source's frequency in the transition it is not.
     wrong = mistaken(EdgeVertex.respond, "found.frequency_ratio[", "np.ones(found.delay.shape)[")
     monkeypatch.setattr(EdgeVertex, "respond", wrong)

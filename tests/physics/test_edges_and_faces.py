@@ -67,12 +67,8 @@ def test_both_ways_are_one(measured: Callable[..., float]) -> None:
         field(of_both(clsim.find_paths(scene(SCREEN, ends, crates()), 2, diffraction=1)), np.array([0.05]), TONE)[0]
         for ends in (ENDS, ENDS[::-1])
     ]
-    measured(
-        "an edge of the room and a body's face, both ways",
-        "reciprocity",
-        decibels(abs(sums[0] - sums[1]) / abs(sums[0])),
-        -100.0,
-    )
+    error = decibels(abs(sums[0] - sums[1]) / abs(sums[0]))
+    measured("an edge of the room and a body's face, both ways", "reciprocity", error, -100.0)
 
 
 def test_bodies_at_rest_are_the_room() -> None:

@@ -92,12 +92,8 @@ def test_it_is_rendered_and_the_same_in_chunks(moving: bool, measured: Any) -> N
     paths = paths_of(moving)
     whole = clsim.render(paths, 192e3, duration=0.3).pressure
     n = np.arange(10_000, 57_000, 37)
-    measured(
-        "noise of delays, rendered",
-        "each path's delay and gain in float64",
-        error_db(whole[0, n], as_the_paths_say(paths, n / 192e3)),
-        -85.0,
-    )
+    error = error_db(whole[0, n], as_the_paths_say(paths, n / 192e3))
+    measured("noise of delays, rendered", "each path's delay and gain in float64", error, -85.0)
     assert error_db(whole[0, n], as_the_paths_say(paths_of(moving, None), n / 192e3)) > -20.0
     plan = clsim.plan_render(paths, 192e3, duration=0.3, chunk=18_432)
     later = [piece for _, piece in clsim.render_chunks(plan, first=18_432)]

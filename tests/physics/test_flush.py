@@ -3,6 +3,7 @@
 import numpy as np
 import oracle
 import pytest
+from exhaustive import few
 from proven import proven
 
 import clsim
@@ -125,7 +126,7 @@ MOVED = {
 
 
 @pytest.mark.parametrize("name", MOVED)
-@pytest.mark.parametrize("flush_source", [True, False])
+@pytest.mark.parametrize("flush_source", few([True, False]))
 def test_paths_come_and_go_as_before_the_wall(device, name: str, flush_source: bool) -> None:
     """The other end walks behind the wall's plane and back: on the device as in NumPy, and as 2 µm before the wall."""
     room, place, side, other = MOVED[name]

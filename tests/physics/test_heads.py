@@ -147,10 +147,8 @@ def sofa_file(path, convention, by_emitter=False, **changes):
     wide = convention.startswith("Free")
     if by_emitter:
         file.EmitterPosition, file.EmitterPosition_Type, file.EmitterPosition_Units = (
-            1.5 * directions,
-            "cartesian",
-            "metre",
-        )
+            1.5 * directions, "cartesian", "metre",
+        )  # fmt: skip
         file.SourcePosition = [0.0, 0.0, 0.0]
     else:
         azimuth, elevation = np.arctan2(directions[:, 1], directions[:, 0]), np.arcsin(directions[:, 2])

@@ -10,6 +10,7 @@ import frozen_sums
 import numpy as np
 import pytest
 import soundfile
+from exhaustive import few
 from made_responses import OffCentre
 
 import clsim
@@ -129,11 +130,9 @@ def test_a_measured_response(tmp_path: Path, rng: np.random.Generator) -> None:
     taps = decaying(0.9, 2.5, rng)
     whole = 0.05 * np.concatenate([np.zeros(1234), taps]) + 0.05 * 10.0**-3 * rng.standard_normal(1234 + len(taps))
     soundfile.write(
-        tmp_path / "hall.wav",
-        np.stack([np.zeros_like(whole), whole], axis=1),
-        round(ROOM_MEASURES_RATE),
+        tmp_path / "hall.wav", np.stack([np.zeros_like(whole), whole], axis=1), round(ROOM_MEASURES_RATE),
         subtype="FLOAT",
-    )
+    )  # fmt: skip
     near = np.zeros(4800)
     near[100] = 0.05 * 0.4  # at 2.5 m
     soundfile.write(tmp_path / "free.wav", np.stack([near, near], axis=1), round(ROOM_MEASURES_RATE), subtype="FLOAT")
@@ -157,11 +156,9 @@ def test_a_measured_response(tmp_path: Path, rng: np.random.Generator) -> None:
 def test_a_clipped_response_is_told(gain: float, clipped: bool, tmp_path: Path, rng: np.random.Generator) -> None:
     """A file that its converter cut off has several samples in a row at full scale; a single one may be its peak."""
     soundfile.write(
-        tmp_path / "loud.wav",
-        np.clip(gain * decaying(0.5, 1.0, rng), -1.0, 1.0),
-        round(ROOM_MEASURES_RATE),
+        tmp_path / "loud.wav", np.clip(gain * decaying(0.5, 1.0, rng), -1.0, 1.0), round(ROOM_MEASURES_RATE),
         subtype="PCM_16",
-    )
+    )  # fmt: skip
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", clsim.ClsimWarning)
         clsim.room_measures(tmp_path / "loud.wav")
@@ -208,7 +205,7 @@ def test_files_that_hold_no_response(tmp_path: Path) -> None:
             clsim.speech_transmission(tmp_path / "short.wav", level)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("length", [1.0, 2.5])
+@pytest.mark.parametrize("length", few([1.0, 2.5]))
 @pytest.mark.parametrize("snr_db", [None, 0.0, 5.0, 10.0, 12.0])
 def test_noise_has_no_reverberation_time(snr_db: float | None, length: float, tmp_path, rng) -> None:
     """A decay of 1 s that little noise hides, and noise alone: times of 1.3 to 6 s were given as those of the room."""

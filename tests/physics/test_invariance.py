@@ -186,14 +186,10 @@ def test_company_changes_nothing(engine: str, rng) -> None:
     sources = [
         clsim.Source("a", TONE, moving[0], BEAMS["source"], aim=(1, 0, 0)),
         clsim.Source(
-            "b",
-            clsim.Signal.chirp(20e3, 60e3, 0.05, RATE, window="hann"),
-            moving[1],
-            BEAMS["source"],
-            aim=(0, -1, 0),
+            "b", clsim.Signal.chirp(20e3, 60e3, 0.05, RATE, window="hann"), moving[1], BEAMS["source"], aim=(0, -1, 0),
             start=0.0071,
         ),
-    ]
+    ]  # fmt: skip
     receivers = [
         clsim.Receiver("p", moving[2]), clsim.Receiver("q", moving[3], BEAMS["receiver"], aim=(-1, 0, 0)),
         clsim.Receiver("r", clsim.Trajectory.fixed((3.2, 2.5, 2.0))),

@@ -201,12 +201,8 @@ def test_what_is_rendered_is_what_the_paths_say(engine: str, measured: Any) -> N
     seconds = 0.2 if engine == "opencl" else 0.08
     n = np.arange(9_000, int(seconds * 192e3) - 100, 29)
     got = clsim.render(paths, 192e3, duration=seconds, engine=engine).pressure[0]
-    measured(
-        "air by height, rendered",
-        "each path's delay and gain in float64",
-        error_db(got[n], as_the_paths_say(paths, n / 192e3)),
-        -85.0,
-    )
+    error = error_db(got[n], as_the_paths_say(paths, n / 192e3))
+    measured("air by height, rendered", "each path's delay and gain in float64", error, -85.0)
 
 
 def test_bounds_hold() -> None:

@@ -158,15 +158,11 @@ def test_the_way_back_is_the_same(mesh):
 @pytest.mark.parametrize(
     ("mesh", "volume"),
     [
-        (box(SIZE), 60),
-        (cut_box(SIZE), 60),
-        (l_room(), 3 * (8 * 5 + 4 * 4)),
-        (pillar_room(), 3 * 79),
-        (hall(3), None),
+        (box(SIZE), 60), (cut_box(SIZE), 60), (l_room(), 3 * (8 * 5 + 4 * 4)), (pillar_room(), 3 * 79), (hall(3), None),
         (hall(), None),
     ],
     ids=["box", "cut box", "L", "pillar", "hall 3", "hall"],
-)
+)  # fmt: skip
 def test_made_rooms_are_watertight(mesh, volume):
     vertices, triangles = mesh
     assert vertices.dtype == np.float64

@@ -200,13 +200,9 @@ def test_turned_room_is_the_same_room(engine: str) -> None:
     size, s0, s1, r = np.array([10.0, 8, 6]), np.array([2.0, 3, 1]), np.array([2.5, 3, 2]), np.array([7.0, 5, 4])
     wall = clsim.Material.from_reflection(0.9)
     plain = heard(
-        clsim.Trajectory.line(s0, s1, 0.1),
-        clsim.Trajectory.fixed(r),
-        engine,
-        2,
-        duration=0.05,
+        clsim.Trajectory.line(s0, s1, 0.1), clsim.Trajectory.fixed(r), engine, 2, duration=0.05,
         room=clsim.Shoebox(size, wall),
-    )
+    )  # fmt: skip
     turned = heard(
         clsim.Trajectory.line(s0[turn], s1[turn], 0.1), clsim.Trajectory.fixed(r[turn]), engine, 2, duration=0.05,
         room=clsim.Shoebox(size[turn], wall),

@@ -92,9 +92,5 @@ def test_pieces_go_on_smoothly_beyond_the_plane(moving: str, engine: str, measur
         one = pieces.arrivals(np.array([row]), n / RATE)
         gain = pieces.response(np.array([row]), one, n / RATE, at)[0, :, 0]
         wanted = np.imag(gain * np.exp(2j * np.pi * TONE * (n / RATE - one.delay[0])))
-        measured(
-            "past a sheet, both sides of the cut",
-            "gains and delays of each path",
-            float(20.0 * np.log10(np.abs(heard[n] - wanted).max() / np.abs(gain).max())),
-            -85.0,
-        )
+        error = float(20.0 * np.log10(np.abs(heard[n] - wanted).max() / np.abs(gain).max()))
+        measured("past a sheet, both sides of the cut", "gains and delays of each path", error, -85.0)

@@ -145,13 +145,8 @@ def test_one_frequency_for_all_keeps_the_phase(engine: str) -> None:
     source = clsim.Source("s", tone, clsim.Trajectory.fixed((5.0, 2, 1)))
     world = clsim.Scene(clsim.Shoebox((8, 6, 3), HARD), AIR, [source], ears)
     made = clsim.render(
-        clsim.find_paths(world, 0),
-        RATE,
-        engine=engine,
-        duration=0.04,
-        responses="centre",
-        convolve_static=False,
-    ).pressure[0]
+        clsim.find_paths(world, 0), RATE, engine=engine, duration=0.04, responses="centre", convolve_static=False,
+    ).pressure[0]  # fmt: skip
     gain = OffCentre(2e-3).gain(1.0, 40e3, C) * 10 ** (-AIR.absorption_at(40e3) * 2.0 / 20) / 3.0
     times = np.arange(3000, 4000) / RATE
     wanted = np.real(gain * np.exp(2j * np.pi * 40e3 * (times - 3.0 / C)) / 1j)

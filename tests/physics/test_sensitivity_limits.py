@@ -43,10 +43,8 @@ def far(found: Any, wanted: Any) -> float:
 def test_the_delays_derivative_acts_on_the_signals_own_at_the_centre_frequency() -> None:
     """A tone at the centre in place of the chirp is 26 % off."""
     options: dict[str, Any] = {
-        "duration": 0.04,
-        "responses": "centre",
-        "interpolator": clsim.Bandlimited(error_db=-110.0),
-    }
+        "duration": 0.04, "responses": "centre", "interpolator": clsim.Bandlimited(error_db=-110.0),
+    }  # fmt: skip
     found = clsim.sensitivities(paths(), [PLACE], RATE, **options).jacobian[0]
     ahead, behind = (clsim.render(paths(3.2 + h), RATE, engine="reference", **options).pressure for h in (1e-4, -1e-4))
     wanted = (ahead.astype(float) - behind) / 2e-4

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from exhaustive import few
 from scipy.optimize import minimize
 
 from clsim.acoustics.scattering import ellipsoid_specular_point, ellipsoid_strength
@@ -104,7 +105,7 @@ def shortest_ways(axes: np.ndarray, source: np.ndarray, receiver: np.ndarray) ->
     return np.asarray(to + back)
 
 
-@pytest.mark.parametrize("aspect", [1.0, 3.9, 10.0, 80.0, 1e4])
+@pytest.mark.parametrize("aspect", few([1.0, 3.9, 10.0, 80.0, 1e4], (1, 4)))
 @pytest.mark.parametrize("plate", [False, True])
 def test_long_ellipsoids_reflect_where_the_way_is_shortest(aspect: float, plate: bool, rng) -> None:
     """Ends near poles and plates, both seen from a place of the surface: to 1e-9 m, after two steps from nearby."""

@@ -57,12 +57,8 @@ def test_what_is_heard_is_the_steady_echo_times_the_noise_at_the_time_of_scatter
         phase = 2.0 * np.pi * 20e3 * (times - sum(d) / C)
         exact += walls / (d[0] * d[1]) * np.imag(noise.at(times - late[p]) * np.exp(1j * phase))
     heard = clsim.render(paths, RATE, duration=0.075, engine=engine).pressure[0, round(0.05 * RATE) :]
-    measured(
-        "scatterers that fluctuate",
-        "law of the noise, path by path",
-        float(20.0 * np.log10(np.linalg.norm(heard - exact) / np.linalg.norm(exact))),
-        -85.0,
-    )
+    error = float(20.0 * np.log10(np.linalg.norm(heard - exact) / np.linalg.norm(exact)))
+    measured("scatterers that fluctuate", "law of the noise, path by path", error, -85.0)
 
 
 @pytest.mark.parametrize(

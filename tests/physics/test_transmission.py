@@ -61,12 +61,8 @@ def test_sheets_between_both_ends_are_the_mass_law(masses: tuple[float, ...], en
     heard = clsim.render(paths, RATE, duration=0.04, engine=engine).pressure[0]
     times = np.arange(2000, 6000) / RATE - apart / C
     exact = np.imag(wanted * np.exp(2j * np.pi * TONE * times))
-    measured(
-        "through sheets by the mass law, rendered",
-        "closed form",
-        float(decibels(np.abs(heard[2000:6000] - exact).max() / abs(wanted))),
-        -80.0,
-    )
+    error = float(decibels(np.abs(heard[2000:6000] - exact).max() / abs(wanted)))
+    measured("through sheets by the mass law, rendered", "closed form", error, -80.0)
 
 
 def test_a_table_of_losses_is_its_level() -> None:

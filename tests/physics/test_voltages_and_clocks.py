@@ -154,16 +154,11 @@ SCENE = scene_text(
         (3.0, 1.0, 1.5),
         transducer={"kind": "wav", "path": "response.wav", "scale": 0.01},
         electronics={
-            "self_noise_db": 10.0,
-            "seed": 1,
-            "gain_db": 60.0,
-            "adc_bits": 10,
-            "adc_full_scale": 0.2,
-            "clock_ppm": 30.0,
+            "self_noise_db": 10.0, "seed": 1, "gain_db": 60.0, "adc_bits": 10, "adc_full_scale": 0.2, "clock_ppm": 30.0,
         },
     ),
     render={"duration": 0.02, "engine": "reference"},
-)
+)  # fmt: skip
 
 
 def test_scene_files_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -36,16 +36,8 @@ def test_reprs_are_short() -> None:
     scene = clsim.Scene(box, clsim.Air(), [source], ears)
     paths = clsim.find_paths(scene, 1)
     values = [
-        scene,
-        box,
-        box.as_mesh(),
-        source,
-        source.signal,
-        ears[0],
-        paths,
-        paths.table([0.0, 0.5]),
-        clsim.track(paths),
-    ]
+        scene, box, box.as_mesh(), source, source.signal, ears[0], paths, paths.table([0.0, 0.5]), clsim.track(paths),
+    ]  # fmt: skip
     for value in values:
         shown = repr(value)
         assert shown.startswith(f"{type(value).__name__}("), shown

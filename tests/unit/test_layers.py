@@ -201,14 +201,8 @@ def test_help_loads_no_command() -> None:
 
 def test_a_run_without_pictures_loads_nothing_that_draws(tmp_path: Path) -> None:
     arguments = [
-        "run",
-        str(ROOT / "examples/circle.toml"),
-        "-o",
-        str(tmp_path / "out"),
-        "--duration",
-        "0.01",
-        "--no-plots",
-    ]
+        "run", str(ROOT / "examples/circle.toml"), "-o", str(tmp_path / "out"), "--duration", "0.01", "--no-plots",
+    ]  # fmt: skip
     loaded = loaded_by(f"from clsim.cli import main\nassert main({[*arguments, '--engine', 'reference']!r}) == 0")
     late = {"matplotlib", "trimesh", "xarray", "zarr", "h5py", "dask", "scipy.signal", "scipy.interpolate", "pyopencl"}
     assert "clsim.render.methods.per_sample" in loaded

@@ -4,6 +4,7 @@ import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -30,9 +31,20 @@ def files(*folders: str) -> list[Path]:
     return [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
 
 
+def documented(tree: ast.Module) -> Iterator[Any]:
+    """Yield a module, its classes and functions, and those within them and within other statements."""
+    left: list[Any] = [tree]
+    while left:
+        node = left.pop()
+        if isinstance(node, KINDS):
+            yield node
+        for part in ("body", "orelse", "finalbody", "handlers"):
+            left += getattr(node, part, [])
+
+
 def faults(text: str) -> list[str]:
     """Return the first paragraphs of docstrings that do not name the thing, or have long sentences."""
-    docs = [ast.get_docstring(node) or "" for node in ast.walk(ast.parse(text)) if isinstance(node, KINDS)]
+    docs = [ast.get_docstring(node) or "" for node in documented(ast.parse(text))]
     heads = [" ".join(doc.split("\n\n")[0].split()) for doc in docs]
     return [head for head in heads if EVASIVE.match(head) or max(map(len, map(str.split, sentences(head)))) > WORDS]
 
@@ -76,13 +88,10 @@ def test_identifiers_of_the_package_are_the_fields_words() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "Return what is heard.",
-        "Return by how much it grows.",
-        "Return whether it is.",
-        "Of a sphere, m.",
+        "Return what is heard.", "Return by how much it grows.", "Return whether it is.", "Of a sphere, m.",
         f"A {'very ' * 30}.",
     ],
-)
+)  # fmt: skip
 def test_what_does_not_name_it_is_seen(line: str) -> None:
     assert faults(f'class A:\n    def b(self):\n        """{line}\n\n        More.\n        """\n')
     assert faults('class A:\n    """A thing.\n\n    Of which there are many.\n    """\n') == []

@@ -16,17 +16,14 @@ from clsim.scene_file import load_scene
 
 SCENE = scene_text(
     source_at(
-        "robot",
-        tone_of(10e3, 0.5, 48e3, fade=0.005),
-        along((1, 1, 1), (2, 1, 1), 1.0),
-        directivity={"kind": "first-order", "weight": 0.5},
-        aim=(0, 1, 0),
+        "robot", tone_of(10e3, 0.5, 48e3, fade=0.005), along((1, 1, 1), (2, 1, 1), 1.0),
+        directivity={"kind": "first-order", "weight": 0.5}, aim=(0, 1, 0),
     ),
     receiver_at("left/1", (3.0, 1.0, 2.0)),
     receiver_at("right", (3.0, 2.0, 2.0)),
     max_order=2,
     rate=48e3,
-)
+)  # fmt: skip
 
 
 @pytest.fixture

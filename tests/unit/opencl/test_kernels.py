@@ -88,12 +88,9 @@ def test_pocl_builds_where_it_does_not_know_the_processor(tmp_path: Path) -> Non
     if not any(device.platform == "Portable Computing Language" for device in list_devices()):
         pytest.skip("no PoCL on this machine")
     done = subprocess.run(
-        [sys.executable, "-c", UNKNOWN],
-        env=os.environ | {"POCL_CACHE_DIR": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+        [sys.executable, "-c", UNKNOWN], env=os.environ | {"POCL_CACHE_DIR": str(tmp_path)}, capture_output=True,
+        text=True, check=True,
+    )  # fmt: skip
     if not done.stdout:
         pytest.skip("PoCL's description of its device does not tell the processor")
     refused, named, roots = done.stdout.splitlines()

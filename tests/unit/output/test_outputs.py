@@ -80,23 +80,14 @@ def large_table(rng: np.random.Generator, paths: int, times: int, order: int) ->
     delay = rng.random((paths, times))
     delay[3, 5:9] = np.nan
     return PathTable(
-        times=np.arange(times) / 100.0,
-        source=rng.integers(0, 2, paths, dtype=np.int32),
-        receiver=rng.integers(0, 3, paths, dtype=np.int32),
-        order=np.full(paths, order, dtype=np.int32),
-        interactions=np.zeros((paths, order), dtype=np.int8),
-        objects=rng.integers(0, 6, (paths, order), dtype=np.int8),
-        direct=np.zeros(paths, dtype=np.bool_),
-        delay=delay,
-        doppler_factor=rng.random((paths, times)),
-        doppler_shift=rng.random((paths, times)),
-        gain=rng.random((paths, times)),
-        departure=rng.random((paths, times, 3)),
-        arrival=rng.random((paths, times, 3)),
-        source_names=("robot", "beacon"),
-        receiver_names=("a", "b", "the one with the long name"),
-        object_names=WALLS,
-    )
+        times=np.arange(times) / 100.0, source=rng.integers(0, 2, paths, dtype=np.int32),
+        receiver=rng.integers(0, 3, paths, dtype=np.int32), order=np.full(paths, order, dtype=np.int32),
+        interactions=np.zeros((paths, order), dtype=np.int8), objects=rng.integers(0, 6, (paths, order), dtype=np.int8),
+        direct=np.zeros(paths, dtype=np.bool_), delay=delay, doppler_factor=rng.random((paths, times)),
+        doppler_shift=rng.random((paths, times)), gain=rng.random((paths, times)),
+        departure=rng.random((paths, times, 3)), arrival=rng.random((paths, times, 3)),
+        source_names=("robot", "beacon"), receiver_names=("a", "b", "the one with the long name"), object_names=WALLS,
+    )  # fmt: skip
 
 
 def test_parquet_is_written_in_pieces(tmp_path, rng: np.random.Generator) -> None:

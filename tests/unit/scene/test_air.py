@@ -32,24 +32,16 @@ def test_classical_absorption_far_above_relaxation_grows_with_the_square():
 @pytest.mark.parametrize(
     ("field", "value", "problem"),
     [
-        ("relative_humidity", 50, "50 per cent is 0.5"),
-        ("relative_humidity", -0.1, "at least 0"),
-        ("relative_humidity", 1000.0, "from 0 to 1"),
-        ("relative_humidity", float("nan"), "finite"),
-        ("temperature_celsius", 293.15, "at most 100 °C"),
-        ("temperature_celsius", -100.0, "at least -73 °C"),
-        ("temperature_celsius", "20", "must be a number"),
-        ("pressure", 1013.25, "at least 10000 Pa"),
-        ("pressure", 0.0, "at least"),
-        ("speed_of_sound", 0.0, "at least 100 m/s"),
-        ("speed_of_sound", "cramer", "iso9613"),
-        ("speed_of_sound", True, "must be a number"),
-        ("speed_of_sound", [343.0], "must be a number"),
-        ("absorption", 0, "must be True or False"),
-        ("absorption", "iso9613", "must be True or False"),
-        ("dispersion", None, "must be True or False"),
+        ("relative_humidity", 50, "50 per cent is 0.5"), ("relative_humidity", -0.1, "at least 0"),
+        ("relative_humidity", 1000.0, "from 0 to 1"), ("relative_humidity", float("nan"), "finite"),
+        ("temperature_celsius", 293.15, "at most 100 °C"), ("temperature_celsius", -100.0, "at least -73 °C"),
+        ("temperature_celsius", "20", "must be a number"), ("pressure", 1013.25, "at least 10000 Pa"),
+        ("pressure", 0.0, "at least"), ("speed_of_sound", 0.0, "at least 100 m/s"),
+        ("speed_of_sound", "cramer", "iso9613"), ("speed_of_sound", True, "must be a number"),
+        ("speed_of_sound", [343.0], "must be a number"), ("absorption", 0, "must be True or False"),
+        ("absorption", "iso9613", "must be True or False"), ("dispersion", None, "must be True or False"),
     ],
-)
+)  # fmt: skip
 def test_bad_values_are_refused_by_name(field, value, problem):
     with pytest.raises(InputError, match=problem) as error:
         Air(**{field: value})

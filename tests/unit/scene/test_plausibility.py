@@ -237,12 +237,9 @@ def test_no_ray_through_an_edge_makes_an_inside(rng: np.random.Generator) -> Non
 
 
 SCENE = scene_text(
-    source_at("s", tone_of(40.0, 0.002), (4.0, 3.0, 1.5)),
-    receiver_at("r", (4.5, 3.0, 1.5)),
-    room=shoebox_of(8e3, 6e3, 3e3),
-    max_order=0,
-    render={"engine": "reference", "responses": "centre"},
-)
+    source_at("s", tone_of(40.0, 0.002), (4.0, 3.0, 1.5)), receiver_at("r", (4.5, 3.0, 1.5)),
+    room=shoebox_of(8e3, 6e3, 3e3), max_order=0, render={"engine": "reference", "responses": "centre"},
+)  # fmt: skip
 STUDY = """
 format = 1
 scene = "scene.toml"

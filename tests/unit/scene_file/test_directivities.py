@@ -56,10 +56,8 @@ def test_tables_by_path(folder: Path) -> None:
 
 def test_a_struct_by_its_fields(folder: Path) -> None:
     field = {
-        "a": np.radians([0.0, 45.0, 90.0]),
-        "f": [30e3, 50e3],
-        "X": np.array([[1.0, 0.8, 0.3], [1.0, 0.5, 0.1]]) + 0j,
-    }
+        "a": np.radians([0.0, 45.0, 90.0]), "f": [30e3, 50e3], "X": np.array([[1.0, 0.8, 0.3], [1.0, 0.5, 0.1]]) + 0j,
+    }  # fmt: skip
     scipy.io.savemat(folder / "beam.mat", {"L10R": field})
     told = 'variable = "L10R", angle = "a", frequency = "f", values = "X", angle_unit = "radian", rear = "hold"'
     beam = scene(folder, f'{{ kind = "table", path = "beam.mat", {told} }}').sources[0].directivity

@@ -61,24 +61,14 @@ def test_an_impulse_response_that_sends_back_too_much_is_refused_or_clipped_with
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [
-        ({"samples": []}, "samples"),
-        ({"samples": [0.0, 0.0]}, "samples"),
-        ({"samples": [0.5, np.nan]}, "samples[1]"),
-        ({"samples": [[0.5]]}, "samples"),
-        ({"samples": np.full(2**17 + 1, 1e-9)}, "samples"),
-        ({"sampling_rate": 0.0}, "sampling_rate"),
-        ({"sampling_rate": None}, "sampling_rate"),
-        ({"reference": np.inf}, "reference"),
-        ({"band": (2e3, 1e3)}, "band"),
-        ({"band": (0.0, 97e3)}, "band"),
-        ({"band": (-1.0, 9e3)}, "band"),
-        ({"band": (1e3,)}, "band"),
-        ({"tolerance": -0.1}, "tolerance"),
-        ({"tolerance": 1.1}, "tolerance"),
-        ({"outside": "zero"}, "outside"),
-        ({"name": 1}, "name"),
+        ({"samples": []}, "samples"), ({"samples": [0.0, 0.0]}, "samples"), ({"samples": [0.5, np.nan]}, "samples[1]"),
+        ({"samples": [[0.5]]}, "samples"), ({"samples": np.full(2**17 + 1, 1e-9)}, "samples"),
+        ({"sampling_rate": 0.0}, "sampling_rate"), ({"sampling_rate": None}, "sampling_rate"),
+        ({"reference": np.inf}, "reference"), ({"band": (2e3, 1e3)}, "band"), ({"band": (0.0, 97e3)}, "band"),
+        ({"band": (-1.0, 9e3)}, "band"), ({"band": (1e3,)}, "band"), ({"tolerance": -0.1}, "tolerance"),
+        ({"tolerance": 1.1}, "tolerance"), ({"outside": "zero"}, "outside"), ({"name": 1}, "name"),
     ],
-)
+)  # fmt: skip
 def test_bad_impulse_responses_are_refused_by_name(arguments, field):
     with pytest.raises(InputError) as error:
         Material.from_impulse_response(**{"samples": [0.5], "sampling_rate": 192e3} | arguments)

@@ -201,10 +201,8 @@ def test_a_table_of_one_row():
 
 
 TABLES = {
-    "coefficients": Material.from_absorption,
-    "factors": Material.from_table,
-    "impedances": Material.from_impedance,
-}
+    "coefficients": Material.from_absorption, "factors": Material.from_table, "impedances": Material.from_impedance,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("values", TABLES)

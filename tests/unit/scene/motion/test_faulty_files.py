@@ -174,31 +174,17 @@ def test_missing_file_folder_and_binary_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [
-        ({"format": "kitti"}, "format"),
-        ({"smooth": "strong"}, "smooth"),
-        ({"smooth": 0.0}, "smooth"),
-        ({"smooth": math.nan}, "smooth"),
-        ({"time_offset": math.inf}, "time_offset"),
-        ({"rotate": (0, 0, 0, 2)}, "rotate"),
-        ({"rotate": (0, 0, 1)}, "rotate"),
-        ({"scale": 0.0}, "scale"),
-        ({"scale": -1.0}, "scale"),
-        ({"translate": (0, 0)}, "translate"),
-        ({"columns": ["t"]}, "columns"),
-        ({"columns": {"t": 1}}, "columns"),
-        ({"columns": {"time": "t"}}, "columns"),
-        ({"columns": {"t": "clock"}}, "columns.t"),
-        ({"columns": {"t": "t"}, "format": "tum"}, "columns"),
-        ({"time_scale": 0.0}, "time_scale"),
-        ({"time_scale": 1e-3, "format": "euroc"}, "time_scale"),
-        ({"repair": "gaps"}, "repair"),
-        ({"repair": ("gaps", "gap")}, "repair[1]"),
-        ({"max_speed": 0.0}, "max_speed"),
-        ({"max_gap": -1.0}, "max_gap"),
-        ({"path": 3}, "path"),
-        ({"path": ""}, "path"),
+        ({"format": "kitti"}, "format"), ({"smooth": "strong"}, "smooth"), ({"smooth": 0.0}, "smooth"),
+        ({"smooth": math.nan}, "smooth"), ({"time_offset": math.inf}, "time_offset"),
+        ({"rotate": (0, 0, 0, 2)}, "rotate"), ({"rotate": (0, 0, 1)}, "rotate"), ({"scale": 0.0}, "scale"),
+        ({"scale": -1.0}, "scale"), ({"translate": (0, 0)}, "translate"), ({"columns": ["t"]}, "columns"),
+        ({"columns": {"t": 1}}, "columns"), ({"columns": {"time": "t"}}, "columns"),
+        ({"columns": {"t": "clock"}}, "columns.t"), ({"columns": {"t": "t"}, "format": "tum"}, "columns"),
+        ({"time_scale": 0.0}, "time_scale"), ({"time_scale": 1e-3, "format": "euroc"}, "time_scale"),
+        ({"repair": "gaps"}, "repair"), ({"repair": ("gaps", "gap")}, "repair[1]"), ({"max_speed": 0.0}, "max_speed"),
+        ({"max_gap": -1.0}, "max_gap"), ({"path": 3}, "path"), ({"path": ""}, "path"),
     ],
-)
+)  # fmt: skip
 def test_bad_arguments_are_refused_by_name(tmp_path, rows, arguments, field):
     with pytest.raises(InputError) as caught:
         Trajectory.from_file(**({"path": write(tmp_path / "a.csv", rows), "format": "csv"} | arguments))

@@ -76,14 +76,10 @@ def test_circle_phase_is_an_angle_forward():
 @pytest.mark.parametrize(
     ("axis", "e1"),
     [
-        ((0, 0, 5), (1, 0, 0)),
-        ((0, 0, -1), (1, 0, 0)),
-        ((0, 1e-9, 0), (1, 0, 0)),
-        ((2, 0, 0), (0, 1, 0)),
-        ((-1, 0, 0), (0, 1, 0)),
-        ((1, 0, 1), (math.sqrt(0.5), 0, -math.sqrt(0.5))),
+        ((0, 0, 5), (1, 0, 0)), ((0, 0, -1), (1, 0, 0)), ((0, 1e-9, 0), (1, 0, 0)), ((2, 0, 0), (0, 1, 0)),
+        ((-1, 0, 0), (0, 1, 0)), ((1, 0, 1), (math.sqrt(0.5), 0, -math.sqrt(0.5))),
     ],
-)
+)  # fmt: skip
 def test_circle_about_any_axis_keeps_to_the_right_hand_rule(axis, e1):
     circle = Trajectory.circle((0, 0, 0), 1.0, 1.0, 1.0, axis=axis)
     t = np.linspace(0.0, 1.0, 17)

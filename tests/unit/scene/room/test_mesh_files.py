@@ -330,12 +330,10 @@ def test_up(tmp_path, up, turned):
 @pytest.mark.parametrize(
     ("more", "field", "part"),
     [
-        ({"scale": 0.0}, "scale", "at least 1e-09"),
-        ({"scale": math.nan}, "scale", "finite"),
-        ({"scale": "1"}, "scale", "a number"),
-        ({"up": "w"}, "up", 'one of "x", "y", "z"'),
+        ({"scale": 0.0}, "scale", "at least 1e-09"), ({"scale": math.nan}, "scale", "finite"),
+        ({"scale": "1"}, "scale", "a number"), ({"up": "w"}, "up", 'one of "x", "y", "z"'),
     ],
-)
+)  # fmt: skip
 def test_arguments(tmp_path, more, field, part):
     error = refused(write(tmp_path, obj(flat(L_SHAPE))), **more)
     assert error.field == field

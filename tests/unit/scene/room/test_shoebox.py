@@ -143,15 +143,10 @@ def test_bad_walls_are_refused_by_name(walls, field, problem):
 @pytest.mark.parametrize(
     ("size", "field"),
     [
-        ((8, 0, 3), "size[1]"),
-        ((8, 6, -3), "size[2]"),
-        ((8, np.nan, 3), "size[1]"),
-        ((8, 6), "size"),
-        (8, "size"),
-        ("room", "size"),
-        (None, "size"),
+        ((8, 0, 3), "size[1]"), ((8, 6, -3), "size[2]"), ((8, np.nan, 3), "size[1]"), ((8, 6), "size"), (8, "size"),
+        ("room", "size"), (None, "size"),
     ],
-)
+)  # fmt: skip
 def test_bad_sizes_are_refused_by_name(size, field):
     with pytest.raises(InputError) as error:
         Shoebox(size, HARD)

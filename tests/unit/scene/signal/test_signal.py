@@ -100,13 +100,11 @@ def test_train_is_its_pulse_in_every_period() -> None:
 @pytest.mark.parametrize(
     "signal",
     [
-        Signal.tone(40e3, 600.0, RATE, fade=1.0),
-        Signal.chirp(20e3, 80e3, 600.0, RATE, window="hann"),
-        Signal.pulses(PULSE, 0.1, 6000),
-        Signal.noise(600.0, RATE, seed=1, band=(30e3, 50e3)),
+        Signal.tone(40e3, 600.0, RATE, fade=1.0), Signal.chirp(20e3, 80e3, 600.0, RATE, window="hann"),
+        Signal.pulses(PULSE, 0.1, 6000), Signal.noise(600.0, RATE, seed=1, band=(30e3, 50e3)),
     ],
     ids=["tone", "chirp", "pulses", "noise"],
-)
+)  # fmt: skip
 def test_ten_minutes_are_never_held_whole(signal: Signal) -> None:
     tracemalloc.start()
     signal.read(50_000_000, 50_065_536)
