@@ -125,8 +125,7 @@ class TruncatedLagrange(Interpolator):
         as_count("length", self.length, at_least=2, at_most=self.order + 1)
         if (self.order + 1 - self.length) % 2:
             raise InputError(
-                "length",
-                f"must differ from order + 1 = {self.order + 1} by an even number, but is {self.length}",
+                "length", f"must differ from order + 1 = {self.order + 1} by an even number, but is {self.length}"
             )
 
     def _bank(self, edge: float, max_rate: float, importance: tuple[float, ...]) -> Bank:

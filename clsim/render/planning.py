@@ -206,8 +206,7 @@ class Request:
             duration = min(last, end + longest + self.ringing)
         elif duration > last * (1 + 1e-12) + 0.5 / rate:
             raise InputError(
-                "duration",
-                f"must end while all that moves is known, {last:g} s ({what}), but is {duration:g} s",
+                "duration", f"must end while all that moves is known, {last:g} s ({what}), but is {duration:g} s"
             )
         return max(1, math.ceil(duration * rate - 1e-6))
 

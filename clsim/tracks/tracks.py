@@ -111,12 +111,7 @@ class Tracks(ABC):
         """
 
     def evaluate_together(
-        self,
-        pairs: Sequence[int],
-        times: Floats,
-        basis: Basis,
-        rows: NDArray[np.int64] | None = None,
-        every: int = 1,
+        self, pairs: Sequence[int], times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> list[tuple[Floats, Floats, Floats]]:
         """Return delays (P, T), s, rates and gains as of `evaluate`, of pairs of the same `paths_of`.
 
@@ -279,12 +274,7 @@ class SceneTracks(Tracks):
         return self.evaluate_together([pair], times, basis, rows, every)[0]
 
     def evaluate_together(
-        self,
-        pairs: Sequence[int],
-        times: Floats,
-        basis: Basis,
-        rows: NDArray[np.int64] | None = None,
-        every: int = 1,
+        self, pairs: Sequence[int], times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> list[tuple[Floats, Floats, Floats]]:
         """Solve the paths once that pairs have in common, as those of both ears."""
         of_pairs = [self.pair_paths[i] if rows is None else self.pair_paths[i].part(rows) for i in pairs]

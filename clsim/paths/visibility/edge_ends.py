@@ -22,15 +22,7 @@ from clsim.acoustics.edge_gap import Crossing, EdgeGap
 from clsim.arrays import Floats
 from clsim.paths.vertices.edge_events import MEETING, OF_LAST, TWO_ENDS
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status, turned
-from clsim.paths.visibility.edges import (
-    FAR,
-    Course,
-    EdgeCandidates,
-    EdgeStance,
-    EdgeVisibility,
-    End,
-    beside_faces,
-)
+from clsim.paths.visibility.edges import FAR, Course, EdgeCandidates, EdgeStance, EdgeVisibility, End, beside_faces
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
