@@ -97,7 +97,8 @@ def test_ten_minutes_later(engine: str, rng, begin: float, measured: Any) -> Non
     rate = 192e3
     signal, formula = tone_and_formula(0.8 * rate / 2, rate, 0.01, begin + 1.0)
     scene, source, receiver = moving_scene(rng, signal)
-    plan = plan_render(clsim.find_paths(scene, 3), rate, responses="centre", engine=engine, duration=begin + 0.5)
+    options = {"responses": "centre", "engine": engine, "duration": begin + 0.5, "narrowband": False}
+    plan = plan_render(clsim.find_paths(scene, 3), rate, **options)
     start = int(begin * rate) // SEGMENT * SEGMENT
     kind, length = (OpenclEngine, SEGMENT) if engine == "opencl" else (ReferenceEngine, WINDOW)
     made = kind(plan).render(start, start + length)[0]
