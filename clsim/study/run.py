@@ -7,7 +7,6 @@ import os
 import shutil
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +33,8 @@ from clsim.study.member import (
 )  # fmt: skip
 from clsim.study.shards import FOLDER as SHARDS
 from clsim.study.shards import WAITING, Shards
-from clsim.version import __version__
 from clsim.workflow.console import Progress, no_progress
+from clsim.workflow.pieces import versions
 from clsim.workflow.processes import Dispatch, local_devices
 from clsim.workflow.result_folder import first_difference
 from clsim.workflow.workers import Workers
@@ -318,7 +317,7 @@ def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
     module = study.folder / f"{study.metrics.partition(':')[0]}.py"
     named = sorted(files | ({module} if study.metrics and module.exists() else set()))
     made_by = {
-        "versions": {"clsim": __version__, "numpy": np.__version__, "scipy": version("scipy")},
+        "versions": versions(),
         "contents": {str(path): sha256_of(path) for path in named},
     }
     settings = study_to_settings(study) | {"made_by": made_by}
