@@ -109,7 +109,12 @@ def _rates(device: str) -> tuple[float, float]:
     """Return path-samples a second of the render stage and of the tracks, kernels being built."""
     walk = Trajectory.circle((3.0, 2.5, 1.5), 1.0, 1.047, _LONG)
     source = Source("s", Signal.tone(40e3, _LONG, RATE, fade=0.01), walk)
-    scene = Scene(Shoebox(_SIZE, _wall(0.9)), Air(), [source], [Receiver("r", Trajectory.fixed((1.0, 1.0, 2.0)))])
+    scene = Scene(
+        Shoebox(_SIZE, Material.from_reflection(0.9)),
+        Air(),
+        [source],
+        [Receiver("r", Trajectory.fixed((1.0, 1.0, 2.0)))],
+    )
     plan = plan_render(find_paths(scene, _ORDER), RATE, device=device, duration=_LONG, responses="centre")
     OpenclEngine(plan).render(0, plan.samples)
     engine = _TimedEngine(plan)
@@ -120,10 +125,6 @@ def _rates(device: str) -> tuple[float, float]:
     return work / (spent - engine.seconds), work / engine.seconds
 
 
-def _wall(factor: float) -> Material:
-    return Material.from_reflection(factor)
-
-
 def _plans(device: str) -> dict[str, Plan]:
     """Return the compared plans, by subject."""
     tone = Signal.tone(40e3, _DURATION, RATE, fade=0.005)
@@ -131,10 +132,10 @@ def _plans(device: str) -> dict[str, Plan]:
     pulses = Signal.pulses(Signal.chirp(38e3, 42e3, 1e-3, RATE, window="hann"), 0.012, 2)
     narrow = Signal.chirp(39.5e3, 40.5e3, _DURATION, RATE, window="tukey")
     curtain = Material.from_absorption([20e3, 40e3, 60e3], [0.1, 0.4, 0.5])
-    box = Shoebox(_SIZE, [curtain, *map(_wall, (-0.8, 0.7, 0.6, -0.5, 0.8))])
+    box = Shoebox(_SIZE, [curtain, *map(Material.from_reflection, (-0.8, 0.7, 0.6, -0.5, 0.8))])
     hard = Shoebox(_SIZE, Material.from_impedance([20e3, 40e3, 60e3], [3.0 - 1.0j, 2.0 - 0.4j, 1.5 + 0.3j]))
     corners = np.array([(2.5, 1.5, 0.0), (2.5, 2.275, 0.0), (2.5, 2.275, 3.0), (2.5, 1.5, 3.0)])
-    screen = MeshRoom(corners, np.array([(0, 1, 2), (0, 2, 3)]), _wall(0.9))
+    screen = MeshRoom(corners, np.array([(0, 1, 2), (0, 2, 3)]), Material.from_reflection(0.9))
     beams = (Piston(0.004), FirstOrder(0.4))
     return {
         "functions of frequency": _plan(device, box, sweep, beams),

@@ -35,16 +35,15 @@ class MeasuredState:
     participants: dict[str, dict[str, Floats]]  # values that other programs found, likewise, by program
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Aim:
+class Aim(Model):
     """How near to the measurement a simulation is meant to be."""
 
-    parameters: tuple[str, ...]
-    states: tuple[str, ...]
+    parameters: list[str]
+    states: list[str]
     low: float  # Hz, of the lowest band's centre
     high: float  # Hz, of the highest one's
     most: float
-    unit: str  # "JND" for the mean over bands and pairs; "%" or "dB" for the largest difference of a band's mean
+    unit: Literal["JND", "%", "dB"] = "JND"  # JND: mean over bands and pairs; else largest difference of a band's mean
     remark: str = ""
 
     def bands(self, room: MeasuredRoom) -> NDArray[np.bool_]:
@@ -73,16 +72,6 @@ class _State(Model):
     deviation: dict[str, Rows] = {}
 
 
-class _Aim(Model):
-    parameters: list[str]
-    states: list[str]
-    low: float
-    high: float
-    most: float
-    unit: Literal["JND", "%", "dB"] = "JND"
-    remark: str = ""
-
-
 class _File(Model):
     name: str
     source: str
@@ -92,7 +81,7 @@ class _File(Model):
     pairs: list[list[str]] = []
     participants: str | None = None
     states: dict[str, _State]
-    aims: list[_Aim] = []
+    aims: list[Aim] = []
 
 
 class _Participants(Model):
@@ -126,8 +115,7 @@ def measured_room(name: str) -> MeasuredRoom:
     key = name if name in BUILT_IN else path.parent.name or path.stem
     return MeasuredRoom(
         key, file.name, file.source, tuple(file.notes), file.bands, np.array(file.frequencies),
-        tuple((pair[0], pair[1]) for pair in file.pairs), tuple(states),
-        tuple(_aim(path, i, aim, states) for i, aim in enumerate(file.aims)),
+        tuple((pair[0], pair[1]) for pair in file.pairs), tuple(states), _checked(path, file.aims, states),
     )  # fmt: skip
 
 
@@ -159,17 +147,17 @@ def _array(path: Path, field: str, rows: Rows, shape: tuple[int, int]) -> Floats
     return np.array(rows, dtype=np.float64)
 
 
-def _aim(path: Path, i: int, aim: _Aim, states: list[MeasuredState]) -> Aim:
-    """Make an aim, or refuse one of states or parameters that were not measured."""
-    for name in aim.states:
-        state = next((state for state in states if state.name == name), None)
-        if state is None:
-            raise InputError(str(path), f"aims[{i}].states {not_one_of(name, [state.name for state in states])}")
-        for parameter in aim.parameters:
-            if parameter not in state.mean:
-                raise InputError(str(path), f"aims[{i}].parameters {not_one_of(parameter, state.mean)}")
-    given = aim.arguments()
-    return Aim(**given | {"parameters": tuple(aim.parameters), "states": tuple(aim.states)})
+def _checked(path: Path, aims: list[Aim], states: list[MeasuredState]) -> tuple[Aim, ...]:
+    """Refuse aims of states or parameters that were not measured."""
+    for i, aim in enumerate(aims):
+        for name in aim.states:
+            state = next((state for state in states if state.name == name), None)
+            if state is None:
+                raise InputError(str(path), f"aims[{i}].states {not_one_of(name, [state.name for state in states])}")
+            for parameter in aim.parameters:
+                if parameter not in state.mean:
+                    raise InputError(str(path), f"aims[{i}].parameters {not_one_of(parameter, state.mean)}")
+    return tuple(aims)
 
 
 NAME = "bras-cr2"
@@ -206,7 +194,7 @@ def bras_room(folder: Path) -> MeasuredRoom:
     about, states = _read(path, _File), [MeasuredState("as measured", scene, values, {}, {})]
     return MeasuredRoom(
         NAME, about.name, about.source, tuple(about.notes), about.bands, frequencies, (), tuple(states),
-        tuple(_aim(path, i, aim, states) for i, aim in enumerate(about.aims)),
+        _checked(path, about.aims, states),
     )  # fmt: skip
 
 
