@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -150,17 +149,6 @@ class HostRays:
                 _Traced(run, layout, energies, group, rays).trace()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Passage:
-    """Passages of rays through a zone, n of them."""
-
-    zone: int
-    rows: Ints  # (n,) of the rays
-    direction: Float32s  # (n, 3)
-    length: Float32s  # (n,) way from the source, m
-    weight: Float32s  # (n,) what energies are multiplied by
-
-
 class _Traced:
     """Rays of one group of bands under way."""
 
@@ -215,7 +203,7 @@ class _Traced:
         of_images = ~self._scattered[rows] & (order <= self._run.max_order)
         length, direction = self._travelled[rows] + middle, self._d[rows]
         for mask, images in ((of_images, True), (~of_images, False)):
-            self._record(_Passage(zone, rows[mask], direction[mask], length[mask], weight[mask]), images=images)
+            self._record(zone, rows[mask], direction[mask], length[mask], weight[mask], images=images)
 
     def _is_rained_on(self, far: Float32s, height: Float32s) -> Ints:
         radius = np.float32(self._to.radius)
@@ -305,14 +293,17 @@ class _Traced:
             rows, there = rows[~rows_hidden], there[~rows_hidden]
         square, above, far = square[rows], above[rows], far[rows]
         weight = share[rows] * above / (PI * square * far) * np.float32(self._to.scale)
-        self._record(_Passage(zone, rows, there, self._travelled[rows] + far, weight), images=False)
+        self._record(zone, rows, there, self._travelled[rows] + far, weight, images=False)
 
-    def _record(self, p: _Passage, *, images: bool) -> None:
-        good = (p.length >= 0.0) & (p.weight > 0.0)
-        rows, direction, weight = p.rows[good], p.direction[good], p.weight[good]
-        to, e, zone = self._to, self._energies, p.zone
-        bin_ = (p.length[good] * np.float32(1.0 / to.per_bin)).astype(np.int64)
-        window = (p.length[good] * np.float32(1.0 / to.per_window)).astype(np.int64)
+    def _record(
+        self, zone: int, rows: Ints, direction: Float32s, length: Float32s, weight: Float32s, *, images: bool
+    ) -> None:
+        """Add passages of rays through a zone after ways (n,), m; weights (n,) are what energies are multiplied by."""
+        good = (length >= 0.0) & (weight > 0.0)
+        rows, direction, length, weight = rows[good], direction[good], length[good], weight[good]
+        to, e = self._to, self._energies
+        bin_ = (length * np.float32(1.0 / to.per_bin)).astype(np.int64)
+        window = (length * np.float32(1.0 / to.per_window)).astype(np.int64)
         energy = self._energy[rows] * weight[:, None]
         whole = energy.astype(np.uint64)
         in_bins, bands = bin_ < to.bins, self._bands
