@@ -33,6 +33,7 @@ INDEX = "index.jsonl"
 SETTINGS = "study.json"
 PARTIAL = ".partial"
 DONE = ("finished", "failed")
+ROOT_ATTRIBUTES = {"clsim_store_format": STORE_FORMAT, "clsim_version": __version__}
 _STUDY = TypeAdapter(Study)
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -119,8 +120,17 @@ class Groups:
         return row_of_group(self._group(number))
 
     def discard(self, number: int) -> None:
-        """Delete the results of a member."""
-        discard(self._group(number))
+        """Delete the group of a member; it goes as a whole, so that nobody takes a part of it for all."""
+        group = self._group(number)
+        if not group.exists():
+            return
+        gone = self._folder / PARTIAL / f"{group.name}-{uuid.uuid4().hex}"
+        gone.parent.mkdir(exist_ok=True)
+        group.replace(gone)
+        if gone.is_dir():
+            shutil.rmtree(gone, ignore_errors=True)
+        else:
+            gone.unlink()
 
     def write(self, number: int, made: Computed, row: dict[str, Any]) -> None:
         """Write the results of a member."""
@@ -133,7 +143,7 @@ class Groups:
         tree_to_disk(made.group)  # the group gets its name when all is on the disk
         target = self._group(number)
         if row_of_group(target) is None:
-            discard(target)  # what is there is broken
+            self.discard(number)  # what is there is broken
             os.rename(made.group, target)  # noqa: PTH104  (fails where another worker was faster)
         to_disk(target.parent)
 
@@ -210,24 +220,6 @@ def study_to_settings(study: Study) -> dict[str, Any]:
     """Return a study as values for JSON."""
     settings: dict[str, Any] = _STUDY.dump_python(study, mode="json", exclude={"members": {"__all__": {"number"}}})
     return settings
-
-
-def discard(group: Path) -> None:
-    """Delete the group of a member; it goes as a whole, so that nobody takes a part of it for all."""
-    if not group.exists():
-        return
-    gone = group.parents[1] / PARTIAL / f"{group.name}-{uuid.uuid4().hex}"
-    gone.parent.mkdir(exist_ok=True)
-    group.replace(gone)
-    if gone.is_dir():
-        shutil.rmtree(gone, ignore_errors=True)
-    else:
-        gone.unlink()
-
-
-def root_attributes() -> dict[str, Any]:
-    """Return the root attributes of a study's store."""
-    return {"clsim_store_format": STORE_FORMAT, "clsim_version": __version__}
 
 
 def changed_results(store: Path) -> tuple[list[str], int]:

@@ -22,13 +22,13 @@ from clsim.study.file import DEFAULT_LIMIT, Member, Study, checked, load_study
 from clsim.study.member import (
     INDEX,
     PARTIAL,
+    ROOT_ATTRIBUTES,
     SETTINGS,
     STORE,
     Groups,
     MemberTasks,
     as_row,
     results_of,
-    root_attributes,
     study_to_settings,
 )  # fmt: skip
 from clsim.study.shards import FOLDER as SHARDS
@@ -127,7 +127,7 @@ def create_store(folder: Path) -> None:
     store = folder / STORE
     if not is_sealed(store):
         (store / "zarr.json").unlink(missing_ok=True)
-        uninterrupted(zarr.open_group, store, mode="a", zarr_format=3, attributes=root_attributes())
+        uninterrupted(zarr.open_group, store, mode="a", zarr_format=3, attributes=ROOT_ATTRIBUTES)
         seal(store)
 
 
@@ -144,7 +144,7 @@ def write_summary(folder: Path, index: Index) -> None:
             "error": ("member", texts(row.error for row in rows)),
         },
         coords={"member": [row.member for row in rows]},
-        attrs=root_attributes(),
+        attrs=ROOT_ATTRIBUTES,
     )
     for name in rows[0].parameters:
         column = _column([row.parameters[name] for row in rows])
