@@ -36,7 +36,9 @@ def prepare() -> str:
     """
     if os.name == "nt":  # PoCL does not come with pip there, and other drivers look after themselves
         return ""
-    if _trouble(_pyopencl_folder()) or not _pyopencl_cache_opens():
+    import platformdirs  # comes with PyOpenCL, which asks it too
+
+    if _trouble(Path(platformdirs.user_cache_dir("pytools", "pytools"))) or not _pyopencl_cache_opens():
         os.environ["PYOPENCL_NO_CACHE"] = "1"
         if "pyopencl" in sys.modules:
             vars(sys.modules["pyopencl"])["_PYOPENCL_NO_CACHE"] = True
@@ -63,12 +65,6 @@ def pocl_folder() -> Path:
         if os.environ.get(name):
             return Path(os.environ[name], below)
     return _SHARED
-
-
-def _pyopencl_folder() -> Path:
-    import platformdirs  # comes with PyOpenCL, which asks it too
-
-    return Path(platformdirs.user_cache_dir("pytools", "pytools"))
 
 
 def _pyopencl_cache_opens() -> bool:
