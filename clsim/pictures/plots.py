@@ -126,18 +126,10 @@ def spectrogram_picture(pressure: Readable, sampling_rate: float, path: str | os
 
 
 def draw_spectrogram(
-    figure: Figure,
-    axes: Axes,
-    pressure: Readable,
-    sampling_rate: float,
-    *,
-    title: str,
-    band: tuple[float, float] | None = None,
-    overlay: list[tuple[Floats, Floats, str]] | None = None,
-    segment: int | None = None,
-    unit: str = "Pa",
-    carrier: float | None = None,
-) -> None:
+    figure: Figure, axes: Axes, pressure: Readable, sampling_rate: float, *, title: str,
+    band: tuple[float, float] | None = None, overlay: list[tuple[Floats, Floats, str]] | None = None,
+    segment: int | None = None, unit: str = "Pa", carrier: float | None = None,
+) -> None:  # fmt: skip
     """Draw the level of pressure (n,), Pa, into axes, over it lines of times, s, and frequencies, Hz, with labels.
 
     carrier: of a complex envelope, Hz; the band is then about it.

@@ -96,17 +96,10 @@ class ViewedPaths:
 
 
 def page_text(
-    *,
-    title: str,
-    walls: Sequence[ViewedWall],
-    ends: Sequence[ViewedEnd],
-    times: Floats,
-    frames: Sequence[ViewedPaths],
-    notes: Sequence[str] = (),
-    edges: Floats | None = None,
-    bodies: Sequence[ViewedBody] = (),
+    *, title: str, walls: Sequence[ViewedWall], ends: Sequence[ViewedEnd], times: Floats, frames: Sequence[ViewedPaths],
+    notes: Sequence[str] = (), edges: Floats | None = None, bodies: Sequence[ViewedBody] = (),
     flaws: ViewedFlaws | None = None,
-) -> str:
+) -> str:  # fmt: skip
     """Return the text of one self-contained HTML page, the drawing library included.
 
     Shapes: times (F,) s; edges (E, 2, 3) m.
@@ -124,14 +117,9 @@ def page_text(
 
 
 def _document(
-    walls: Sequence[ViewedWall],
-    ends: Sequence[ViewedEnd],
-    times: Floats,
-    frames: Sequence[ViewedPaths],
-    edges: Floats | None,
-    bodies: Sequence[ViewedBody],
-    flaws: ViewedFlaws | None,
-) -> dict[str, Any]:
+    walls: Sequence[ViewedWall], ends: Sequence[ViewedEnd], times: Floats, frames: Sequence[ViewedPaths],
+    edges: Floats | None, bodies: Sequence[ViewedBody], flaws: ViewedFlaws | None,
+) -> dict[str, Any]:  # fmt: skip
     """Return the data of the page: fixed traces, changing traces, and their values per frame."""
     last = max(int(np.max(f.order, initial=0)) for f in frames)
     pairs = [pair for frame in frames for pair in frame.pairs]

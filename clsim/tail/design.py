@@ -127,13 +127,9 @@ class NoTailError(InputError):
 
 
 def find_tail(
-    scene: Scene,
-    source: int,
-    band: tuple[float, float],
-    zones: tuple[Zones, Zones],
-    options: TailOptions,
+    scene: Scene, source: int, band: tuple[float, float], zones: tuple[Zones, Zones], options: TailOptions,
     progress: Callable[[float], None] | None = None,
-) -> SourceTail:
+) -> SourceTail:  # fmt: skip
     """Return the tail of a source by rays; band (low, high) Hz."""
     of_source, of_receivers = zones
     centres = traced_bands(scene, *band)

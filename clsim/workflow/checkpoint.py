@@ -120,14 +120,9 @@ def run_identity(planned: PlannedScene) -> dict[str, Any]:
 
 
 def render_on_workers(
-    workers: Workers,
-    folder: Path,
-    plan: Plan,
-    store: SoundStore,
-    begun: tuple[int, State],
-    note: Callable[[int, State], None],
-    advance: Callable[[float], None],
-) -> None:
+    workers: Workers, folder: Path, plan: Plan, store: SoundStore, begun: tuple[int, State],
+    note: Callable[[int, State], None], advance: Callable[[float], None],
+) -> None:  # fmt: skip
     """Render a plan into a store by workers, from where it was; `note` gets each state without a gap on the disk."""
     here = workers.count()
     handed = Handed.of(plan, store, _BLOCKS * (here or _UNKNOWN))

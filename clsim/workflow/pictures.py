@@ -41,13 +41,9 @@ _MOST_INSTANTS = 3000  # of lines in a picture, more than it has columns
 
 
 def draw_pictures(
-    planned: PlannedScene,
-    times: Floats,
-    store: SoundStore,
-    results: ResultFolder,
-    outputs: RunOutputs,
+    planned: PlannedScene, times: Floats, store: SoundStore, results: ResultFolder, outputs: RunOutputs,
     missing: list[str],
-) -> None:
+) -> None:  # fmt: skip
     """Draw the missing plots at times (T,), s; one that fails becomes a warning."""
     left_out = len(outputs.receivers) - len(outputs.drawn)
     if left_out:
