@@ -230,15 +230,9 @@ def paths_page(paths: Any, *, title: str, **options: Any) -> str:
 
 
 def viewed(
-    paths: Any,
-    *,
-    duration: float,
-    frames: int = 120,
-    limit: int = 300,
-    motion: str = "retarded",
-    amplitude: str = "wave-equation",
-    progress: Callable[[float], None] | None = None,
-) -> dict[str, Any]:
+    paths: Any, *, duration: float, frames: int = 120, limit: int = 300, motion: str = "retarded",
+    amplitude: str = "wave-equation", progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Return the room, the trajectories and the paths of a `PathSet` over time, as `page_text` draws them.
 
     Edges are those that diffract, where paths over edges were looked for.
