@@ -219,12 +219,9 @@ def _fraction(turns: Floats) -> Floats:
 
 
 def _reach(
-    pairs: list[tuple[NDArray[np.int64], PairPaths]],
-    times: Floats,
-    kinematics: Kinematics,
-    sampling_rate: float,
+    pairs: list[tuple[NDArray[np.int64], PairPaths]], times: Floats, kinematics: Kinematics, sampling_rate: float,
     reach: int,
-) -> tuple[int, int]:
+) -> tuple[int, int]:  # fmt: skip
     """Return the first tap, 0 or less, and the last that paths need at times."""
     earliest, latest = math.inf, 0.0
     for rows, pair in pairs:

@@ -76,11 +76,9 @@ class ImpulseResponse:
 
 
 def impulse_response(
-    delays: Floats,
-    responses: Callable[[Floats, NDArray[np.int64]], Floats | Complexes],
-    sampling_rate: float,
+    delays: Floats, responses: Callable[[Floats, NDArray[np.int64]], Floats | Complexes], sampling_rate: float,
     band: ResponseBand,
-) -> ImpulseResponse:
+) -> ImpulseResponse:  # fmt: skip
     """Return the impulse response of paths, exact over a band.
 
     Shapes: delays (P,) s.
@@ -123,12 +121,9 @@ def summed(responses: list[ImpulseResponse]) -> ImpulseResponse:
 
 
 def _skeleton(
-    responses: Callable[[Floats, NDArray[np.int64]], Floats | Complexes],
-    count: int,
-    span: int,
-    sampling_rate: float,
+    responses: Callable[[Floats, NDArray[np.int64]], Floats | Complexes], count: int, span: int, sampling_rate: float,
     band: ResponseBand,
-) -> tuple[NDArray[np.int64], Floats]:
+) -> tuple[NDArray[np.int64], Floats]:  # fmt: skip
     """Return a few paths (K,) and weights (P, K) with which their responses make up those of all paths."""
     from scipy.linalg.interpolative import interp_decomp
 
@@ -158,14 +153,10 @@ def _skeleton(
 
 
 def _synthesis(
-    late: Floats,
-    few: NDArray[np.int64],
-    weights: Floats,
-    responses: Callable[[Floats, NDArray[np.int64]], Floats | Complexes],
-    sampling_rate: float,
-    band: ResponseBand,
+    late: Floats, few: NDArray[np.int64], weights: Floats,
+    responses: Callable[[Floats, NDArray[np.int64]], Floats | Complexes], sampling_rate: float, band: ResponseBand,
     size: int,
-) -> Floats:
+) -> Floats:  # fmt: skip
     """Return taps (size,) for delays (P,) in samples, around the end of which they go on at the beginning."""
     from scipy.fft import irfft
 
@@ -191,14 +182,9 @@ def _trimmed(taps: Floats, first: int) -> ImpulseResponse:
 
 
 def frozen_responses(
-    pair: PairPaths,
-    time: float,
-    sampling_rate: float,
-    band: ResponseBand,
-    *,
-    later: float = 0.0,
+    pair: PairPaths, time: float, sampling_rate: float, band: ResponseBand, *, later: float = 0.0,
     centre: float | None = None,
-) -> list[ImpulseResponse]:
+) -> list[ImpulseResponse]:  # fmt: skip
     """Return the impulse response of each channel of a pair's receiver at a time, as if nothing moved.
 
     centre: frequency at which air, walls and directivities are taken, Hz; each at its own when left out.

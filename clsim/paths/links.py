@@ -201,12 +201,9 @@ def in_chunks(
 
 
 def met_in_order(
-    counts: tuple[int, int],
-    before: Integers,
-    vertex: tuple[int, Integers] | None,
-    after: Integers | None,
+    counts: tuple[int, int], before: Integers, vertex: tuple[int, Integers] | None, after: Integers | None,
     between: Integers | None = None,
-) -> tuple[Integers, Integers]:
+) -> tuple[Integers, Integers]:  # fmt: skip
     """Make interactions and objects (P, N) of paths from their surfaces, and from interaction and objects of vertices.
 
     Counts are those of walls, and of these and the faces of bodies.

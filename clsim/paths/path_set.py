@@ -228,15 +228,9 @@ class PathSet:
         )
 
     def taps(
-        self,
-        times: Floats,
-        *,
-        carrier: float,
-        bandwidth: float,
-        sampling_rate: float,
-        motion: str = "retarded",
+        self, times: Floats, *, carrier: float, bandwidth: float, sampling_rate: float, motion: str = "retarded",
         amplitude: str = "wave-equation",
-    ) -> ChannelTaps:
+    ) -> ChannelTaps:  # fmt: skip
         """Return the channel as a filter of complex envelopes that changes with time, exact over a band.
 
         Parameters
@@ -274,14 +268,9 @@ class PathSet:
         )
 
     def delay_doppler(
-        self,
-        time: float,
-        duration: float,
-        *,
-        carrier: float,
-        motion: str = "retarded",
+        self, time: float, duration: float, *, carrier: float, motion: str = "retarded",
         amplitude: str = "wave-equation",
-    ) -> DelayDoppler:
+    ) -> DelayDoppler:  # fmt: skip
         """Return every path as a point of delay and Doppler shift over a time.
 
         Parameters

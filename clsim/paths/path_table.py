@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,9 @@ from clsim.arrays import Complexes, Floats, short_repr, texts
 from clsim.errors import check_packages, old_names
 from clsim.files.atomic import atomic_path
 from clsim.paths.family import DIFFRACTION, SPECULAR
-from clsim.pictures.view_page import ViewedBody, ViewedEnd, ViewedFlaws, ViewedPaths, ViewedWall, page_text
+from clsim.pictures.view_page import ViewedPaths, page_text
 from clsim.scene.room.edges import Edges
-from clsim.scene.scene import Scene, frame_times, viewed_bodies, viewed_ends, viewed_flaws, viewed_walls
+from clsim.scene.scene import frame_times, viewed_bodies, viewed_ends, viewed_flaws, viewed_walls
 
 _OVER_TIME = ("delay", "doppler_factor", "doppler_shift", "gain")
 _DIRECTIONS = ("departure", "arrival")
@@ -217,68 +217,25 @@ def labelled_dataset(variables: dict[str, Any], coordinates: dict[str, Any]) -> 
 _SEEN = 1e-4  # m, to which the page rounds
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """What a page shows: walls, ends, bodies, and the paths at F times, s; see `view_page`. Notes tell what is not.
-
-    Edges (E, 2, 3) m are those that diffract, where paths over edges were looked for.
-    """
-
-    walls: tuple[ViewedWall, ...]
-    ends: tuple[ViewedEnd, ...]
-    times: Floats
-    frames: tuple[ViewedPaths, ...]
-    notes: tuple[str, ...]
-    edges: Floats
-    bodies: tuple[ViewedBody, ...]
-    flaws: ViewedFlaws
-
-
-class Viewable(Protocol):
-    """What a page asks of a `PathSet`, which shows itself by this file."""
-
-    @property
-    def scene(self) -> Scene:
-        """Where the paths are."""
-
-    @property
-    def interactions(self) -> NDArray[np.signedinteger[Any]]:
-        """What happens on each path's way (paths, N)."""
-
-    def table(self, times: Floats, motion: str, amplitude: str) -> PathTable:
-        """Table of every path."""
-
-    def vertices(self, time: float, motion: str) -> Floats:
-        """Return the vertices of every path (paths, N + 2, 3), m."""
-
-
-def view_scene(paths: Viewable, page: Path, *, title: str = "scene", **options: Any) -> None:
+def view_scene(paths: Any, page: Path, *, title: str = "scene", **options: Any) -> None:
     """Write a page that shows the room, the trajectories and the paths over time."""
     text = paths_page(paths, title=title, **options)
     with atomic_path(page) as temporary:
         temporary.write_text(text, "utf-8")
 
 
-def paths_page(paths: Viewable, *, title: str, **options: Any) -> str:
+def paths_page(paths: Any, *, title: str, **options: Any) -> str:
     """Return the text of that page; what is given is as in `view_scene`."""
-    view = viewed(paths, **options)
-    return page_text(
-        title=title, walls=view.walls, ends=view.ends, times=view.times, frames=view.frames, notes=view.notes,
-        edges=view.edges, bodies=view.bodies, flaws=view.flaws,
-    )  # fmt: skip
+    return page_text(title=title, **viewed(paths, **options))
 
 
 def viewed(
-    paths: Viewable,
-    *,
-    duration: float,
-    frames: int = 120,
-    limit: int = 300,
-    motion: str = "retarded",
-    amplitude: str = "wave-equation",
-    progress: Callable[[float], None] | None = None,
-) -> View:
-    """Return the room, the trajectories and the paths over time, as they are drawn.
+    paths: Any, *, duration: float, frames: int = 120, limit: int = 300, motion: str = "retarded",
+    amplitude: str = "wave-equation", progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the room, the trajectories and the paths of a `PathSet` over time, as `page_text` draws them.
+
+    Edges are those that diffract, where paths over edges were looked for.
 
     frames: instants between 0 and `duration` to choose from; of those between which nothing moves only the first is
     kept.
@@ -300,20 +257,18 @@ def viewed(
             kept.append(i)
         if progress is not None:
             progress(1.0)
-    still = tuple(replace(end, positions=end.positions[kept]) for end in ends)
     most = max(len(frame.order) for frame in shown)
-    notes = (f"Only the {limit} strongest paths are drawn and counted.",) if most == limit else ()
     edges = scene.room.edges() if np.any(paths.interactions == DIFFRACTION) else Edges.none()
-    return View(
-        tuple(viewed_walls(scene.room)),
-        still,
-        times[kept],
-        tuple(shown),
-        notes,
-        np.stack([edges.start, edges.stop], axis=1),
-        tuple(replace(body, places=body.places[kept], axes=body.axes[kept]) for body in bodies),
-        viewed_flaws(scene.room),
-    )
+    return {
+        "walls": tuple(viewed_walls(scene.room)),
+        "ends": tuple(replace(end, positions=end.positions[kept]) for end in ends),
+        "times": times[kept],
+        "frames": tuple(shown),
+        "notes": (f"Only the {limit} strongest paths are drawn and counted.",) if most == limit else (),
+        "edges": np.stack([edges.start, edges.stop], axis=1),
+        "bodies": tuple(replace(body, places=body.places[kept], axes=body.axes[kept]) for body in bodies),
+        "flaws": viewed_flaws(scene.room),
+    }
 
 
 def _alike(one: Floats, other: Floats) -> bool:
@@ -326,7 +281,7 @@ def _same(one: ViewedPaths, other: ViewedPaths) -> bool:
     return one.labels == other.labels and all(map(_alike, one.vertices, other.vertices))
 
 
-def _paths_at(paths: Viewable, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
+def _paths_at(paths: Any, time: float, limit: int, motion: str, amplitude: str) -> ViewedPaths:
     """Return the strongest paths that are heard at a time."""
     table = paths.table(np.array([time]), motion, amplitude)
     audible = np.flatnonzero(table.audible[:, 0])

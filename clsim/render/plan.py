@@ -409,16 +409,10 @@ def chunk_of(
 
 
 def plan_of_part(
-    options: RenderOptions,
-    tracks: Tracks,
-    allocation: Allocation,
-    filters: tuple[SourceFilters, ...],
-    samples: int,
-    blocks: tuple[int, ...] = BLOCKS,
-    builders: Sequence[Callable[[Plan], Contribution | None]] = (),
-    *,
+    options: RenderOptions, tracks: Tracks, allocation: Allocation, filters: tuple[SourceFilters, ...], samples: int,
+    blocks: tuple[int, ...] = BLOCKS, builders: Sequence[Callable[[Plan], Contribution | None]] = (), *,
     fine: int = FINE,
-) -> Plan:
+) -> Plan:  # fmt: skip
     """Return the plan of a part at the sampling rate of the recording."""
     rate = options.sampling_rate
     chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)

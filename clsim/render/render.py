@@ -98,13 +98,9 @@ def record(plan: Plan) -> Recording:
 
 
 def render_tracks(
-    signals: Sequence[Signal],
-    tracks: Tracks,
-    sampling_rate: float,
-    *,
-    starts: Sequence[float] | None = None,
+    signals: Sequence[Signal], tracks: Tracks, sampling_rate: float, *, starts: Sequence[float] | None = None,
     **options: Any,
-) -> Recording:
+) -> Recording:  # fmt: skip
     """Render signals along tracks, whoever computed these.
 
     Parameters

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import ByRow, Floats, read_only
 
 TAPER_TERMS = 11  # of the odd polynomial of a taper
 REACH = 2.4  # length of a taper times the highest frequency that it has, at -86 dB; see `taper_terms`
@@ -44,7 +44,7 @@ def taper(place: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tapers:
+class Tapers(ByRow):
     """Weights of paths: of what is taken between two tapers, or of what is left beside it."""
 
     rise: Floats  # (paths,) where the first taper begins, s; -inf where the weight is 1 all the time before
@@ -69,10 +69,6 @@ class Tapers:
         which = np.arange(len(begin)) % 3
         low, high = np.choose(which, [begin, falling, begin]), np.choose(which, [rising, end, end])
         return np.asarray(low + (high - low) * rng.random(len(begin)))
-
-    def part(self, rows: NDArray[np.int64]) -> Tapers:
-        """Return the weights of some of the paths."""
-        return replace(self, rise=self.rise[rows], fall=self.fall[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

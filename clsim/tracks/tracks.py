@@ -163,14 +163,9 @@ class Tracks(ABC):
 
     @staticmethod
     def from_samples(
-        times: Any,
-        delays: Any,
-        gains: Any,
-        *,
-        sources: Any = None,
-        receivers: Any = None,
+        times: Any, delays: Any, gains: Any, *, sources: Any = None, receivers: Any = None,
         transition: float = DEFAULT_TRANSITION,
-    ) -> SampledTracks:
+    ) -> SampledTracks:  # fmt: skip
         """Return tracks from anybody's delays and gains.
 
         Parameters
@@ -427,12 +422,9 @@ def as_tracks(value: object) -> Tracks:
 
 
 def track(
-    paths: PathSet,
-    *,
-    motion: str = "retarded",
-    amplitude: str = "wave-equation",
+    paths: PathSet, *, motion: str = "retarded", amplitude: str = "wave-equation",
     transition: float = DEFAULT_TRANSITION,
-) -> SceneTracks:
+) -> SceneTracks:  # fmt: skip
     """Return the tracks of a scene's paths.
 
     Parameters

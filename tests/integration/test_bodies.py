@@ -69,7 +69,7 @@ def test_a_door_in_tables_pages_and_studies(tmp_path: Path, capsys: pytest.Captu
     assert main(["paths", str(path), "--at", "0.04"]) == 0
     assert "edge door" in capsys.readouterr().out
     view = viewed(paths, duration=0.05, frames=2)
-    assert any("edge door" in label for label in view.frames[1].labels)
+    assert any("edge door" in label for label in view["frames"][1].labels)
     view_scene(paths, tmp_path / "view.html", duration=0.05, frames=2)
     assert "edge door" in (tmp_path / "view.html").read_text("utf-8")
 
@@ -161,11 +161,11 @@ def test_tables_truth_vertices_and_pages_know_them(paths: PathSet, tmp_path: Pat
     truth = clsim.direct_path(paths, np.array([0.05]))
     assert truth.line_of_sight[0, :, 0].tolist() == [True, True]
     view = viewed(paths, duration=0.06, frames=3)
-    assert [body.name for body in view.bodies] == ["door", "robot"]
-    assert view.bodies[0].corners(2) == pytest.approx(
+    assert [body.name for body in view["bodies"]] == ["door", "robot"]
+    assert view["bodies"][0].corners(2) == pytest.approx(
         paths.scene.bodies[0].placed(paths.scene.bodies[0].mesh.vertices, np.array(0.06))
     )
-    assert any("door" in label for label in view.frames[0].labels)
+    assert any("door" in label for label in view["frames"][0].labels)
     view_scene(paths, tmp_path / "view.html", duration=0.06, frames=3)
     data = data_of(tmp_path / "view.html")
     assert [drawn["trace"]["name"] for drawn in data["bodies"]] == ["door", "robot"]

@@ -75,9 +75,9 @@ materials = { default = { reflection = 0.8 } }
 
 def test_the_page_draws_edges(paths: PathSet) -> None:
     view = viewed(paths, duration=0.09, frames=2)
-    assert view.edges.shape == (1, 2, 3)
-    assert any("edge wall" in label for label in view.frames[0].labels)
-    assert viewed(PathSet(paths.scene, paths.families[:1]), duration=0.09, frames=2).edges.shape == (0, 2, 3)
+    assert view["edges"].shape == (1, 2, 3)
+    assert any("edge wall" in label for label in view["frames"][0].labels)
+    assert viewed(PathSet(paths.scene, paths.families[:1]), duration=0.09, frames=2)["edges"].shape == (0, 2, 3)
 
 
 def test_the_truth_is_out_of_sight(paths: PathSet) -> None:

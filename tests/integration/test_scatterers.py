@@ -278,9 +278,9 @@ def test_tables_vertices_and_pages_know_them(paths: PathSet, tmp_path: Path) -> 
     write_table(table, tmp_path / "paths.npz")
     assert read_table(tmp_path / "paths.npz").name_objects(row) == "z_min, hand, y_max"
     view = viewed(paths, duration=0.06, frames=3)
-    hand = next(end for end in view.ends if end.name == "hand")
+    hand = next(end for end in view["ends"] if end.name == "hand")
     np.testing.assert_allclose(hand.positions[-1], [2.97, 2.06, 1.03], atol=1e-9)
-    assert any("hand" in label for label in view.frames[0].labels)
+    assert any("hand" in label for label in view["frames"][0].labels)
 
 
 def test_the_truth_about_scatterers(paths: PathSet) -> None:

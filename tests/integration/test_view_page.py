@@ -85,9 +85,7 @@ def heard(paths: clsim.PathSet, time: float) -> list[int]:
 
 def test_the_page_is_that_of_what_is_viewed(paths: clsim.PathSet, page_of_view: Path) -> None:
     """Whose arrays `test_view_page.py` finds again in a browser."""
-    view = viewed(paths, duration=2.0, frames=21)
-    parts = {"walls": view.walls, "ends": view.ends, "times": view.times, "frames": view.frames, "notes": view.notes}
-    text = page_text(title="a <b>walk</b>", **parts, edges=view.edges, bodies=view.bodies)
+    text = page_text(title="a <b>walk</b>", **viewed(paths, duration=2.0, frames=21))
     assert page_of_view.read_text("utf-8") == text
 
 

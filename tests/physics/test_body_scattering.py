@@ -228,7 +228,7 @@ def test_tables_vertices_and_pages_know_them(moving: clsim.PathSet) -> None:
     plate = moving.scene.bodies[0]
     assert abs(plate.seen(corners[1], np.array(scattered - way[1] / C))[0]) < 1e-9
     assert abs(corners[3, 1]) < 1e-12
-    labels = viewed(moving, duration=0.1, frames=2).frames[0].labels
+    labels = viewed(moving, duration=0.1, frames=2)["frames"][0].labels
     assert any("plate, ball, y_min" in label for label in labels)
     for motion in ("retarded", "quasi-static"):  # the same to the first order of Mach numbers
         other = moving.table(np.array([time]), motion).delay[first + row, 0]

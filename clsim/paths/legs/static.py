@@ -197,12 +197,9 @@ def direct_paths(scene: Scene) -> Chain:
 
 
 def path_vertices(
-    planes: tuple[Floats, Floats],
-    walls: NDArray[np.signedinteger[Any]],
-    source: Floats,
-    receiver: Floats,
+    planes: tuple[Floats, Floats], walls: NDArray[np.signedinteger[Any]], source: Floats, receiver: Floats,
     through: NDArray[np.bool_] | None = None,
-) -> Floats:
+) -> Floats:  # fmt: skip
     """Return the corners of paths from their sources by their walls to a receiver.
 
     Shapes: walls, through (P, N); source, receiver (P, 3) m.

@@ -125,16 +125,9 @@ class BeamTree:
     """
 
     def __init__(
-        self,
-        walls: Walls,
-        centre: Floats,
-        radius: float,
-        receivers: BoundingSpheres | Ears,
-        limit: int,
-        sides: NDArray[np.int64] | None = None,
-        lookup: Lookup | None = None,
-        hides: bool = True,
-    ) -> None:
+        self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres | Ears, limit: int,
+        sides: NDArray[np.int64] | None = None, lookup: Lookup | None = None, hides: bool = True,
+    ) -> None:  # fmt: skip
         self._walls, self._limit, self._hides = walls, limit, hides
         self._lookup = lookup or WallLookup(walls)
         self._centre, self._radius = centre, radius + _SLACK * walls.size

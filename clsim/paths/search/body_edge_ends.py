@@ -63,7 +63,7 @@ class _EndFinder(GapFinder):
         self._over_faces = list(self._find_over_faces())
 
     def _find_query(self, source: int) -> VisibilityQuery:
-        """Query as `edge_paths` has it, up to whose end levels are estimated."""
+        """Query as `EdgePaths` has it, up to whose end levels are estimated."""
         search, scene = self._search.search, self._search.scene
         return visibility_query(
             scene, self._search.room, scene.sources[source], search.max_order + 1, search.resolution

@@ -19,11 +19,12 @@ from clsim.arrays import Floats, spread
 from clsim.paths.chain import Chain
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_gaps import PARTS, apart, between_edges, in_air, legs_open
-from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides, in_planes
+from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides
 from clsim.paths.search.mesh import Progress
 from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_events import MEETING, OF_LAST, TWO_ENDS, at_meeting, end_numbers
 from clsim.paths.vertices.edge_pair import ACROSS_AIR
+from clsim.paths.visibility.clearance import in_planes
 from clsim.paths.visibility.edge_ends import end_levels, off_edges, seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidates, imaged

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
-from clsim.arrays import Floats, spread
+from clsim.arrays import ByRow, Floats, spread
 from clsim.paths.chain import Chain
 from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides
 from clsim.paths.search.mesh import Progress
@@ -172,7 +172,7 @@ def _flat(lengths: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fans:
+class Fans(ByRow):
     """Which parts of edges may be met on ways (..., parts), and the cotangents of their angles with the edges there."""
 
     free: Bools
@@ -190,10 +190,6 @@ class Fans:
     def stacked(every: list[Fans]) -> Fans:
         """Return several as one, along a new first axis."""
         return Fans(*(np.stack([getattr(fan, name) for fan in every]) for name in _NAMES))
-
-    def part(self, rows: Any) -> Fans:
-        """Return some of them."""
-        return Fans(self.free[rows], self.low[rows], self.high[rows])
 
     def turned(self) -> Fans:
         """Return the ways the other way round."""

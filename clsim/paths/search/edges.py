@@ -35,7 +35,7 @@ from clsim.paths.search.same_events import with_swaps
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex
 from clsim.paths.vertices.edge_end import ends_of
 from clsim.paths.vertices.edge_pair import EdgePairVertex
-from clsim.paths.visibility.clearance import mirrored
+from clsim.paths.visibility.clearance import in_planes, mirrored
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_ends import seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch, find_pieces
@@ -248,17 +248,6 @@ def _may_reach(
     beyond = np.maximum(-angle, angle - np.pi * edges.n[edge])
     depth = np.where(beyond < 0.5 * np.pi, r * np.sin(np.clip(beyond, 0.0, 0.5 * np.pi)), r)
     return np.asarray(~within.any(axis=1) & (depth <= sphere[1] + _ON * walls.size))
-
-
-def in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Mask of walls of sequences (n, N) in whose plane places (3,) or (n, 3) lie, as seen by the walls behind each."""
-    found, seen = np.zeros(sequence.shape, dtype=bool), np.broadcast_to(place, (len(sequence), 3))
-    for k in range(sequence.shape[1] - 1, -1, -1):
-        wall = sequence[:, k]
-        height = np.einsum("ni,ni->n", seen, walls.normal[wall]) - walls.offset[wall]
-        found[:, k] = np.abs(height) <= _ON * walls.size
-        seen = mirrored(walls, wall, seen)
-    return found
 
 
 def edges_and_ends(reach: EdgeReach) -> Requested:

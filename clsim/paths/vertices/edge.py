@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EVEN, end_detour, lit_angles, path_over_edge, wedge_terms
-from clsim.arrays import Floats
+from clsim.arrays import ByRow, Floats
 from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
-from clsim.paths.family import DIFFRACTION, Instant, Rows
+from clsim.paths.family import DIFFRACTION, Instant
 from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir, arrivals_by
@@ -40,7 +40,7 @@ LAWS = {"utd": utd_field, "btm": exact_field}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeVertex:
+class EdgeVertex(ByRow):
     """Edges or ends of edges that P paths pass; each row of a path is a segment between two boundaries of its terms.
 
     Shortly beyond its own interval a row goes on smoothly: what it takes over there is its adjacent path's.
@@ -85,11 +85,6 @@ class EdgeVertex:
     def kind(self) -> str:
         """Kind of the vertex, with the law of its field."""
         return "edge" if self.model == "utd" else "exact edge"
-
-    def part(self, rows: Rows) -> EdgeVertex:
-        """Return some of the vertices."""
-        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
-        return replace(self, **columns)
 
     def in_scene(self, scene: Scene) -> Self:
         """Return the same vertices with the bodies of another scene; edges of the room stay where they are."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.acoustics.edge_gap import EdgeGap
-from clsim.arrays import Floats
+from clsim.arrays import ByRow, Floats
 from clsim.paths.legs.events import Events, few_of, find_events
 from clsim.paths.legs.mirrors import EdgeLines, EdgePoint, Mirrors, dot
 from clsim.paths.propagation import UniformAir
@@ -36,17 +36,13 @@ _BEYOND = 1.0  # lengths of the edge, by which places of paths that are not ther
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Chains:
+class Chains(ByRow):
     """What P paths meet: mirrors, an edge or one of its ends, and mirrors, all from the source's side."""
 
     before: NDArray[np.int32]  # (P, N) mirrors before the edge and after it, filled up with -1
     after: NDArray[np.int32]  # likewise
     edge: NDArray[np.int64]  # (P,) which, of `EdgeLines`
     end: NDArray[np.signedinteger[Any]]  # (P,) 0 for its start, 1 for its stop, -1 for the edge itself
-
-    def part(self, rows: NDArray[Any]) -> Chains:
-        """Return some of them."""
-        return Chains(*(getattr(self, f.name)[rows] for f in fields(Chains)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,10 +228,6 @@ class EdgePairs(Chains):
     last: NDArray[np.int64]  # (P,) the second edge
     face: NDArray[np.int64]  # (P, 2) which face of each both share, 0 for its 0-face, 1 for its n-face
 
-    def part(self, rows: NDArray[np.int64]) -> EdgePairs:
-        """Return some of them."""
-        return EdgePairs(*(getattr(self, f.name)[rows] for f in fields(EdgePairs)))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgePairEvents(EdgeEvents):
@@ -372,10 +364,6 @@ class GapPairs(EdgePairs):
     """What P paths meet: mirrors, an edge, mirrors, another edge, and mirrors, all from the source's side."""
 
     between: NDArray[np.int32]  # (P, B) mirrors between both edges, filled up with -1
-
-    def part(self, rows: NDArray[np.int64]) -> GapPairs:
-        """Return some of them."""
-        return GapPairs(*(getattr(self, f.name)[rows] for f in fields(GapPairs)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,7 +29,7 @@ from clsim.paths.legs.static import path_vertices
 from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
-from clsim.paths.vertices.edge import COLUMNS, EdgeVertex, Triple
+from clsim.paths.vertices.edge import EdgeVertex, Triple
 from clsim.paths.vertices.edge_events import (
     EdgeEvents,
     EdgePairEvents,
@@ -65,11 +65,6 @@ class EdgePairVertex(EdgeVertex):
 
     kind: ClassVar[str] = "edge pair"
     loudest: ClassVar[float] = 18.0
-
-    def part(self, rows: Rows) -> EdgePairVertex:
-        """Return some of the vertices."""
-        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
-        return replace(self, **columns, last=self.last.part(rows), shared=self.shared[rows])
 
     def in_scene(self, scene: Scene) -> Self:
         """Return the same vertices with the bodies of another scene."""
@@ -252,12 +247,6 @@ class GapPairVertex(EdgePairVertex):
     kind: ClassVar[str] = "edge gap"
     loudest: ClassVar[float] = 9.0
     solver: ClassVar[type[GapPairSolver]] = GapPairSolver
-
-    def part(self, rows: Rows) -> GapPairVertex:
-        """Return some of the vertices."""
-        some: Any = EdgePairVertex.part(self, rows)
-        found: GapPairVertex = replace(some, seen=self.seen[rows], between=self.between[rows], budget=self.budget[rows])
-        return found
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""

@@ -344,14 +344,9 @@ class _Point:
 
 
 def find_scattered(
-    mirrors: Mirrors,
-    legs: tuple[Walls, Walls],
-    scatterer: Scatterer,
-    ends: tuple[Motion, Motion],
-    medium: UniformAir,
-    times: Floats,
-    retarded: bool = True,
-) -> ScatteredEvents:
+    mirrors: Mirrors, legs: tuple[Walls, Walls], scatterer: Scatterer, ends: tuple[Motion, Motion],
+    medium: UniformAir, times: Floats, retarded: bool = True,
+) -> ScatteredEvents:  # fmt: skip
     """Return the events of ways by a scatterer, with mirrors on either leg.
 
     Shapes: times (T,) s.

@@ -39,6 +39,7 @@ Ints = NDArray[np.int64] | NDArray[np.int32]
 EVER = 1e300  # m, next to no bound
 TOUCHING = 100.0  # tolerances of a wall's outline; what is nearer to the end of a path at an edge touches it
 _PAIRS = 2**16  # of segments and edges looked at at a time
+_IN_PLANE = 1e-7  # of the room's size, up to which a place is in the plane of a wall
 PARALLEL = 1e-14  # square of the sine of an angle below which segments are parallel
 
 
@@ -118,6 +119,17 @@ def turned(walls: Walls, wall: Ints, directions: Floats) -> Floats:
     """Return directions (n, 3) mirrored by the planes of walls (n,)."""
     normal = walls.normal[wall]
     return np.asarray(directions - 2.0 * np.sum(directions * normal, axis=1, keepdims=True) * normal)
+
+
+def in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Mask of walls of sequences (n, N) in whose plane places (3,) or (n, 3) lie, as seen by the walls behind each."""
+    found, seen = np.zeros(sequence.shape, dtype=bool), np.broadcast_to(place, (len(sequence), 3))
+    for k in range(sequence.shape[1] - 1, -1, -1):
+        wall = sequence[:, k]
+        height = np.einsum("ni,ni->n", seen, walls.normal[wall]) - walls.offset[wall]
+        found[:, k] = np.abs(height) <= _IN_PLANE * walls.size
+        seen = mirrored(walls, wall, seen)
+    return found
 
 
 def path_status(

@@ -277,13 +277,9 @@ class Intervals:
 
 
 def find_intervals(
-    query: VisibilityQuery,
-    sequence: NDArray[np.int32],
-    receiver: NDArray[np.int64],
-    evaluation: Evaluation | None = None,
-    spans: tuple[Floats, Floats] | None = None,
-    parts: int = 1,
-) -> Intervals:
+    query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64],
+    evaluation: Evaluation | None = None, spans: tuple[Floats, Floats] | None = None, parts: int = 1,
+) -> Intervals:  # fmt: skip
     """Return the intervals in which paths are valid.
 
     Shapes: sequence (n, N); receiver (n,).

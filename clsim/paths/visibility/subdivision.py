@@ -73,12 +73,9 @@ def _report(progress: Callable[[float], None], first: float, share: float, left:
 
 
 def _of_part(
-    evaluate: Evaluation,
-    status: Status,
-    spans: tuple[Rows, Floats, Floats],
-    resolution: float,
+    evaluate: Evaluation, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float,
     notify: Callable[[float], None],
-) -> Any:
+) -> Any:  # fmt: skip
     which, begin, end = spans
     number, length = np.arange(len(which)), end - begin
     whole = float(np.sum(length)) or 1.0

@@ -356,13 +356,9 @@ def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
 
 
 def _obstacle(
-    index: int,
-    tracks: SceneTracks,
-    mine: list[int],
-    narrow: NarrowBand,
-    silence: float,
+    index: int, tracks: SceneTracks, mine: list[int], narrow: NarrowBand, silence: float,
     span: tuple[float, float, float],
-) -> str:
+) -> str:  # fmt: skip
     """Return the reason against an envelope at a low rate; "" if there is none. Levels below `silence` are neglected.
 
     The span is when the signal begins and ends and when the run ends, s.

@@ -192,13 +192,9 @@ def is_divided(family: PathFamily | None) -> bool:
 
 
 def in_batches(
-    plan: Plan,
-    active: list[ActivePaths],
-    kind: Callable[[int], PathFamily | None],
-    budget: float,
-    block: int,
+    plan: Plan, active: list[ActivePaths], kind: Callable[[int], PathFamily | None], budget: float, block: int,
     apart: int = 1,
-) -> list[PathBatch]:
+) -> list[PathBatch]:  # fmt: skip
     """Cut a source's pairs into batches of slots: as many as fit the budget of nodes in blocks of a length, bytes.
 
     All pairs of a batch have their nodes made by the same maker, which the kind stands for, and as many channels. No

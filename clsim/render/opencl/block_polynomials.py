@@ -20,15 +20,9 @@ SMOOTH_ERROR = 0.03  # of the fourth differences of gains between cells, see `ce
 
 
 def block_polynomials(
-    delay: Floats,
-    rate: Floats,
-    gain: Floats,
-    block: int,
-    sampling_rate: float,
-    delay_samples: float,
-    oversampling: int = 1,
-    terms: int = 4,
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    delay: Floats, rate: Floats, gain: Floats, block: int, sampling_rate: float, delay_samples: float,
+    oversampling: int = 1, terms: int = 4,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:  # fmt: skip
     """Return whole delays, and polynomials on [-1, 1] of the rest and of the gain.
 
     Shapes: delay, rate (paths, blocks + 3); gain (K, paths, blocks + 3); result (blocks, paths), (blocks, terms + 4 K,
@@ -59,15 +53,9 @@ def block_polynomials(
 
 
 def block_error(
-    delay: Floats,
-    rate: Floats,
-    gain: Floats,
-    level: Floats,
-    angular_frequency: float,
-    block_time: float,
-    part: float = 0.0,
-    terms: int = 4,
-) -> Floats:
+    delay: Floats, rate: Floats, gain: Floats, level: Floats, angular_frequency: float, block_time: float,
+    part: float = 0.0, terms: int = 4,
+) -> Floats:  # fmt: skip
     """Return the largest error of the polynomials of every path and block (paths, blocks), as pressure at full scale.
 
     level: of all gains of each path and block, (paths, blocks).

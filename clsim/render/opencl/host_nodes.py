@@ -66,26 +66,16 @@ class HostNodeMaker:
         self._plan, self._queue = plan, queue
 
     def prepare(
-        self,
-        source: int,
-        batch: PathBatch,
-        bounds: Boundaries,
-        start: int,
-        length: int,
-        activity: Activity | None,
+        self, source: int, batch: PathBatch, bounds: Boundaries, start: int, length: int, activity: Activity | None,
         first: int,
-    ) -> tuple[int, PathBatch, Boundaries]:
+    ) -> tuple[int, PathBatch, Boundaries]:  # fmt: skip
         """Return the arguments of `nodes`; the host skips no silent parts."""
         return source, batch, bounds
 
     def nodes(
-        self,
-        state: tuple[int, PathBatch, Boundaries],
-        start: int,
-        block: int,
-        blocks: int,
+        self, state: tuple[int, PathBatch, Boundaries], start: int, block: int, blocks: int,
         meanwhile: Callable[[], None] | None = None,
-    ) -> Nodes:
+    ) -> Nodes:  # fmt: skip
         """Make the polynomials of `blocks` blocks from a sample on, in threads; other work can be done meanwhile."""
         source, batch, bounds = state
         plan, filters = self._plan, self._plan.source_filters[source]
@@ -234,11 +224,9 @@ def thread_count() -> int:
 
 
 def side_by_side(
-    function: Callable[[Item], Result],
-    items: Sequence[Item],
-    meanwhile: Callable[[], None] | None = None,
+    function: Callable[[Item], Result], items: Sequence[Item], meanwhile: Callable[[], None] | None = None,
     threads: int | None = None,
-) -> list[Result]:
+) -> list[Result]:  # fmt: skip
     """Apply a function to each item in threads; results keep the order of the items."""
     count = min(thread_count() if threads is None else threads, len(items))
     if count <= 1:

@@ -106,15 +106,9 @@ class NodeMaker:
             env.most_bounces(self._columns.met(pair.rows) for pair in mine)
 
     def prepare(
-        self,
-        source: int,
-        batch: PathBatch,
-        bounds: Boundaries,
-        start: int,
-        length: int,
-        activity: Activity | None,
+        self, source: int, batch: PathBatch, bounds: Boundaries, start: int, length: int, activity: Activity | None,
         first: int,
-    ) -> DeviceChunk:
+    ) -> DeviceChunk:  # fmt: skip
         """Upload images and motion for one source and a batch of receivers over a stretch of samples.
 
         Where `activity` is given, what is silent is left out; `first` is the sample at which branch signals begin.
