@@ -82,6 +82,7 @@ def test_check_and_paths_say_what_there_is(scene: Path, tmp_path: Path, capsys) 
         (("[3.0, 1.0, 2.0]", "[3.0, 1.0, 2.6]"), "receivers[0].trajectory"),
         (("[3.0, 1.0, 2.0]", "[3.0, 1.0, nan]"), "receivers[0].trajectory.position[2]"),
         (("reflection", "reflektion"), "room.walls.reflektion"),
+        (("max_order", "max_ordre"), 'scene.toml: paths.max_ordre: is no known key; did you mean "max_order"?'),
         (("format = 1", "format = "), "scene.toml"),
         (("sampling_rate = 192e3\n", "sampling_rate = 70e3\n"), "frequency"),
     ],
@@ -93,10 +94,9 @@ def test_errors_are_one_line_and_status_2(scene: Path, error_of, change: tuple[s
     assert message in error_of("check", scene)
 
 
-def test_unwritable_output_is_one_line(scene: Path, tmp_path: Path, capsys, device) -> None:
+def test_unwritable_output_is_one_line(scene: Path, tmp_path: Path, error_of, device) -> None:
     (tmp_path / "file").write_text("in the way")
-    assert main(["run", str(scene), "-o", str(tmp_path / "file" / "out")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    assert "file" in error_of("run", scene, "-o", tmp_path / "file" / "out")
 
 
 def test_full_disk_leaves_nothing(scene: Path, tmp_path: Path, device) -> None:
@@ -147,29 +147,6 @@ def test_devices_lists_or_tells_what_to_install(capsys, monkeypatch: pytest.Monk
     assert printed.out.startswith("0:0") or "install" in printed.err
 
 
-def test_no_platform_is_an_error_that_says_what_to_do(scene: Path, tmp_path: Path) -> None:
-    empty = tmp_path / "vendors"
-    empty.mkdir()
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join(sys.path), "OCL_ICD_VENDORS": str(empty), "OCL_ICD_FILENAMES": "",
-    }  # fmt: skip
-    code = "import sys; from clsim.cli import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "devices"], capture_output=True, text=True, env=environment
-    )  # fmt: skip
-    if done.returncode == 0:
-        pytest.skip("this OpenCL loader finds its packaged driver whatever the environment says")
-    assert done.returncode == 2
-    assert "install a driver" in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
-def test_a_misspelt_key_is_told_rather_than_what_is_then_missing(scene: Path, capsys) -> None:
-    scene.write_text((SCENE % "0.05").replace("max_order", "max_ordre"), "utf-8")
-    assert main(["check", str(scene)]) == 2
-    assert capsys.readouterr().err.endswith('scene.toml: paths.max_ordre: is no known key; did you mean "max_order"?\n')
-
-
 def test_a_reader_that_has_seen_enough_is_no_error(scene: Path) -> None:
     code = f"from clsim.cli import main; import sys; sys.exit(main(['check', {str(scene)!r}]))"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -185,7 +162,6 @@ def test_a_full_disk_names_the_file(scene: Path, tmp_path: Path, error_of, monke
     target = tmp_path / "page.html"
     monkeypatch.setattr("clsim.files.atomic.temporary_path", lambda path: Path("/dev/full"))
     monkeypatch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
-    assert (
-        error_of("view", scene, "--frames", "1", "-o", target) == f"[Errno 28] No space left on device: {str(target)!r}"
-    )
+    said = error_of("view", scene, "--frames", "1", "-o", target)
+    assert said == f"[Errno 28] No space left on device: {str(target)!r}"
     assert not target.exists()

@@ -109,23 +109,14 @@ def test_what_cannot_run_is_one_line(folder_of_study: Path, error_of, monkeypatc
     assert not (folder_of_study / "out").exists(), "nothing was begun"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (
-            "sampling_rate = 192e3\n",
-            'sampling_rate = 192e3\ndevice = "no such thing"\n',
-            "the device must be the id or part of the name of one of",
-        )
-    ],
-)
-def test_a_worker_without_a_device_is_one_line(folder_of_study: Path, capfd, old: str, new: str, message: str) -> None:
+def test_a_worker_without_a_device_is_one_line(folder_of_study: Path, capfd) -> None:
+    old = "sampling_rate = 192e3\n"
     assert SCENE.count(old) == 1
-    (folder_of_study / "scene.toml").write_text(SCENE.replace(old, new), "utf-8")
+    (folder_of_study / "scene.toml").write_text(SCENE.replace(old, f'{old}device = "no such thing"\n'), "utf-8")
     assert main([*write(folder_of_study, [0], [1.0]), "--workers", "1"]) == 2
     err = capfd.readouterr().err
     assert err.startswith("clsim: error: ")
-    assert message in err
+    assert "the device must be the id or part of the name of one of" in err
     assert err.count("\n") == 1
     assert not (folder_of_study / "out").exists(), "nothing was begun"
 
@@ -159,9 +150,6 @@ def test_functions_that_cannot_be_used_are_one_line(folder_of_study: Path, error
     ],
 )
 def test_what_functions_return_is_checked(folder_of_study: Path, value: str, message: str) -> None:
-    from clsim.study.file import load_study
-    from clsim.study.member import run_member, study_to_settings
-
     write(folder_of_study, [0], [1.0])
     (folder_of_study / "judge.py").write_text(
         f"def level(recording, paths, parameters):\n    return {value}\n", "utf-8"
@@ -174,9 +162,6 @@ def test_what_functions_return_is_checked(folder_of_study: Path, value: str, mes
     assert message in row["error"]
     assert not (folder_of_study / "study.zarr").exists()
 
-
-installed("distributed")
-installed("zarr")
 
 LENGTHS = [1.0, 1.001, 1.002]
 

@@ -47,14 +47,15 @@ def plate(side: float, beside: float, tilt: float) -> clsim.Scene:
 
 def missing_db(side: float, beside: float, tilt: float) -> float:
     """Level re the direct sound of what geometry leaves out: Kirchhoff's integral over the plate less the mirror path."""
-    u = (np.arange(int(side / 8e-4)) + 0.5) / int(side / 8e-4) * side - 0.5 * side
+    count = int(side / 1.6e-3)  # a fifth of a wavelength apart
+    u = (np.arange(count) + 0.5) / count * side - 0.5 * side
     along, normal = (np.array(x) for x in _axes(np.radians(tilt)))
     middle = np.array([5.0 + beside, 5.0, 4.0])
     points = middle + u[:, None, None] * along + u[None, :, None] * np.array([0.0, 1.0, 0.0])
     first, second = points - HERE, points - THERE
     d, e = np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1)
     cosines = 0.5 * np.abs(first @ normal / d + second @ normal / e)
-    field = 1j * WAVE / (2.0 * np.pi) * np.sum(cosines * np.exp(-1j * WAVE * (d + e)) / (d * e)) * (side / len(u)) ** 2
+    field = 1j * WAVE / (2.0 * np.pi) * np.sum(cosines * np.exp(-1j * WAVE * (d + e)) / (d * e)) * (side / count) ** 2
     image = HERE - 2.0 * ((HERE - middle) @ normal) * normal
     share = ((middle - image) @ normal) / ((THERE - image) @ normal)
     hit = image + share * (THERE - image) - middle

@@ -1,6 +1,5 @@
 """Measures of rooms by closed forms, and impulse responses as sums of images."""
 
-import dataclasses
 import math
 import warnings
 from dataclasses import replace
@@ -138,7 +137,7 @@ def test_a_measured_response(tmp_path: Path, rng: np.random.Generator) -> None:
     soundfile.write(tmp_path / "free.wav", np.stack([near, near], axis=1), round(ROOM_MEASURES_RATE), subtype="FLOAT")
     found = clsim.room_measures(tmp_path / "hall.wav", channel=1, free_field=(tmp_path / "free.wav", 2.5))
     exact = free_field(2.5)
-    held = dataclasses.replace(exact, samples=taps[None, None], first_arrivals=np.zeros((1, 1)), lead=0)
+    held = replace(exact, samples=taps[None, None], first_arrivals=np.zeros((1, 1)), lead=0)
     wanted = clsim.room_measures(held)
     high = found.frequencies >= 500.0
     assert found.source_names == ("measured",)
@@ -152,31 +151,25 @@ def test_a_measured_response(tmp_path: Path, rng: np.random.Generator) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:noise or the end of responses")
-@pytest.mark.parametrize(("gain", "clipped"), [(0.2, False), (4.0, True)])
-def test_a_clipped_response_is_told(gain: float, clipped: bool, tmp_path: Path, rng: np.random.Generator) -> None:
-    """A file that its converter cut off has several samples in a row at full scale; a single one may be its peak."""
-    soundfile.write(
-        tmp_path / "loud.wav", np.clip(gain * decaying(0.5, 1.0, rng), -1.0, 1.0), round(ROOM_MEASURES_RATE),
-        subtype="PCM_16",
-    )  # fmt: skip
+@pytest.mark.parametrize(
+    ("subtype", "most", "clipped"),
+    [("PCM_16", 0.9, False), ("PCM_16", 4.0, True), ("FLOAT", math.inf, False), ("FLOAT", 1.0, True)],
+)
+def test_a_clipped_response_is_told(subtype: str, most: float, clipped: bool, tmp_path, rng) -> None:
+    """Of a file that is cut off, several samples in a row are at full scale, or of floats at another value, flat.
+
+    A single one may be the peak, and floats may be beyond 1.
+    """
+    wave = decaying(0.5, 1.0, rng)
+    wave *= (most if subtype == "PCM_16" else 4.0) / np.abs(wave).max()
+    if subtype == "FLOAT":
+        wave[100:200] = np.sign(wave[100:200]) * np.maximum(np.abs(wave[100:200]), 2.0)  # a row of samples beyond 1
+    top = 1.0 if subtype == "PCM_16" else most
+    soundfile.write(tmp_path / "loud.wav", np.clip(wave, -top, top), round(ROOM_MEASURES_RATE), subtype=subtype)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", clsim.ClsimWarning)
         clsim.room_measures(tmp_path / "loud.wav")
     assert any("loud.wav is clipped" in str(w.message) for w in caught) == clipped
-
-
-@pytest.mark.filterwarnings("ignore:noise or the end of responses")
-@pytest.mark.parametrize("most", [math.inf, 1.0])
-def test_floats_beyond_one_are_not_clipped(most: float, tmp_path: Path, rng: np.random.Generator) -> None:
-    """Files of floats hold samples beyond 1: only a flat top is clipped, at whatever value."""
-    wave = decaying(0.5, 1.0, rng)
-    wave *= 4.0 / np.abs(wave).max()
-    wave[100:200] = np.sign(wave[100:200]) * np.maximum(np.abs(wave[100:200]), 2.0)  # a row of samples beyond 1
-    soundfile.write(tmp_path / "loud.wav", np.clip(wave, -most, most), round(ROOM_MEASURES_RATE), subtype="FLOAT")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", clsim.ClsimWarning)
-        clsim.room_measures(tmp_path / "loud.wav")
-    assert any("loud.wav is clipped" in str(w.message) for w in caught) == (most == 1.0)
 
 
 def test_files_that_hold_no_response(tmp_path: Path) -> None:
@@ -298,9 +291,8 @@ def test_the_peak_lies_at_the_delay(place: tuple[float, float, float]) -> None:
     found = clsim.impulse_responses(clsim.find_paths(scene, 0), RATE, tail="off")
     late = np.linalg.norm(np.subtract(A, place)) / AIR.speed_of_sound * RATE
     taps = found.samples[0, 0]
-    fine = np.fft.irfft(np.fft.rfft(taps), 64 * len(taps)) if len(taps) % 2 == 0 else None
-    if fine is None:
-        fine = np.fft.irfft(np.fft.rfft(np.append(taps, 0.0)), 64 * (len(taps) + 1))
+    even = len(taps) + len(taps) % 2
+    fine = np.fft.irfft(np.fft.rfft(taps, even), 64 * even)
     k = int(fine.argmax())
     a, b, c = fine[k - 1 : k + 2]
     at = (k + 0.5 * (a - c) / (a - 2 * b + c)) / 64 - found.lead
@@ -423,8 +415,6 @@ def test_bad_input(options: dict, message: str) -> None:
 
 
 def test_what_is_not_known_and_not_heard_is_refused() -> None:
-    from dataclasses import replace
-
     table = clsim.AxialDirectivity([0, 90, 180], [40e3], [[1.0], [0.5], [0.1]])
     scene = fixed(directivity=table, aim=(1, 0, 0))
     with pytest.raises(clsim.InputError, match=r"^sources\[0\]\.directivity: must cover the band of the responses"):

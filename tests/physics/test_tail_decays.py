@@ -110,7 +110,7 @@ def test_bands_join_without_lengthening_decays(table: Table, measured: Callable[
 @pytest.mark.parametrize(
     ("table", "centres", "longest", "count"),
     [
-        (box_decays.SMOOTH, (125.0, 250.0), 0.7, 30), exhaustive((box_decays.ZIGZAG, (250.0,), 1.7, 20), long=True),
+        (box_decays.SMOOTH, (125.0, 250.0), 0.7, 15), exhaustive((box_decays.ZIGZAG, (250.0,), 1.7, 20), long=True),
         exhaustive((box_decays.ZIGZAG, (125.0,), 2.6, 12), long=True),
     ],
 )  # fmt: skip

@@ -175,39 +175,34 @@ def missing(name: str, value: Any, is_class: bool) -> Iterator[str]:
         kind, text = described.get(argument.name, (None, ""))
         if kind is None and f"`{argument.name}`" in told[""] and not is_class:  # the first sentence describes it
             kind, text = re.sub("Floats|ArrayLike|NDArray", "ndarray", str(argument.annotation)), told[""]
-        if kind is None:
-            yield f"{name}: parameter {argument.name} is not described"
-        elif not kind and not text.strip().startswith(("As ", "See ", "Passed ", "Of ")):
-            yield f"{name}: parameter {argument.name} has no type"
-        elif (
-            NUMBERS.search(kind)
-            and not re.search(r"\bint|bool", kind)
-            and not UNIT.search(f"{argument.name} {kind} {text}")
-        ):
-            yield f"{name}: parameter {argument.name} has no unit"
-        elif re.search(r"array|Floats", kind) and not SHAPE.search(f"{kind} {text}"):
-            yield f"{name}: parameter {argument.name} has no shape"
-    if is_class:
-        checks = vars(value).get("__post_init__") or vars(value).get("__init__")
-        if (
-            isinstance(checks, types.FunctionType)
-            and checks.__code__.co_filename != "<string>"
-            and raises(checks)
-            and "Raises" not in told
-        ):
-            yield f"{name}: no Raises"
-        return
+        if lacks := lacking(argument.name, kind, text):
+            yield f"{name}: parameter {argument.name} {lacks}"
+    checks = (vars(value).get("__post_init__") or vars(value).get("__init__")) if is_class else value
+    own = isinstance(checks, types.FunctionType) and checks.__code__.co_filename != "<string>"
+    if (own or not is_class) and raises(checks) and "Raises" not in told:
+        yield f"{name}: no Raises"
+    if not is_class and not {"Returns", "Yields"} & set(told) and not told_in_full(signature, arguments, told[""]):
+        yield f"{name}: no Returns"
+
+
+def lacking(argument: str, kind: str | None, text: str) -> str:
+    """What the description of a parameter lacks."""
+    if kind is None:
+        return "is not described"
+    if not kind and not text.strip().startswith(("As ", "See ", "Passed ", "Of ")):
+        return "has no type"
+    if NUMBERS.search(kind) and not re.search(r"\bint|bool", kind) and not UNIT.search(f"{argument} {kind} {text}"):
+        return "has no unit"
+    return "has no shape" if re.search(r"array|Floats", kind) and not SHAPE.search(f"{kind} {text}") else ""
+
+
+def told_in_full(signature: inspect.Signature, arguments: list[inspect.Parameter], first: str) -> bool:
+    """Test that the first sentence tells shape and unit of what is returned, where that has any."""
     answer = str(signature.return_annotation)
     needs_shape = "NDArray" in answer or "Floats" in answer or "Complexes" in answer
     needs_unit = "float" in answer.lower() or "Complexes" in answer
-    told_in_full = not arguments or not (  # by the first sentence
-        (needs_shape and not re.search(rf"{SHAPE.pattern}|shaped as", told[""]))
-        or (needs_unit and not UNIT.search(told[""]))
-    )
-    if not told_in_full and not {"Returns", "Yields"} & set(told):
-        yield f"{name}: no Returns"
-    if raises(value) and "Raises" not in told:
-        yield f"{name}: no Raises"
+    shapeless = needs_shape and not re.search(rf"{SHAPE.pattern}|shaped as", first)
+    return not arguments or not (shapeless or (needs_unit and not UNIT.search(first)))
 
 
 def none(found: Iterable[str]) -> None:

@@ -27,11 +27,8 @@ def test_gain_is_one_on_the_axis_and_nowhere_more(directivity):
     assert gain[0] == pytest.approx(1.0, rel=1e-15)
     assert np.all(np.abs(gain) <= 1.0 + 1e-15)
     assert isinstance(directivity, AxisymmetricDirectivity)
-
-
-@pytest.mark.parametrize("directivity", ALL, ids=repr)
-def test_gain_keeps_the_shape(directivity):
     assert directivity.gain(np.zeros((3, 4)), 40e3, 343.0).shape == (3, 4)
+    assert (directivity.is_complex, directivity.band) == (False, (0.0, np.inf))
 
 
 def test_first_order_patterns():
@@ -81,12 +78,6 @@ def test_piston_is_within_a_tenth_of_a_decibel_of_the_series_at_all_angles(radiu
     np.testing.assert_allclose(gain, expected, atol=1e-12)
 
 
-def test_formulae_are_real_and_known_everywhere():
-    for directivity in ALL:
-        assert not directivity.is_complex
-        assert directivity.band == (0.0, np.inf)
-
-
 def test_piston_has_no_seam_near_the_axis():
     # Either side of the switch to the series, x = 1e-4, the gain differs from 1 by x^2/8 to rounding.
     frequency, c, radius = 343.0 / (2 * np.pi), 343.0, 1.0
@@ -99,12 +90,6 @@ def test_piston_keeps_its_value_at_the_baffle_behind_it():
     gain = Piston(0.0047).gain(np.array([0.0, -1e-9, -0.5, -1.0]), 40e3, 343.0)
     assert np.all(gain == gain[0])
     assert gain[0] != pytest.approx(1.0, abs=0.5)
-
-
-def test_piston_is_omnidirectional_at_low_frequency():
-    # 1 - (ka)^2/8 at 90 degrees.
-    ka = 2 * np.pi * 100.0 * 0.0047 / 343.0
-    assert Piston(0.0047).gain(np.zeros(1), 100.0, 343.0)[0] == pytest.approx(1 - ka**2 / 8, abs=ka**4 / 100)
 
 
 @pytest.mark.parametrize("name", [name for name in Directivity.names() if name.startswith("MA40")])
