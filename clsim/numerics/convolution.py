@@ -58,6 +58,30 @@ def _block(count: int, length: int) -> int:
     )
 
 
+class StreamFilter:
+    """Filters what comes in blocks of a fixed length by taps (n,), the last one perhaps shorter."""
+
+    # `ringing` (n - 1,) is what it remembers: the part of its output so far that is still to come. The rounding is the
+    # same whatever the length of the pieces that it is given.
+    def __init__(self, taps: Floats, block: int) -> None:
+        self._block, self._size = block, scipy.fft.next_fast_len(block + len(taps) - 1, real=True)
+        self._spectrum = scipy.fft.rfft(taps, self._size)
+        self.ringing = np.zeros(len(taps) - 1)
+
+    def __call__(self, samples: Floats) -> Floats:
+        """Return filtered samples (n,); n is a whole number of blocks but for the last piece."""
+        out = np.empty_like(samples)
+        for first in range(0, len(samples), self._block):
+            part = samples[first : first + self._block]
+            whole = scipy.fft.irfft(scipy.fft.rfft(part, self._size) * self._spectrum, self._size)[
+                : self._block + len(self.ringing)
+            ]
+            whole[: len(self.ringing)] += self.ringing
+            self.ringing = whole[self._block :].copy()
+            out[first : first + self._block] = whole[: len(part)]
+        return out
+
+
 _WIDTH = 12  # half samples over which an impulse is spread; the error is about 10 ** (1 - _WIDTH)
 _SHAPE = 0.98 * 0.75 * math.pi * _WIDTH  # of the Kaiser-Bessel window, for twice as many points as needed
 _COLUMNS = 8  # transformed at a time

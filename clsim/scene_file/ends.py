@@ -22,8 +22,7 @@ from clsim.scene.people import hand, walking_person
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.signal.signal import Signal
-from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer
+from clsim.scene.transducer import Electronics, Transducer
 from clsim.scene_file.model import Hold, Model, Numbers, Pair, Quaternion, Table, Vector, one_of, table
 from clsim.scene_file.rooms import MaterialModel, MeshModel
 
