@@ -30,7 +30,7 @@ from clsim.arrays import (
 from clsim.errors import InputError, check_kind, inside, settle
 from clsim.files.sound import as_scale, read_sound_file
 from clsim.numerics.band_filters import minimum_phase, resonance_response, resonance_taps
-from clsim.numerics.resampling import Resampler
+from clsim.numerics.convolution import Resampler
 from clsim.scene.signal.signal import Filtered, Signal, energy_centroid
 
 _SHORTEST, _LONGEST = 2**14, 2**20  # points of the spectrum from which taps are made
