@@ -41,8 +41,7 @@ from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
-from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer
+from clsim.scene.transducer import Electronics, Transducer
 from clsim.scene_file import load_scene
 from clsim.sensitivity.sensitivities import Sensitivities, gradient, sensitivities
 from clsim.study.batch import RenderedScene, render_batch

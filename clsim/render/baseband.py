@@ -12,7 +12,7 @@ from clsim.arrays import Floats, as_number
 from clsim.errors import InputError, warn
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
-from clsim.scene.transducer.electronics import Electronics
+from clsim.scene.transducer import Electronics
 from clsim.tracks.tracks import Tracks
 
 _BLOCKS_IN_SEGMENT = 12  # of the longest; all others go into it a whole number of times, too

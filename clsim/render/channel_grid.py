@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, read_only
-from clsim.numerics.resampling import low_pass_between, shape_of
+from clsim.numerics.convolution import low_pass_between, shape_of
 from clsim.render.plan import ChannelPart
 from clsim.render.source_filters import SourceFilters
 

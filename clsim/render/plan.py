@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, row_name, short_repr
 from clsim.errors import InputError, counted
-from clsim.numerics.resampling import Upsampler
+from clsim.numerics.convolution import Upsampler
 from clsim.render.baseband import LONG_ENVELOPE_BLOCK, SLOW_CHANGE, WIDEST_SUBBLOCK, Baseband
 from clsim.render.contributions import Contribution
 from clsim.render.interpolator import SMALL_SUBBLOCK

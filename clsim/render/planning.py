@@ -13,7 +13,7 @@ import numpy as np
 from clsim.errors import InputError
 from clsim.keywords import keywords_of
 from clsim.numerics.blas import with_blas_threads
-from clsim.numerics.resampling import Upsampler
+from clsim.numerics.convolution import Upsampler
 from clsim.paths.path_set import PathSet
 from clsim.plugins import METHODS, with_plugins
 from clsim.render.baseband import Baseband, blocks_of, check_ends, segment_of, segmented

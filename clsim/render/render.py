@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats, as_count, as_number
 from clsim.errors import InputError, warn
 from clsim.keywords import keywords_of
+from clsim.numerics.convolution import StreamFilter
 from clsim.opencl.device import find_device
 from clsim.paths.path_set import PathSet
 from clsim.recording import Recording
@@ -23,8 +24,7 @@ from clsim.render.planning import Request, plan_paths
 from clsim.scene.ends import Receiver
 from clsim.scene.signal.signal import Signal
 from clsim.scene.signal.waveforms import white_noise
-from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import StreamFilter
+from clsim.scene.transducer import Electronics
 from clsim.tracks.tracks import Tracks, as_tracks
 
 _Kind = Literal["highpass", "lowpass"]

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError, warn
-from clsim.numerics.convolution import convolved
-from clsim.numerics.resampling import low_pass_between
+from clsim.numerics.convolution import convolved, low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.paths.response import check_band_coverage
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator

@@ -21,8 +21,7 @@ from clsim.scene.motion.curves import CONTINUATION
 from clsim.scene.motion.motion import LONGEST, Moved, turning_between
 from clsim.scene.motion.trajectory import Trajectory, as_direction, as_places
 from clsim.scene.signal.signal import Signal
-from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer
+from clsim.scene.transducer import Electronics, Transducer
 
 Directions = Callable[[Floats], tuple[Floats, NDArray[np.bool_]]]
 

@@ -19,7 +19,7 @@ from clsim.scene.room.faces import Mount
 from clsim.scene.room.mesh_cleaning import held_by_rooms
 from clsim.scene.room.protocol import Room
 from clsim.scene.scatterer import Scatterer
-from clsim.scene.transducer.transducer import TRANSDUCER_NAMES, Transducer
+from clsim.scene.transducer import TRANSDUCER_NAMES, Transducer
 
 Placed = End | Scatterer
 

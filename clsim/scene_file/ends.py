@@ -22,25 +22,14 @@ from clsim.scene.people import hand, walking_person
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.signal.signal import Signal
-from clsim.scene.transducer.electronics import Electronics
-from clsim.scene.transducer.transducer import Transducer
+from clsim.scene.transducer import Electronics, Transducer
 from clsim.scene_file.model import Hold, Model, Numbers, Pair, Quaternion, Table, Vector, one_of, table
 from clsim.scene_file.rooms import MaterialModel, MeshModel
 
 
-class _Sequence(Table):
+class _OfChips(Table):
     kind: Literal["sequence"]
     sequence: Literal["mls", "gold"] = "mls"
-    carrier: float
-    chip_rate: float
-    sampling_rate: float
-    bits: int = 10
-    code: int = 0
-    repeats: int = 1
-    rolloff: float = 0.5
-    amplitude: float = 1.0
-
-    constructor = staticmethod(Signal.sequence)
 
     def parts(self, base: Path) -> dict[str, Any]:
         arguments = super().parts(base)
@@ -150,7 +139,7 @@ else:
         table("tone", Signal.tone),
         table("chirp", Signal.chirp, method=Literal["linear", "exponential"], window=Literal["none", "tukey", "hann"]),
         table("noise", Signal.noise),
-        _Sequence,
+        table("", Signal.sequence, name="_Sequence", base=_OfChips),
         table("wav", Signal.from_wav),
     )
     SignalModel = one_of(*PULSES, table("pulses", Signal.pulses, pulse=one_of(*PULSES)))

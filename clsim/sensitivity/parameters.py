@@ -18,7 +18,7 @@ from clsim.paths.path_set import PathSet
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.curves import Curve, Piecewise, Static, Straight, legs_through, spline_through
 from clsim.scene.scene import Scene
-from clsim.scene.transducer.electronics import Electronics
+from clsim.scene.transducer import Electronics
 from clsim.sensitivity.displaced import Knot, displaced, turned, varied, with_wall
 
 Moved = Callable[[Scene, float], Scene]

@@ -12,7 +12,7 @@ import clsim
 from clsim import Air, Electronics, InputError, Material, MeshRoom, Receiver, Scene, Shoebox, Signal, Source, Trajectory
 from clsim.arrays import as_count, as_floats, as_number
 from clsim.scene.directivity.patterns import Piston
-from clsim.scene.transducer.transducer import Transducer
+from clsim.scene.transducer import Transducer
 from clsim.study.file import load_study
 
 WALL = Material.from_reflection(0.5)

@@ -67,15 +67,7 @@ def read_poses(
     path: Any, form: str, *, topic: str | None, columns: Mapping[str, str] | None, time_scale: float, scale: float,
     repair: tuple[str, ...], max_speed: float, max_gap: float | None,
 ) -> Poses:  # fmt: skip
-    """Read a file and check its rows.
-
-    form: TUM: ``t x y z qx qy qz qw`` between blanks, s and m. EuRoC: whole nanoseconds, x, y, z, then the quaternion
-    w, x, y, z; further columns are left. CSV: a header with ``t,x,y,z`` and perhaps ``qx,qy,qz,qw`` in any order, by
-    these names, by those of `columns`, or by aliases; further columns are left. Lines that begin with ``#`` and empty
-    lines are skipped. Bags: see `read_bag`. repair: which faults to repair, in this order: "nan" drops rows with
-    something that is no finite number, "times" drops rows whose time is not above all before, "jumps" drops rows out of
-    reach from the last good one at `max_speed`, "gaps" lets the spline bridge them.
-    """
+    """Read a file and check its rows, see `Trajectory.from_file`; lines that begin with ``#`` are skipped."""
     if form != "rosbag" and topic is not None:
         raise InputError("topic", f"must be left out for the format {form!r}, but is {topic!r:.80}")
     if form != "csv" and columns is not None:

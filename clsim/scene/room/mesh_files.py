@@ -126,16 +126,9 @@ class _Face:
 
 
 def read_mesh(path: Any, *, scale: float = 1.0, up: str = "z") -> MeshFile:
-    r"""Read a mesh file.
-
-    path: OBJ, AC3D, STL, PLY, GLB, GLTF, OFF, or another format that trimesh reads (3MF needs its extra packages). up:
-    the file's axis that points up. "y" turns (x, y, z) to (x, -z, y), "x" turns it to (y, z, x): rotations both, so
-    that nothing is mirrored.
-
-    Polygons of an OBJ file may be concave: they are cut into triangles by ear clipping in their own plane, after
-    Newell's normal. trimesh cuts those of other formats (PLY, OFF) into fans, which is right for convex ones. Several
-    geometries in one file are joined, each moved by its transform.
-    """
+    """Read a mesh file, see `MeshRoom.from_file`; several geometries in it are joined."""
+    # Polygons of OBJ and AC3D files may be concave: they are cut by ear clipping in their own plane. trimesh cuts those
+    # of other formats into fans, which is right for convex ones.
     scale = as_number("scale", scale, at_least=1.0 / _LARGEST_SCALE, at_most=_LARGEST_SCALE)
     turn = _TO_Z_UP[as_choice("up", up, ("x", "y", "z"))]
     try:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from os import PathLike
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from clsim.arrays import LOUDEST, SLOWEST, Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr
@@ -16,6 +18,7 @@ from clsim.files.sound import as_scale, read_sound_file
 from clsim.scene.signal import waveforms
 
 SEGMENT_LENGTH = 8192  # samples of a segment
+_FILTERED = 8192  # samples of a filtered signal that are made at a time
 _ALL_SEGMENTS = 400  # above which segments are picked
 _TOGETHER = 32  # windows of a short-time spectrum that are read together
 _WINDOW = 0.04  # s, of a short-time spectrum
@@ -438,6 +441,48 @@ class Signal:
         samples *= scale
         _question_level("scale", samples)
         return _with_centroid(read_only(samples), _rate(rate))
+
+
+class Response(Protocol):
+    """Protocol of filters with an impulse response at every sampling rate."""
+
+    def impulse_response(self, sampling_rate: float) -> Floats:
+        """Return the causal impulse response, (n,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Filtered:
+    """A waveform after a filter: longer by the filter's impulse response."""
+
+    waveform: waveforms.Waveform
+    response: Response
+    centre_frequency: float | None
+
+    def count(self, sampling_rate: float) -> int:
+        return self.waveform.count(sampling_rate) + len(self.response.impulse_response(sampling_rate)) - 1
+
+    def read(self, first: int, last: int, sampling_rate: float) -> Floats:
+        start = first // _FILTERED
+        blocks = [_filtered_block(self, k, sampling_rate) for k in range(start, -(-last // _FILTERED))]
+        return np.concatenate(blocks)[first - start * _FILTERED : last - start * _FILTERED]
+
+    def at_rate(self, old: float, new: float) -> Filtered:
+        return Filtered(self.waveform.at_rate(old, new), self.response, self.centre_frequency)
+
+
+@lru_cache(maxsize=64)
+def _filtered_block(filtered: Filtered, k: int, sampling_rate: float) -> Floats:
+    """Return the k-th block of a filtered waveform: overlap-save with everything that reaches into it."""
+    taps = filtered.response.impulse_response(sampling_rate)
+    before, count = len(taps) - 1, filtered.waveform.count(sampling_rate)
+    size = scipy.fft.next_fast_len(_FILTERED + before, real=True)
+    emitted = np.zeros(size)
+    start = k * _FILTERED - before
+    first, last = max(start, 0), min((k + 1) * _FILTERED, count)
+    if first < last:
+        emitted[first - start : last - start] = filtered.waveform.read(first, last, sampling_rate)
+    made = scipy.fft.irfft(scipy.fft.rfft(emitted) * scipy.fft.rfft(taps, size), size)
+    return np.asarray(made[before : before + _FILTERED], dtype=np.float64)
 
 
 def _picked_segments(count: int, hop: int) -> tuple[NDArray[np.int64], Floats]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_count, read_only, short_repr
 from clsim.errors import InputError
-from clsim.numerics.resampling import Resampler, band_pass
+from clsim.numerics.convolution import Resampler, band_pass
 
 _TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator

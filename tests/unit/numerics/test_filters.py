@@ -9,8 +9,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from clsim.numerics.blas import blas_threads, with_blas_threads
-from clsim.numerics.convolution import convolved
-from clsim.numerics.resampling import Upsampler, band_pass, length_of, low_pass, low_pass_between, shape_of
+from clsim.numerics.convolution import Upsampler, band_pass, convolved, length_of, low_pass, low_pass_between, shape_of
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ from scipy.signal import butter
 
 import clsim
 from clsim import Electronics, InputError, Transducer
+from clsim.numerics.convolution import StreamFilter
 from clsim.render.plan import SEGMENT
 from clsim.render.render import ReceiverEnd
-from clsim.scene.transducer.transducer import StreamFilter
 
 RATE = 192e3
 COUNT = 3 * SEGMENT + 1234

@@ -1,1 +1,0 @@
-"""What stands between pressure and voltage."""
