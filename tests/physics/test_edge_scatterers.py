@@ -280,7 +280,7 @@ def test_both_engines_agree(device: None) -> None:
     """What is rendered of a sphere that comes out of a shadow: float32 nodes of the host against the definition."""
     ball = clsim.Scatterer.sphere("b", 0.05, LINE((0.98, 1.0, 0.0), (1.02, 1.0, 0.0), 0.03))
     paths = found(SCREEN, (FIXED((-1.0, -1.0, 0.1)), FIXED((0.3, 2.0, 0.0))), [ball], length=0.03)
-    both = [clsim.render(paths, RATE, duration=0.02, engine=name).pressure for name in ("opencl", "reference")]
+    both = [clsim.render(paths, RATE, duration=0.016, engine=name).pressure for name in ("opencl", "reference")]
     assert decibels(np.abs(both[0] - both[1]).max() / np.abs(both[1]).max()) < -86.0
 
 

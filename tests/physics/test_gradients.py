@@ -139,7 +139,7 @@ def several(kind: str, h: float = 0.0, what: str = "") -> PathSet:
             for each in [("position.x", 5e-5), ("orientation.z", 0.02), ("trajectory.positions[1].y", 5e-5)]
             for kind in ["ambisonic", "head"]
         ],
-        (3, 4),
+        (2, 4),
     ),
 )
 def test_receivers_of_several_channels(what: str, h: float, kind: str) -> None:

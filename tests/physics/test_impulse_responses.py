@@ -156,9 +156,9 @@ def test_a_measured_response(tmp_path: Path, rng: np.random.Generator) -> None:
     [("PCM_16", 0.9, False), ("PCM_16", 4.0, True), ("FLOAT", math.inf, False), ("FLOAT", 1.0, True)],
 )
 def test_a_clipped_response_is_told(subtype: str, most: float, clipped: bool, tmp_path, rng) -> None:
-    """Of a file that is cut off, several samples in a row are at full scale, or of floats at another value, flat.
+    """A file that is cut off has several samples in a row at full scale, one of floats at any value.
 
-    A single one may be the peak, and floats may be beyond 1.
+    A single sample may be the peak, and floats may be beyond 1.
     """
     wave = decaying(0.5, 1.0, rng)
     wave *= (most if subtype == "PCM_16" else 4.0) / np.abs(wave).max()

@@ -158,7 +158,8 @@ def mutated(program: str, old: str, new: str, wanted: str = "scatter") -> str:
         pytest.param(scene(start=0.03123), {"responses": "centre"}, id="begins later, responses at the centre"),
         pytest.param(scene(sources=2), {}, id="two sources"),
         pytest.param(scene(air=clsim.Air(wind=(3.0, -2.0, 0.5))), {}, id="wind"),
-        pytest.param(scene(air=clsim.Air((20.0, 24.0), heights=(0.0, 3.0))), {}, id="air by height, nodes by the host"),
+        pytest.param(scene(air=clsim.Air((20.0, 24.0), heights=(0.0, 3.0))), {}, id="air by height, nodes by the host",
+                     marks=pytest.mark.exhaustive),
         pytest.param(
             scene(electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=1e-3, high_cut=5e3, gain_db=20.0)), {},
             id="electronics, clock",
