@@ -95,7 +95,7 @@ def test_with_a_finder_its_paths_are_rendered_and_shown(monkeypatch: pytest.Monk
     times = np.arange(round(0.008 * 192e3), round(0.012 * 192e3)) / 192e3  # both sound, at their full level
     wanted = table.gain[:, :1] * np.sin(2.0 * np.pi * 40e3 * (times - table.delay[:, :1]))
     np.testing.assert_allclose(heard[round(0.008 * 192e3) :][: len(times)], wanted.sum(axis=0), atol=1e-3)
-    assert viewed(paths, duration=0.02, frames=2).frames[0].labels
+    assert viewed(paths, duration=0.02, frames=2)["frames"][0].labels
 
 
 @pytest.mark.parametrize(
