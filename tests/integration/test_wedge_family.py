@@ -120,7 +120,7 @@ def test_tables_pictures_and_files_know_it(paths: PathSet, tmp_path: Path) -> No
     np.testing.assert_allclose(
         vertices[14:, 1], paths.families[1].point + on_edge[:, None] * paths.families[1].along, atol=1e-12
     )
-    frame = viewed(paths, duration=0.4, frames=2).frames[0]
+    frame = viewed(paths, duration=0.4, frames=2)["frames"][0]
     assert sum("ridge" in label for label in frame.labels) == 2
     view_scene(paths, tmp_path / "view.html", duration=0.4, frames=2)
     assert "ridge" in (tmp_path / "view.html").read_text("utf-8")

@@ -212,7 +212,7 @@ def test_view_writes_a_page_beside_the_scene(mesh_scene: Path, tmp_path: Path, c
     assert main(["view", str(mesh_scene), "--frames", "3"]) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'mesh.html'}\n"
     text = (tmp_path / "mesh.html").read_text("utf-8")
-    for frame in viewed(paths, duration=duration, frames=3).frames:
+    for frame in viewed(paths, duration=duration, frames=3)["frames"]:
         assert len(frame.labels) > 2
         for label in frame.labels:
             assert label in text
@@ -230,14 +230,14 @@ def test_view_shows_walls_and_what_is_heard(mesh_scene: Path) -> None:
     paths, duration = planned(mesh_scene)
     view = viewed(paths, duration=duration, frames=41)
     room = paths.scene.room
-    assert [wall.name for wall in view.walls] == list(room.faces.names)
-    assert {(w.name, w.material) for w in view.walls} >= {("room hard floor", "reflection 0.5"), ("screen", "rigid")}
+    assert [wall.name for wall in view["walls"]] == list(room.faces.names)
+    assert {(w.name, w.material) for w in view["walls"]} >= {("room hard floor", "reflection 0.5"), ("screen", "rigid")}
     area = {
         w.name: 0.5 * np.linalg.norm(np.cross(*(w.triangles[:, i] - w.triangles[:, 0] for i in (1, 2))))
-        for w in view.walls
+        for w in view["walls"]
     }
     np.testing.assert_allclose(area["screen"], np.sqrt(2) / 2 * 3.0)  # two triangles of 1.5 m² each
-    assert [(end.name, end.kind, len(end.trail)) for end in view.ends] == [
+    assert [(end.name, end.kind, len(end.trail)) for end in view["ends"]] == [
         ("robot", "source", 400),
         ("mic", "receiver", 1),
     ]
@@ -245,11 +245,11 @@ def test_view_shows_walls_and_what_is_heard(mesh_scene: Path) -> None:
     table = paths.table(np.array([0.0]))
     heard = np.flatnonzero(np.isfinite(table.delay[:, 0]))
     level = 20.0 * np.log10(np.abs(table.gain[heard, 0]) / np.nanmax(np.abs(table.gain)))
-    assert set(view.frames[0].labels) == {
+    assert set(view["frames"][0].labels) == {
         f"robot to mic, {table.name_objects(p)}: {table.delay[p, 0] * 1e3:.3f} ms, {decibels:.1f} dB"
         for p, decibels in zip(heard, level, strict=True)
     }
-    first, last = view.frames[0], view.frames[-1]
+    first, last = view["frames"][0], view["frames"][-1]
     assert re.fullmatch(r"robot to mic, direct: [\d.]+ ms, 0\.0 dB", first.labels[0])
     np.testing.assert_allclose(first.vertices[0], [[1, 4.5, 1], [7, 2, 1]], atol=1e-9)
     assert not any("direct" in label for label in last.labels)  # it is behind the screen
@@ -257,21 +257,21 @@ def test_view_shows_walls_and_what_is_heard(mesh_scene: Path) -> None:
         assert corners.shape == (order + 2, 3)
         np.testing.assert_allclose(corners[[0, -1]], [[1, 2, 1], [7, 2, 1]], atol=1e-9)
     two = viewed(paths, duration=duration, frames=1, limit=2)
-    assert two.frames[0].labels == first.labels[:2] != first.labels
-    assert two.notes == ("Only the 2 strongest paths are drawn and counted.",)
-    assert view.notes == ()
+    assert two["frames"][0].labels == first.labels[:2] != first.labels
+    assert two["notes"] == ("Only the 2 strongest paths are drawn and counted.",)
+    assert view["notes"] == ()
 
 
 def test_view_keeps_one_of_the_instants_between_which_nothing_moves(mesh_scene: Path) -> None:
     paths, duration = planned(mesh_scene)
     every, ticks = np.linspace(0.0, duration, 41), []
     view = viewed(paths, duration=duration, frames=41, progress=ticks.append)
-    times = view.times
+    times = view["times"]
     assert len(ticks) == 41
-    assert len(view.frames) == len(times) < 41
+    assert len(view["frames"]) == len(times) < 41
     way = paths.scene.sources[0].trajectory
-    np.testing.assert_allclose(view.ends[0].positions, way.position(np.minimum(times, way.end)), atol=1e-12)
-    np.testing.assert_array_equal(view.ends[1].positions, np.tile([7.0, 2.0, 1.0], (len(times), 1)))
+    np.testing.assert_allclose(view["ends"][0].positions, way.position(np.minimum(times, way.end)), atol=1e-12)
+    np.testing.assert_array_equal(view["ends"][1].positions, np.tile([7.0, 2.0, 1.0], (len(times), 1)))
     longest = (8.0 + 6.0 + 3.0) / 340.0 * 2  # s, which no reflection in this room takes
     assert duration > 0.2 + longest
     resting = (every > 0.0) & (every <= 0.1) | (every > 0.2 + longest + every[1])
@@ -299,8 +299,8 @@ def scene(tmp_path: Path) -> Path:
 def test_view_of_a_shoebox(scene: Path) -> None:
     paths, duration = planned(scene)
     view = viewed(paths, duration=duration, frames=3)
-    assert [len(frame.labels) for frame in view.frames] == [50, 50, 50]
-    assert [wall.name for wall in view.walls] == ["x_min", "x_max", "y_min", "y_max", "z_min", "z_max"]
-    assert any(re.fullmatch(r"robot to right, z_max: [\d.]+ ms, -[\d.]+ dB", x) for x in view.frames[0].labels)
+    assert [len(frame.labels) for frame in view["frames"]] == [50, 50, 50]
+    assert [wall.name for wall in view["walls"]] == ["x_min", "x_max", "y_min", "y_max", "z_min", "z_max"]
+    assert any(re.fullmatch(r"robot to right, z_max: [\d.]+ ms, -[\d.]+ dB", x) for x in view["frames"][0].labels)
     assert main(["view", str(scene), "--frames", "3"]) == 0
-    assert view.frames[-1].labels[-1] in scene.with_suffix(".html").read_text("utf-8")
+    assert view["frames"][-1].labels[-1] in scene.with_suffix(".html").read_text("utf-8")

@@ -114,7 +114,7 @@ def test_a_silent_path_is_not_counted_as_heard(paths: clsim.PathSet, table) -> N
     silent = there & ~table.audible
     assert 0 < silent[:, 0].sum() < there[:, 0].sum()
     assert np.all(table.gain[silent] == 0.0)
-    frame = viewed(paths, duration=0.1, frames=1).frames[0]
+    frame = viewed(paths, duration=0.1, frames=1)["frames"][0]
     assert len(frame.order) == table.audible[:, 0].sum()
     assert not any("z_min" in label for label in frame.labels)
 
