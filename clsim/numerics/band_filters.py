@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -36,7 +37,10 @@ _SHORTEST = 17
 _NOTHING = 1e-9  # of the largest coefficient
 _FAR = 10.0  # times the allowed error, beyond which lengths are tried in longer steps
 _LONG = 512  # taps on either side, from which on likewise: the design costs more than what they take to apply
+_FALLS = 1.3  # times as fast as from one length to the next, at most, errors are taken to fall over those after it
 _BETWEEN = 4  # places between neighbouring points at which deviations are evaluated
+_MANY, _SPLINE = 256, 5  # cosines, of which sums are evaluated by splines of an order: terms so high are weak
+_AT_ONCE = 512  # taps for which exponentials are worked out; those of others follow
 _FEW = 64  # multiples of an angle whose cosines are evaluated; those of others follow from the sums of angles
 
 
@@ -76,7 +80,9 @@ def band_filters(
     points = np.cos(math.pi * (np.arange(count) + 0.5) / count)
     evaluated_at = np.cos(math.pi * (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count))
     at, wanted = 0.5 * (edges.sum() + evaluated_at * (edges[1] - edges[0])), _polynomials(coefficients, evaluated_at)
+    turns = _turns(at, -(-(LONGEST // 2 + 1) // _FEW))
     half, best, least = _SHORTEST // 2, BandFilters(np.zeros((len(coefficients), 1)), math.inf, low), math.inf
+    known: list[tuple[int, float]] = []  # half lengths and errors, the last two
 
     def wanted_at(w: Floats) -> tuple[Floats, Floats | Complexes]:
         """Return squared weights (n,) and responses (K, n) at rising angular frequencies, in the band or continued."""
@@ -88,26 +94,55 @@ def band_filters(
 
     while least > allowed and 2 * half + 1 <= LONGEST:
         even, odd = _fitted(wanted_at, edges, half)
-        made: Floats | Complexes = _series(even, at)
+        made: Floats | Complexes = _series(even, turns)
         if np.any(odd):
-            made = made + 1j * _series(odd, at, 1)
+            made = made + 1j * _series(odd, turns, 1)
         left = np.abs(made - wanted).reshape(len(even), count, _BETWEEN).max(axis=2)
         reached = error(left)
         if reached < least:
             worst = 0.5 * (low + high + points[int(np.argmax((left * importance).max(axis=0)))] * (high - low))
             best, least = BandFilters(_taps(even, odd), 20.0 * math.log10(max(reached, 1e-15)), worst), reached
-        longer = 1.7 if reached > _FAR * allowed or half > _LONG else 1.3
-        half = min(math.ceil(longer * half), max(LONGEST // 2, half + 1))
+        known, half = [*known[-1:], (half, reached)], _next_half(half, reached, allowed)
+        while half < LONGEST // 2 and _expected(known, half) > allowed:
+            half = _next_half(half, reached, allowed)
     size = abs(delay_samples)
     return replace(best, taps=np.pad(best.taps, ((0, 0), (size + delay_samples, size - delay_samples))))
+
+
+def _next_half(half: int, reached: float, allowed: float) -> int:
+    """Return the half length to try behind one that reaches an error."""
+    longer = 1.7 if reached > _FAR * allowed or half > _LONG else 1.3
+    return min(math.ceil(longer * half), max(LONGEST // 2, half + 1))
+
+
+def _expected(known: list[tuple[int, float]], half: int) -> float:
+    """Return the error of long filters of a half length, as small as the last two that are known let expect."""
+    if len(known) < 2 or half < _LONG // 2:
+        return 0.0
+    (shorter, before), (last, reached) = known
+    power = _FALLS * math.log(before / reached) / math.log(last / shorter)
+    return float(reached * (last / half) ** max(power, 0.0))
 
 
 def _polynomials(coefficients: Floats | Complexes, x: Floats) -> Floats | Complexes:
     """Return the values (K, w) of Chebyshev polynomials, without terms that are next to nothing."""
     size = np.abs(coefficients).max(axis=0)
     kept = int(np.flatnonzero(size >= _NOTHING * size.max())[-1]) + 1
-    values = _series(coefficients[:, :kept].real, np.arccos(x))
-    return values + 1j * _series(coefficients[:, :kept].imag, np.arccos(x)) if np.iscomplexobj(coefficients) else values
+    if kept > _MANY and len(x) > kept:
+        return _between(coefficients[:, :kept], np.arccos(x))
+    turns = _turns(np.arccos(x), -(-kept // _FEW))
+    values = _series(coefficients[:, :kept].real, turns)
+    return values + 1j * _series(coefficients[:, :kept].imag, turns) if np.iscomplexobj(coefficients) else values
+
+
+def _between(coefficients: Floats | Complexes, angles: Floats) -> Floats | Complexes:
+    """Return sums (K, w) of many cosines by splines between angles four times as dense as these ask for."""
+    intervals = next_fast_len(4 * coefficients.shape[1], real=True)
+    padded: Any = np.pad(coefficients, ((0, 0), (0, intervals + 1 - coefficients.shape[1])))
+    padded[:, 0] *= 2.0
+    beside = np.arange(-_SPLINE, intervals + _SPLINE + 1)  # cosines are even about 0 and pi
+    values = 0.5 * scipy.fft.dct(padded, type=1, axis=1)[:, intervals - np.abs(intervals - np.abs(beside))]
+    return np.asarray(scipy.interpolate.make_interp_spline(beside * (math.pi / intervals), values.T, _SPLINE)(angles).T)
 
 
 def _fitted(
@@ -137,15 +172,16 @@ def _fitted(
     return _solved(sums, 0, even), _solved(sums, 1, odd) if turns else odd
 
 
-def _series(coefficients: Floats, w: Floats, first: int = 0) -> Floats:
+def _series(coefficients: Floats, turns: list[tuple[Floats, Floats]], first: int = 0) -> Floats:
     """Return sums (K, w) of cosines of 0, 1, ... times w by coefficients (K, n), or of sines of 1, 2, ... times w.
 
-    The multiples are 64 p + q, and the sums over q are products of matrices.
+    The multiples are 64 p + q, and the sums over q are products of matrices. turns: of w, for at least so many p.
     """
     count = coefficients.shape[1] + first
     groups = -(-count // _FEW)
     given = np.pad(coefficients, ((0, 0), (first, groups * _FEW - count))).reshape(-1, groups, _FEW)
-    (coarse, coarse_sines), (fine, fine_sines) = _turns(w, groups)
+    (coarse, coarse_sines), (fine, fine_sines) = turns
+    coarse, coarse_sines = coarse[:, :groups], coarse_sines[:, :groups]
     if first:
         coarse, coarse_sines = coarse_sines, -coarse
     return np.stack([
@@ -185,12 +221,22 @@ def _taps(even: Floats, odd: Floats) -> Floats:
 def _solved(sums: Floats, first: int, products: Floats) -> Floats:
     """Return the coefficients (K, n) of cosines from 0, or sines from 1, by their products (K, n) with targets."""
     count = products.shape[1]
+    sums = 0.5 * sums
     differences = sliding_window_view(np.concatenate([sums[count - 1 : 0 : -1], sums[:count]]), count)[::-1]
     both = sliding_window_view(sums[2 * first : 2 * (first + count) - 1], count)
-    normal = 0.5 * (differences - both if first else differences + both)
+    normal = differences - both if first else differences + both
     diagonal = np.arange(count)
     normal[diagonal, diagonal] += 1e-14 * np.trace(normal) / count
-    return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal, overwrite_a=True), products.T).T)
+    factors = scipy.linalg.cho_factor(normal.T, overwrite_a=True, check_finite=False)
+    return np.asarray(scipy.linalg.cho_solve(factors, products.T).T)
+
+
+def magnitudes(taps: Floats, w: Floats) -> Floats:
+    """Return the magnitudes (K, w) of the responses of filters (K, L) at angular frequencies; of a few taps at once."""
+    length = min(taps.shape[1], _AT_ONCE)
+    parts = np.pad(taps, ((0, 0), (0, -taps.shape[1] % length))).reshape(-1, length)
+    made = (parts @ np.exp(-1j * np.outer(np.arange(length) - taps.shape[1] // 2, w))).reshape(len(taps), -1, len(w))
+    return np.asarray(np.abs(np.sum(made * np.exp(-1j * length * np.outer(np.arange(made.shape[1]), w)), axis=1)))
 
 
 _STEPS = 64  # of a sample, at which impulses are tabulated

@@ -72,6 +72,8 @@ class SceneResponse:
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
         self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
         self._factors = np.ones((len(materials) + 1, len(frequencies)), dtype=self.dtype)
+        known = {id(material): i for i, material in enumerate(dict.fromkeys(materials))}
+        self._alike = np.array([*(known[id(m)] for m in materials), len(known)], dtype=np.int64)
         for material in dict.fromkeys(materials):
             if not material.depends_on_angle:
                 rows = [m is material for m in (*materials, None)]
@@ -107,10 +109,16 @@ class SceneResponse:
 
     def reflection(self, walls: Walls) -> Floats | Complexes:
         """Return the product of the factors (P, F) of walls (P, N), of those that are the same at every angle."""
+        base, which = int(self._alike.max()) + 1, None
+        if base ** walls.shape[1] < 2**62:  # sequences of the same materials, as numbers
+            _, first, which = np.unique(
+                self._alike[walls] @ base ** np.arange(walls.shape[1]), return_index=True, return_inverse=True
+            )
+            walls = walls[first]
         product: Floats | Complexes = np.ones((len(walls), len(self.frequencies)), dtype=self.dtype)
         for wall in walls.T:
             product *= self._factors[wall]
-        return product
+        return product if which is None else product[which]
 
     def largest_reflection(self, walls: Walls) -> Floats:
         """Return the product of the factors' magnitudes (P, F) of walls (P, N), 1 where they depend on the angle."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError, warn
+from clsim.numerics.band_filters import magnitudes
 from clsim.numerics.convolution import convolved, low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.paths.response import check_band_coverage
@@ -192,8 +193,7 @@ class Emission:
         )  # rounded up: designs are found again
         importance = self.sound.importance(edge * rate / (2.0 * math.pi), loudness)
         fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
-        places = np.arange(taps.shape[1]) - taps.shape[1] // 2
-        carried = np.abs(taps @ np.exp(-1j * np.outer(places, fine))).reshape(len(taps), CELLS, 8).max(axis=2)
+        carried = magnitudes(taps, fine).reshape(len(taps), CELLS, 8).max(axis=2)
         banks = tuple(interpolator.bank(edge, max_rate, tuple((importance * row).tolist()), times) for row in carried)
         if banks[0].error_db > _WEAK_ERROR_DB:
             warn(

@@ -23,6 +23,9 @@ _EMPHASES = 5  # times that instants which are held badly are given more weight
 _HOPELESS = 4.0  # times the bound, from which on another weight does not help
 _WIDE = 4.0  # times the lower end of a band, from which on its upper end asks for a grid that is looked for by few
 _OF_FEW = 0.3  # times the bound, up to which few instants tell of all
+_ROUNDING = 1e-9  # of the largest singular value, below which there is nothing but rounding
+_LARGE, _SUMS = 256, 96  # rows and columns, beyond which their range is that of so many random sums
+_SEVERAL = 4  # parts of a sample, from which on one is looked at before the others
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
 
@@ -60,6 +63,10 @@ def scene_basis(
     for count in drawn.grids:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
         few = drawn.probe() if drawn.whole and band.high > _WIDE * band.low else drawn
+        if few is drawn and len(drawn.rows) > _SEVERAL and count < drawn.grids[-1]:
+            sampled = replace(drawn, rows=drawn.rows[:1]).responses(fine)
+            if float(sampled.relative(_unresolved(sampled.responses)).max()) > allowed:
+                continue  # the others need not be looked at
         sampled = few.responses(fine)
         unresolved = float(sampled.relative(_unresolved(sampled.responses)).max())
         if unresolved <= (allowed if few is drawn else _OF_FEW * allowed):
@@ -171,8 +178,8 @@ class _Rows:
         weighted: Any = sample.responses * weight
         if not paired:
             weighted = in_parts(weighted, 1 + int(np.iscomplexobj(sample.responses)))
-        _, sizes, axes = np.linalg.svd(_square(weighted), full_matrices=False)
-        axes = axes[: max(int(np.count_nonzero(sizes > 1e-9 * sizes[0])), 1)]
+        sizes, axes = _axes(_square(weighted))
+        axes = axes[: max(int(np.count_nonzero(sizes > _ROUNDING * sizes[0])), 1)]
         return _Rows(sample, weight, weighted @ axes.conj().T, axes, paired)
 
     @property
@@ -254,6 +261,22 @@ class _Functions:
 def _square(rows: Any) -> Any:
     """Return a matrix with the same singular values and vectors along rows, of no more rows than columns."""
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > 2 * rows.shape[1] else rows
+
+
+def _axes(rows: Any) -> tuple[Floats, Any]:
+    """Return singular values and vectors (r, F) along rows, of large matrices without those that are rounding.
+
+    A few random sums of large ones hold their range (N. Halko, P. G. Martinsson, J. A. Tropp, "Finding structure with
+    randomness", SIAM Rev. 53(2), 2011, algorithm 4.1). It is seen in the last singular value if they are too few.
+    """
+    if min(rows.shape) > _LARGE:
+        sums = np.random.default_rng(0).standard_normal((_SUMS, len(rows))) @ rows
+        within = np.linalg.qr(sums.conj().T)[0].conj().T
+        _, sizes, axes = np.linalg.svd(rows @ within.conj().T, full_matrices=False)
+        if sizes[-1] < _ROUNDING * sizes[0]:
+            return sizes, axes @ within
+    _, sizes, axes = np.linalg.svd(rows, full_matrices=False)
+    return sizes, axes
 
 
 def _spread(count: int, among: int) -> NDArray[np.int64]:

@@ -29,8 +29,8 @@ from clsim.render.channel_grid import (
 )
 from clsim.render.methods import sampled_channel
 from clsim.render.methods.per_sample import ReferenceEngine
-from clsim.render.methods.sampled_channel import ChannelEngine
-from clsim.render.opencl import branch_signals
+from clsim.render.opencl import branch_signals, channel_engine
+from clsim.render.opencl.channel_engine import ChannelEngine
 from clsim.render.opencl.tapered_sum import TaperedEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import on_device
@@ -137,7 +137,7 @@ MUTANTS = {
 def test_the_twin_sees_a_kernel_with_one_thing_wrong(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     old, new = MUTANTS[name]
     monkeypatch.setattr(launch, "kernel_source", lambda program: mutated(program, old, new))
-    monkeypatch.setattr(sampled_channel, "_AT_ONCE", 1)  # few nodes at a time: grids are used again
+    monkeypatch.setattr(channel_engine, "_AT_ONCE", 1)  # few nodes at a time: grids are used again
     plan = planned(scene(0.3), order=2)
     (part,) = plan.allocation.channels
     assert not apart_db(sound(plan), reference_channels(part, 0, plan.samples)) <= TWIN_DB

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import mul
 
 import numpy as np
@@ -26,6 +26,7 @@ _CUT_STEP = 4e-3  # s between times at which delays are looked at about a jump, 
 _A_CHANNEL = 0.1  # of a path's processor time, for each channel beside the first: 4 to 16 were measured
 _EVALUATED_AT = (4, 8, 24)  # pairs, paths of each, and instants at which the error over time is measured
 _INSTANTS = 64  # at which distances of paths are looked at
+_FEW = 64  # paths, about, that tell what all cost
 _NEAR = 2.0  # distances from which a path is taken for near, over the least that is allowed
 
 
@@ -63,6 +64,18 @@ class Splitter:
     tracks: SceneTracks
     pairs: tuple[int, ...]
     pieces: dict[int, Pieces]  # of pairs whose paths begin, end or jump
+
+    @classmethod
+    def of_few(cls, emission: Emission, tracks: SceneTracks, pairs: list[int]) -> tuple[Splitter, float]:
+        """Return that of some of the paths, and how many times as many there are: pieces of all take long."""
+        whole = sum(len(tracks.pairs[i]) for i in pairs)
+        every, members, paths = max(whole // _FEW, 1), list(tracks.pairs), list(tracks.pair_paths)
+        for i in pairs:
+            rows = np.arange(0, len(members[i]), every)
+            members[i] = replace(members[i], start=members[i].start[rows], end=members[i].end[rows])
+            paths[i] = paths[i].part(rows)
+        few = replace(tracks, pairs=tuple(members), pair_paths=tuple(paths))
+        return cls.of(emission, few, pairs), whole / sum(len(members[i]) for i in pairs)
 
     @classmethod
     def of(cls, emission: Emission, tracks: SceneTracks, pairs: list[int]) -> Splitter:

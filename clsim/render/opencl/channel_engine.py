@@ -1,0 +1,148 @@
+"""Impulse responses of receivers at instants, made on the device, and what is heard through them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Floats
+from clsim.opencl.launch import work
+from clsim.render.channel_grid import PHASES, TAPS, ChannelFilters, ChannelFrames, ChannelGrid, nodes_of, window_table
+from clsim.render.opencl.batches import ActivePaths, in_batches
+from clsim.render.opencl.branch_signals import Branches, Task
+from clsim.render.opencl.engine import OpenclEngine, Run
+from clsim.render.opencl.host_nodes import side_by_side, thread_count
+from clsim.render.opencl.tapered_sum import CONSTANTS, BatchTapers
+from clsim.render.plan import Plan
+
+_APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
+_TOGETHER = 4  # nodes to a thread at a time. SciPy transforms four side by side; others take three times as long each
+_AT_ONCE = 32 * 2**20  # bytes of grids that are made at a time: a launch takes as long as some hundred thousand places
+_MARGIN = 64  # samples beside the bounds of delays
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelTask(Task):
+    """The paths of a batch of receivers from one source, and the frames of the nodes of a chunk."""
+
+    frames: ChannelFrames
+
+
+class ChannelEngine(OpenclEngine):
+    """Renders pairs of a plan by their impulse responses at nodes that are a number of samples apart."""
+
+    def __init__(self, plan: Plan, spacing: int) -> None:
+        super().__init__(plan)
+        self._spacing = spacing
+        self.window = self._upload(window_table().astype(np.float32))
+        self.branch_signals.last = -(2**62)  # there are none to prepare
+        self._filters = [ChannelFilters.of(filters) for filters in plan.source_filters]
+        self.reached: dict[tuple[int, ...], int] = {}  # points of grids of a shape (1:) that were ever written
+
+    def until(self, last: int) -> None:
+        """Prepare nothing anyway."""
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add all pairs of the plan from sample `start` on to the pressure (receivers, n), Pa."""
+        block = self._plan.blocks[0]
+        nodes = nodes_of(start, start + pressure.shape[1], self._spacing)
+        first, last = ((node * self._spacing // block + i) * block for i, node in enumerate((nodes[0], nodes[-1])))
+        for source, filters in enumerate(self._filters):
+            active = self.branch_signals.active(source, first, last - first)
+            if active:
+                grid = self._grid(filters, active)
+                frames = ChannelFrames(filters, grid, pressure, start)
+                self._add_source(source, active, frames, (first, last - first))
+        for residuals in self.residuals:
+            residuals.settle(first // self._plan.segment)
+
+    def _grid(self, filters: ChannelFilters, active: list[ActivePaths]) -> ChannelGrid:
+        low, high = min(pair.low.min() for pair in active), max(pair.high.max() for pair in active)
+        return filters.grid(float(low), float(high), self._spacing)
+
+    def _add_source(self, source: int, active: list[ActivePaths], frames: ChannelFrames, span: tuple[int, int]) -> None:
+        plan, (start, length) = self._plan, span
+        rate, begin = plan.sampling_rate, plan.source_filters[source].start
+        least = round((min(float(pair.low.min()) for pair in active) + begin) * rate)
+        most = round((max(float(pair.high.max()) for pair in active) + begin) * rate)
+        branches = Branches(None, 0, start - most, least - _MARGIN, most + _MARGIN, None)
+        budget, block, most_paths = self.limits.node_budget, plan.blocks[0], self.limits.paths_in_launch
+        for first, last, here in self.branch_signals.chosen(active, start, length):
+            received = [part for pair in here for part in pair.parts(most_paths)]
+            for batch in in_batches(plan, received, self.kind, budget, block, apart=_APART):
+                task = ChannelTask(source, batch, branches, None, length, start, first, last, frames)
+                _ChannelRun(self, task).render()
+
+
+class _ChannelRun(Run):
+    """Makes the responses of one batch of receivers at the nodes of some segments, and adds what is heard by them."""
+
+    _task: ChannelTask
+    _engine: ChannelEngine
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._tapers = BatchTapers(self._plan, self._batch)
+
+    def _levels(self, error: Floats, level: int) -> NDArray[np.int64]:
+        """Return the levels of blocks that may do: for paths that begin and end the longest ones are tried in vain."""
+        if not self._tapers.there:
+            return super()._levels(error, level)
+        return np.where(error > self._tolerance, self._promising_levels(error, level), level)
+
+    def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
+        begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
+        spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
+        wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
+        unit, of_receiver = _TOGETHER * thread_count(), 4 * self._gains * frames.grid.points
+        beside = min(max(1, _AT_ONCE // (unit * of_receiver)), len(rows))
+        step = unit * max(1, _AT_ONCE // (unit * beside * of_receiver))
+        for some in (wanted[i : i + step] for i in range(0, len(wanted), step)):
+            at = np.array(some) * spacing - first
+            place = 2.0 * (at % block) / block - 1.0
+            where = {
+                "node_block": (at // block + first_block).astype(np.int32), "node_place": place.astype(np.float32),
+                "node_sample": at.astype(np.float32), **self._tapers.arguments(first),
+            }  # fmt: skip
+            spectra = frames.spectra(some)
+            for i in range(0, len(rows), beside):
+                self._scattered(nodes, some, where, spectra, slice(i, min(i + beside, len(rows))))
+
+    def _scattered(
+        self, nodes: Any, some: list[int], where: dict[str, Any], spectra: NDArray[Any], receivers: slice
+    ) -> None:
+        """Make responses of some nodes, by their blocks and places there, to some receivers, and add their sound."""
+        import pyopencl as cl
+
+        engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
+        shape = len(some), len(rows), self._gains, frames.grid.points
+        grids = engine._scratch.take(("grids", shape[1:]), 4 * math.prod(shape), zeros=True)
+        reached = engine.reached[shape[1:]] = max(frames.grid.reached, engine.reached.get(shape[1:], 0))
+        bank = self._plan.source_filters[self._source].bank
+        room = 1 if self._gains == 1 else -(-self._gains // 8) * 8
+        constants = {
+            "LANES": 8, "FUNCTIONS": room, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": _TOGETHER,
+            "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
+        }  # fmt: skip
+        engine._compiler.kernel("scatter", constants)(
+            engine._queue, work(-(-len(some) // _TOGETHER), len(rows), group=1), delay=nodes.delay,
+            polynomials=nodes.polynomials, slots=self._batch.count, functions=self._gains, nodes=len(some), **where,
+            first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
+            window=engine.window, first=frames.grid.first - math.floor(bank.shift),
+            shift=bank.shift - math.floor(bank.shift), points=shape[3], reached=reached, grids=grids,
+        )  # fmt: skip
+        mapped: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
+        # Of each function the channels of a receiver come side by side.
+        made = mapped.reshape(len(some), len(rows), self._functions, self._channels, shape[3]).swapaxes(2, 3)
+        made = made.reshape(len(some), -1, self._functions, shape[3])
+        rows = (rows[:, None] + np.arange(self._channels)).ravel()
+        parts = np.array_split(np.arange(len(some)), min(thread_count(), len(some)))
+        received = side_by_side(lambda part: frames.received(spectra[part], made[part[0] : part[-1] + 1]), parts)
+        mapped.base.release(engine._queue)
+        for part, samples in zip(parts, received, strict=True):
+            for i, of_node in zip(part, samples, strict=True):
+                frames.add(some[i], rows, of_node)
