@@ -25,14 +25,14 @@ from clsim.opencl import launch as compiler_module
 from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module
-from clsim.render.methods import sampled_channel as channel_module
 from clsim.render.methods.ears import EarEngine
-from clsim.render.methods.sampled_channel import ChannelEngine
 from clsim.render.opencl import baseband_engine as envelope_module
 from clsim.render.opencl import batches as layout_module
 from clsim.render.opencl import branch_signals as limits_module
+from clsim.render.opencl import channel_engine as channel_module
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
+from clsim.render.opencl.channel_engine import ChannelEngine
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.tapered_sum import TaperedEngine

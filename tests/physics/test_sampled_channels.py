@@ -27,7 +27,6 @@ from clsim.render.channel_grid import (
     window_at,
     window_table,
 )
-from clsim.render.methods import sampled_channel
 from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl import branch_signals, channel_engine
 from clsim.render.opencl.channel_engine import ChannelEngine
