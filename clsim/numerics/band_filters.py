@@ -137,7 +137,7 @@ def _polynomials(coefficients: Floats | Complexes, x: Floats) -> Floats | Comple
 
 def _between(coefficients: Floats | Complexes, angles: Floats) -> Floats | Complexes:
     """Return sums (K, w) of many cosines by splines between angles four times as dense as these ask for."""
-    intervals = next_fast_len(4 * coefficients.shape[1], real=True)
+    intervals = scipy.fft.next_fast_len(4 * coefficients.shape[1], real=True)
     padded: Any = np.pad(coefficients, ((0, 0), (0, intervals + 1 - coefficients.shape[1])))
     padded[:, 0] *= 2.0
     beside = np.arange(-_SPLINE, intervals + _SPLINE + 1)  # cosines are even about 0 and pi

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, read_only
 from clsim.numerics.convolution import low_pass_between, shape_of
+from clsim.render.envelope import EnvelopeFilters
 from clsim.render.plan import ChannelPart
 from clsim.render.source_filters import SourceFilters
 
@@ -54,14 +55,19 @@ def window_table() -> Floats:
     return read_only(np.stack([values[:-1], np.diff(values, axis=0)], axis=1))
 
 
-def spread(places: Floats, gains: Floats, points: int) -> Floats:
+def spread(places: Floats, gains: NDArray[Any], points: int) -> NDArray[Any]:
     """Return grids (K, points) of paths at places (P,), points, with gains (K, P): twin of ``scatter.cl``.
 
     The gridding step of a nonuniform Fourier transform (Fessler and Sutton, 2003, section III).
     """
     near = np.floor(places).astype(np.int64)[:, None] + np.arange(1 - TAPS // 2, TAPS // 2 + 1)
     window = window_at(near - places[:, None])
-    return np.stack([np.bincount(near.ravel(), (window * gain[:, None]).ravel(), points) for gain in gains])
+    parts = (gains,) if np.isrealobj(gains) else (gains.real, gains.imag)
+    made = [
+        np.stack([np.bincount(near.ravel(), (window * gain[:, None]).ravel(), points) for gain in part])
+        for part in parts
+    ]
+    return made[0] if len(made) == 1 else made[0] + 1j * made[1]
 
 
 @cache
@@ -132,6 +138,9 @@ def nodes_of(start: int, stop: int, spacing: int) -> range:
 
 
 _LEFT_OUT_DB = -100.0  # of all functions at any frequency: ends of their filters that are left out
+_HELD = (
+    0.43  # of an envelope's rate: what a signal leaves of itself beside its band is held as far as filters are short
+)
 _STOPPED_DB = 100.0  # by which responses fall from the band's end to half the sampling rate: without it they ring long
 
 
@@ -139,15 +148,19 @@ _STOPPED_DB = 100.0  # by which responses fall from the band's end to half the s
 class ChannelFilters:
     """Filters of a source's functions of frequency in a sampled channel."""
 
-    filters: Floats  # (K, L), each through the low-pass beyond the band, without ends that add nothing
+    # (K, L), each through the low-pass beyond the band, without ends that add nothing; of envelopes the low-pass alone.
+    filters: Floats
     source: SourceFilters
 
     @classmethod
     def of(cls, source: SourceFilters) -> ChannelFilters:
         """Return the filters of a source."""
-        rate = source.signal.sampling_rate
-        taper = low_pass_between(source.band, 0.5 * rate, rate, _STOPPED_DB)
-        filters = np.stack([np.convolve(taps, taper) for taps in source.filters])
+        rate, own = source.rate, source.filters
+        passed = source.band
+        if isinstance(source, EnvelopeFilters):
+            passed, own = max(source.half, _HELD * rate), np.ones((1, 1))  # streams have passed the functions' filters
+        taper = low_pass_between(passed, 0.5 * rate, rate, _STOPPED_DB)
+        filters = np.stack([np.convolve(taps, taper) for taps in own])
         half = filters.shape[1] // 2
         both = np.abs(filters[:, half:]) + np.abs(filters[:, half::-1])
         beyond = np.linalg.norm(np.cumsum(both[:, ::-1], axis=1)[:, ::-1], axis=0)  # bounds what taps from there on add
@@ -159,9 +172,14 @@ class ChannelFilters:
         """Samples by which a response rings to either side."""
         return int(self.filters.shape[1] // 2)
 
+    def frames(self, grid: ChannelGrid, pressure: NDArray[Any], start: int) -> ChannelFrames:
+        """Return what adds responses of nodes to a piece of the pressure from a sample on."""
+        kind = EnvelopeFrames if isinstance(self.source, EnvelopeFilters) else ChannelFrames
+        return kind(self, grid, pressure, start)
+
     def grid(self, shortest: float, longest: float, spacing: int) -> ChannelGrid:
         """Return the grid for delays between two bounds, s."""
-        rate = self.source.signal.sampling_rate
+        rate = self.source.rate
         low, high = ((delay + self.source.start) * rate for delay in (shortest, longest))
         return ChannelGrid.between(low, high, self.ringing, spacing)
 
@@ -172,12 +190,14 @@ class ChannelFrames:
     def __init__(self, filters: ChannelFilters, grid: ChannelGrid, pressure: NDArray[Any], start: int) -> None:
         self.grid, self._pressure, self._start = grid, pressure, start
         self.nodes = nodes_of(start, start + pressure.shape[1], grid.spacing)
-        real = pressure.dtype
-        self._shaping = grid.shaping(filters.filters).astype(np.result_type(real, np.complex64))
-        self._window = node_window(grid.spacing).astype(real)
+        self._shaping = grid.shaping(filters.filters).astype(np.result_type(pressure, np.complex64))
+        self._window = node_window(grid.spacing).astype(pressure.real.dtype)
         self._first = grid.needed(self.nodes[0])
-        last = grid.needed(self.nodes[-1]) + grid.size
-        self._emitted = filters.source.emitted_samples(self._first, last).astype(real)
+        self._emitted = self._of(filters.source, grid.needed(self.nodes[-1]) + grid.size).astype(pressure.dtype)
+
+    def _of(self, source: SourceFilters, last: int) -> NDArray[Any]:
+        """Return what is emitted up to a sample."""
+        return source.emitted_samples(self._first, last)
 
     def active_nodes(self, nodes: range) -> list[int]:
         """Return those of some nodes to whose windows something that sounds may contribute."""
@@ -186,7 +206,7 @@ class ChannelFrames:
 
     def _frame(self, node: int) -> NDArray[Any]:
         begin = self.grid.needed(node) - self._first
-        return np.asarray(self._emitted[begin : begin + self.grid.size])
+        return np.asarray(self._emitted[..., begin : begin + self.grid.size])
 
     def spectra(self, nodes: Sequence[int]) -> NDArray[Any]:
         """Return the spectra (nodes, size / 2 + 1) of what is emitted and received at some nodes."""
@@ -214,32 +234,70 @@ class ChannelFrames:
             self._pressure[row, begin:end] += samples[begin - first : end - first]
 
 
+class EnvelopeFrames(ChannelFrames):
+    """The same for complex envelopes, and for streams of all functions of frequency."""
+
+    def _of(self, source: SourceFilters, last: int) -> NDArray[Any]:
+        return source.streams(self._first, last)
+
+    def spectra(self, nodes: Sequence[int]) -> NDArray[Any]:
+        """Return the spectra (nodes, K, size) of what is emitted through each function and received at some nodes."""
+        from scipy.fft import fft
+
+        return np.asarray(fft(np.stack([self._frame(node) for node in nodes])))
+
+    def received(self, emitted: NDArray[Any], grids: NDArray[Any]) -> NDArray[Any]:
+        """Return weighted samples (nodes, rows, n) of spectra and responses (nodes, rows, K, 2, points) in two parts.
+
+        With spectra R and I of real and imaginary part that of the response is R + j I, and R* + j I* below 0 Hz.
+        """
+        from scipy.fft import ifft, rfft
+
+        size, half = self.grid.size, self.grid.size // 2
+        spectra = rfft(grids)[..., : half + 1]
+        spectra *= self._shaping[0].real  # the low-pass is symmetric about the carrier
+        response = np.zeros((*grids.shape[:2], size), spectra.dtype)
+        above, below = response[..., :half], response[..., :half:-1]
+        for k in range(grids.shape[2]):
+            real, turned = spectra[:, :, k, 0], 1j * spectra[:, :, k, 1]
+            above += (real + turned)[..., :half] * emitted[:, None, k, :half]
+            below += np.conj(real - turned)[..., 1:half] * emitted[:, None, k, :half:-1]
+        return np.asarray(ifft(response)[..., self.grid.span :][..., : len(self._window)] * self._window)
+
+
 def work_at_nodes(
     filters: SourceFilters, counts: tuple[float, float, int], spacing: int, longest: float, until: float
 ) -> tuple[float, ...]:
     """Return counts of paths at nodes, these by functions, points of transforms, and paths in samples."""
     (paths, gains, rows), functions = counts, len(filters.basis)
-    rate = filters.signal.sampling_rate
+    rate, parts = filters.rate, 1 + int(isinstance(filters, EnvelopeFilters))
+    functions *= parts
     nodes = until * rate / spacing + 2 * NODES
-    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * ((1.25 * functions + 1.0) * rows + 1.0)
+    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * ((1.25 * functions + parts) * rows + parts)
     return nodes * paths, nodes * gains * functions, nodes * points, paths * (until * rate + 2 * NODES * spacing)
 
 
-def reference_channels(part: ChannelPart, start: int, stop: int) -> Floats:
+def reference_channels(part: ChannelPart, start: int, stop: int) -> NDArray[Any]:
     """Return the pressure (rows, stop - start) of the pairs of a part, Pa, with delays and gains at every node."""
     plan, rate = part.plan, part.plan.sampling_rate
     filters = plan.source_filters[part.source]
-    channel, pressure = ChannelFilters.of(filters), np.zeros((plan.row_count, stop - start))
+    channel, pressure = (
+        ChannelFilters.of(filters),
+        np.zeros((plan.row_count, stop - start), np.result_type(filters.carrier_phase(np.zeros(1)))),
+    )
     ranges = [plan.tracks.delay_range(pair, start / rate - 1.0, stop / rate + 1.0) for pair in part.pairs]
     low, high = min(float(low.min()) for low, _ in ranges), max(float(high.max()) for _, high in ranges)
-    frames = ChannelFrames(channel, channel.grid(low, high, part.spacing), pressure, start)
+    frames = channel.frames(channel.grid(low, high, part.spacing), pressure, start)
     nodes = frames.active_nodes(frames.nodes)
     for pair in part.pairs if nodes else ():
         delay, _, gain = plan.tracks.evaluate(pair, np.array(nodes) * (part.spacing / rate), filters.basis)
         places, tapers = frames.grid.places((delay + filters.start) * rate), plan.tracks.pairs[pair].tapers
         gain = gain if tapers is None else gain * tapers.weights(np.array(nodes) * (part.spacing / rate))
+        turned = np.asarray(gain * filters.carrier_phase((delay + filters.start) * rate))
         for i, node in enumerate(nodes):
-            grids = np.stack([spread(places[:, i], of_row[:, :, i], frames.grid.points) for of_row in gain])
+            grids = np.stack([spread(places[:, i], of_row[:, :, i], frames.grid.points) for of_row in turned])
+            if np.iscomplexobj(grids):
+                grids = np.stack([grids.real, grids.imag], axis=2)
             rows = plan.rows_of_pair(pair)
             received = frames.received(frames.spectra([node]), grids[None])[0]
             frames.add(node, np.arange(rows.start, rows.stop), received)

@@ -17,6 +17,7 @@ from clsim.numerics.convolution import low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.interpolator import Bandlimited, Bank
+from clsim.render.methods.costs import measured_costs
 from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, filtered
 from clsim.render.tilt import WHOLE, Stretches, bank_of, cheapest, stretches_of
@@ -176,6 +177,10 @@ class EnvelopeFilters(SourceFilters):
         every, half = self.plain.every, self.plain.half_length
         first, last = response.first // every - half, response.last // every + half + 1
         return ImpulseResponse(first, 0.5 * every * self.plain(response.read, first, last)[0])
+
+    def cost(self) -> float:
+        """Processor time of a path in a sample of the envelope, ns."""
+        return measured_costs().envelope
 
     def carrier_phase(self, delay_samples: Floats) -> Complexes:
         """Return the carrier's phase ``exp(-2 pi j carrier delay)`` of delays (P, n), samples of the envelope."""

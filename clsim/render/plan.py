@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats, row_name, short_repr
 from clsim.errors import InputError, counted
 from clsim.numerics.convolution import Upsampler
-from clsim.render.baseband import LONG_ENVELOPE_BLOCK, SLOW_CHANGE, WIDEST_SUBBLOCK, Baseband
+from clsim.render.baseband import (
+    LONG_ENVELOPE_BLOCK,
+    SLOW_CHANGE,
+    WIDEST_SUBBLOCK,
+    Baseband,
+    blocks_of,
+    segment_of,
+)
 from clsim.render.contributions import Contribution
 from clsim.render.interpolator import SMALL_SUBBLOCK
 from clsim.render.options import RenderOptions
@@ -413,10 +420,15 @@ def plan_of_part(
     blocks: tuple[int, ...] = BLOCKS, builders: Sequence[Callable[[Plan], Contribution | None]] = (), *,
     fine: int = FINE,
 ) -> Plan:  # fmt: skip
-    """Return the plan of a part at the sampling rate of the recording."""
-    rate = options.sampling_rate
-    chunk = chunk_of(options, samples, rate, SEGMENT, sum(map(len, tracks.channels)), tracks.longest_delay)
-    return Plan(options, tracks, allocation, filters, rate, samples, chunk, SEGMENT, blocks, builders, fine=fine)
+    """Return the plan of a part at the sampling rate of the recording; in baseband blocks are those of envelopes."""
+    rate, segment = options.sampling_rate, SEGMENT
+    if options.baseband is not None:
+        carrier, _, at = Baseband(*options.baseband)
+        rate = at or rate
+        blocks = blocks_of(rate, carrier, max(tracks.max_rate(source) for source in range(tracks.source_count)))
+        segment = segment_of(blocks)
+    chunk = chunk_of(options, samples, rate, segment, sum(map(len, tracks.channels)), tracks.longest_delay)
+    return Plan(options, tracks, allocation, filters, rate, samples, chunk, segment, blocks, builders, fine=fine)
 
 
 @contextmanager

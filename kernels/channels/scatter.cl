@@ -3,8 +3,10 @@
 // counts groups of nodes (instants), dimension 1 receivers. Paths are evaluated some at a time, at all nodes of a group,
 // before they are spread: among so many places that are written, polynomials would come from memory line by line.
 // Neighbouring slots have delays that lie far apart, so that what one path adds does not wait for what the last one wrote.
+// Responses of envelopes (DELAY_TERMS == 8) are turned by the carrier: of each function, a grid of real parts and one of imaginary ones.
 
 #define TILE (FUNCTIONS > 32 ? 64 : 256)  // paths that are evaluated at a time: their results stay in cache
+#define ENVELOPE (DELAY_TERMS == 8)
 #define FLOATS_OF(x) (AS_VEC((x) + ROUNDING_BITS) - ROUNDING)  // small whole numbers, see rounding.h
 
 __kernel void scatter(__global const int* delay, __global const float* polynomials,  // as in render.cl
@@ -22,14 +24,17 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                       float shift,                       // samples that are added to all delays
                       int points,                        // of a grid
                       int reached,                       // of these, now or before: the others are 0
-                      __global float* grids)             // [nodes][receivers][functions][points]
+                      ulong turn_per_sample,             // of the carrier; one turn is 2^64
+                      float half_turns_per_sample,
+                      __global float* grids)             // [nodes][receivers][functions][1 + ENVELOPE][points]
 {
     const int receiver = get_global_id(1), first_node = get_global_id(0) * TOGETHER, power = functions * BESIDE;
     const int last_node = first_node + TOGETHER < nodes ? first_node + TOGETHER : nodes;
-    const long of_node = (long)receivers * functions * points;
-    __global float* made = grids + receiver * (long)functions * points;
+    const int each = functions * (1 + ENVELOPE);
+    const long of_node = (long)receivers * each * points;
+    __global float* made = grids + receiver * (long)each * points;
     for (int node = first_node; node < last_node; node++) {
-        for (int k = 0; k < functions; k++) {
+        for (int k = 0; k < each; k++) {
             for (int i = 0; i < reached; i++) made[node * of_node + k * (long)points + i] = 0.0f;
         }
     }
@@ -43,10 +48,18 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
         for (int node = first_node; node < last_node; node++) {
             const float t = node_place[node];
             const int row = node_block[node];
-            for (int i = 0; i < count; i += BESIDE) {
+            for (int i = 0; i < count; i += LANES) {
                 __global const float* c = polynomials + place_of(row, from + i, functions, slots);
-                const vec rest = CUBIC(LOAD(c), LOAD(c + BESIDE), LOAD(c + 2 * BESIDE), LOAD(c + 3 * BESIDE), t);
-                const ivec quarters = (*(__global const loose_ivec*)(delay + row * (long)slots + from + i) - first) * 5;
+                __global const int* whole = delay + row * (long)slots + from + i;
+                vec rest = CUBIC(LOAD(c), LOAD(c + BESIDE), LOAD(c + 2 * BESIDE), LOAD(c + 3 * BESIDE), t);
+#if ENVELOPE
+                rest += t * t * t * t * CUBIC(LOAD(c + 4 * BESIDE), LOAD(c + 5 * BESIDE), LOAD(c + 6 * BESIDE), LOAD(c + 7 * BESIDE), t);
+                float turn[LANES];
+                for (int j = 0; j < LANES; j++) turn[j] = whole_turn(whole[j], turn_per_sample);
+                vec cosine, sine;
+                half_turns(rest * half_turns_per_sample + *(loose_vec*)turn, &cosine, &sine);
+#endif
+                const ivec quarters = (*(__global const loose_ivec*)whole - first) * 5;
                 const vec place = FLOATS_OF(quarters & 3) * 0.25f + (rest + shift) * 1.25f, down = rounded(place - 0.5f);
                 const vec fine = (place - down) * (float)PHASES, left = rounded(fine - 0.5f);
                 *(loose_ivec*)(at + i) = (quarters >> 2) + nearest(down) - (TAPS / 2 - 1);
@@ -63,7 +76,12 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
 #if TAPERED
                     own *= share;
 #endif
+#if ENVELOPE
+                    *(loose_vec*)(gain[2 * k] + i) = own * cosine;
+                    *(loose_vec*)(gain[2 * k + 1] + i) = -own * sine;
+#else
                     *(loose_vec*)(gain[k] + i) = own;
+#endif
                 }
             }
             for (int i = 0; i < count; i++) {
@@ -73,7 +91,7 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                 __global const float* w = window + phase[i] * (2 * TAPS);
                 const vec spread = LOAD(w) + LOAD(w + TAPS) * between[i];
                 __global float* out = made + node * of_node + at[i];
-                for (int k = 0; k < functions; k++, out += points) {
+                for (int k = 0; k < each; k++, out += points) {
                     *(__global loose_vec*)out = LOAD(out) + spread * gain[k][i];
                 }
             }

@@ -104,11 +104,27 @@ def apart_db(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def sound(plan: Plan) -> np.ndarray:
-    return record(plan).samples.astype(np.float64)
+    samples = record(plan).samples
+    return samples.astype(np.result_type(samples, np.float64))
 
 
-def test_the_device_gives_what_the_twin_in_float64_gives(measured: Any) -> None:
-    plan = planned(scene(0.3))
+def sweeping(duration: float = 0.5, **more: Any) -> clsim.Scene:
+    """Return the scene with a sweep that is all within 3 to 5 kHz."""
+    one = scene(duration, **more)
+    sweep = clsim.Signal.chirp(3.3e3, 4.7e3, duration=duration - 0.1, sampling_rate=RATE, window="hann")
+    sources = [
+        clsim.Source(s.name, sweep, s.trajectory, s.directivity, aim=(1.0, 0.0, 0.3), start=s.start)
+        for s in one.sources
+    ]
+    return clsim.Scene(one.room, one.air, sources, one.receivers)
+
+
+ENVELOPE: dict[str, Any] = {"baseband": (3.9e3, 3.2e3)}  # its carrier turns by 0.975 in a sample
+
+
+@pytest.mark.parametrize("options", [{}, ENVELOPE], ids=["sound", "envelope"])
+def test_the_device_gives_what_the_twin_in_float64_gives(options: dict[str, Any], measured: Any) -> None:
+    plan = planned(sweeping(0.3) if options else scene(0.3), **options)
     (part,) = plan.allocation.channels
     exact = reference_channels(part, 0, plan.samples)
     found = apart_db(sound(plan), exact)
@@ -130,14 +146,25 @@ MUTANTS = {
     "the first node for all": ("made + node * of_node + at[i]", "made + first_node * of_node + at[i]"),
     "what was there before": ("i < reached; i++", "i < reached / 2; i++"),
 }
+OF_ENVELOPES = {
+    "delays without their high powers": ("rest += t * t * t * t *", "rest += 0.0f *"),
+    "a carrier that turns by whole samples": ("rest * half_turns_per_sample", "0.0f * half_turns_per_sample"),
+    "a carrier that turns within a sample only": ("whole_turn(whole[j], turn_per_sample)", "0.0f"),
+    "a carrier that turns the other way": ("-own * sine", "own * sine"),
+    "imaginary parts left out": ("k < each; k++, out", "k < each - 1; k++, out"),
+    "what was there before of imaginary parts": (
+        "k < each; k++) {\n            for",
+        "k < functions; k++) {\n            for",
+    ),
+}
 
 
-@pytest.mark.parametrize("name", MUTANTS)
+@pytest.mark.parametrize("name", [*MUTANTS, *OF_ENVELOPES])
 def test_the_twin_sees_a_kernel_with_one_thing_wrong(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    old, new = MUTANTS[name]
+    old, new = (MUTANTS | OF_ENVELOPES)[name]
     monkeypatch.setattr(launch, "kernel_source", lambda program: mutated(program, old, new))
     monkeypatch.setattr(channel_engine, "_AT_ONCE", 1)  # few nodes at a time: grids are used again
-    plan = planned(scene(0.3), order=2)
+    plan = planned(sweeping(0.3), order=2, **ENVELOPE) if name in OF_ENVELOPES else planned(scene(0.3), order=2)
     (part,) = plan.allocation.channels
     assert not apart_db(sound(plan), reference_channels(part, 0, plan.samples)) <= TWIN_DB
 
@@ -163,6 +190,12 @@ def mutated(program: str, old: str, new: str, wanted: str = "scatter") -> str:
             scene(electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=1e-3, high_cut=5e3, gain_db=20.0)), {},
             id="electronics, clock",
         ),
+        pytest.param(sweeping(sources=2, start=0.01), ENVELOPE, id="envelopes of two sources"),
+        pytest.param(
+            sweeping(air=clsim.Air(wind=(3.0, -2.0, 0.5)), directivity=clsim.Ambisonic(1), aim="forward",
+                     electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=1e-3)), ENVELOPE,
+            id="envelopes, several channels, clock, wind",
+        ),
     ],
 )  # fmt: skip
 def test_it_is_what_the_reference_engine_gives(one: clsim.Scene, options: dict[str, Any], measured: Any) -> None:
@@ -181,6 +214,10 @@ def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
     later = [piece for _, piece in clsim.render_chunks(plan, first=18432)]
     np.testing.assert_array_equal(np.concatenate(later, axis=1), whole[:, 18432:])
     assert apart_db(sound(planned(one, order=2)), whole) < -105.0  # another grid: images of the spread, and rounding
+    envelopes = planned(sweeping(2.6), order=2, chunk=1, **ENVELOPE)
+    pieces = [piece for _, piece in clsim.render_chunks(envelopes, first=envelopes.chunk)]
+    assert len(pieces) > 1
+    np.testing.assert_array_equal(np.concatenate(pieces, axis=1), record(envelopes).samples[:, envelopes.chunk :])
 
 
 def test_what_is_handed_over_goes_on_bit_for_bit_and_goes_with_its_plan() -> None:

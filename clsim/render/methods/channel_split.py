@@ -165,7 +165,7 @@ def node_error_db(
     The sample is the first and some other paths of some pairs at some instants, the first and the last among them; of
     paths with tapers those at which they are active.
     """
-    rate = emission.signal.sampling_rate
+    rate = filters.rate
     rng, window = np.random.default_rng(emission.source), node_window(spacing)
     count = _EVALUATED_AT[2]
     of_run = rng.integers(0, max(round(emission.until * rate), 1), count)

@@ -44,8 +44,8 @@ def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple
     """Return the sampled channels of pairs of a source, None where the sum over paths is cheaper, and why not."""
     options = emission.options
     mine = [pair for pair in pairs if can(emission.tracks, options, pair) is None]
-    rate, silent = emission.signal.sampling_rate, not len(emission.sound.energy)
-    too_wide = filters.oversampling > 1 or filters.band > 0.5 * WIDEST * rate
+    rate, silent = filters.rate, not len(emission.sound.energy)
+    too_wide = filters.oversampling > 1 or (options.baseband is None and filters.band > 0.5 * WIDEST * rate)
     if not mine or options.channels is False or silent or too_wide:
         return None, ""
     of_scene = emission.tracks.of_scene
@@ -60,7 +60,7 @@ def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple
     shift, level = emission.max_rate * filters.band, 10 ** (_allowed_db(options) / 20)
     for margin, spacing in _cheaper(splitter, 1.0, filters, longest):
         split = splitter.at(margin, splitter.near(shift, margin, level))
-        if not split.pairs:
+        if not split.pairs or (split.left and options.baseband is not None):
             continue
         tracks = continued(of_scene, 2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate).with_rows(split.taken)
         error_db = node_error_db(tracks, emission, filters, split.pairs, spacing)
@@ -77,7 +77,7 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
     of_scene = tracks.of_scene
     if of_scene is None:
         return "tracks without a scene"
-    if options.engine != "opencl" or not isinstance(options.interpolator, Bandlimited) or options.baseband is not None:
+    if options.engine != "opencl" or not isinstance(options.interpolator, Bandlimited):
         return "every path is rendered by the requested delay filter"
     if on_gpu(options):
         return "a GPU sums paths faster"
@@ -97,7 +97,7 @@ def _allowed_db(options: RenderOptions) -> float:
 
 def _may_be_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int], longest: float) -> bool:
     """Compare the sum over all paths with transforms alone, for the fewest nodes: most scenes need no closer look."""
-    rate, members = emission.signal.sampling_rate, [emission.tracks.pairs[i] for i in pairs]
+    rate, members = filters.rate, [emission.tracks.pairs[i] for i in pairs]
     spacing = max(_spacing(emission, filters, _MARGINS[0]), 1)
     counts = 0.0, 0.0, sum(len(member.channels) for member in members)
     least = measured_costs().channel_point * work_at_nodes(filters, counts, spacing, longest, emission.until)[2]
@@ -107,7 +107,7 @@ def _may_be_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int]
 def _spacing(emission: Emission, filters: SourceFilters, margin: float) -> int:
     """Return the samples from node to node for a margin beyond the Doppler shift, Hz."""
     shift = emission.max_rate * filters.band
-    return math.floor(emission.signal.sampling_rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
+    return math.floor(filters.rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
 
 
 def _cheaper(splitter: Splitter, times: float, filters: SourceFilters, longest: float) -> list[tuple[float, int]]:
@@ -117,7 +117,7 @@ def _cheaper(splitter: Splitter, times: float, filters: SourceFilters, longest: 
     """
     emission, known, found = splitter.emission, measured_costs(), []
     costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
-    rate = emission.signal.sampling_rate
+    rate = filters.rate
     share = min(emission.signal.duration + longest, emission.until) / emission.until  # in which something is emitted
     for margin in _MARGINS:
         spacing = _spacing(emission, filters, margin)

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats
 from clsim.opencl.launch import work
 from clsim.render.channel_grid import PHASES, TAPS, ChannelFilters, ChannelFrames, ChannelGrid, nodes_of, window_table
+from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.batches import ActivePaths, in_batches
 from clsim.render.opencl.branch_signals import Branches, Task
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.opencl.host_nodes import side_by_side, thread_count
 from clsim.render.opencl.tapered_sum import CONSTANTS, BatchTapers
 from clsim.render.plan import Plan
+from clsim.render.source_filters import SourceFilters
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
 _TOGETHER = 4  # nodes to a thread at a time. SciPy transforms four side by side; others take three times as long each
@@ -55,7 +57,7 @@ class ChannelEngine(OpenclEngine):
             active = self.branch_signals.active(source, first, last - first)
             if active:
                 grid = self._grid(filters, active)
-                frames = ChannelFrames(filters, grid, pressure, start)
+                frames = filters.frames(grid, pressure, start)
                 self._add_source(source, active, frames, (first, last - first))
         for residuals in self.residuals:
             residuals.settle(first // self._plan.segment)
@@ -88,6 +90,19 @@ class _ChannelRun(Run):
         super().__post_init__()
         self._tapers = BatchTapers(self._plan, self._batch)
 
+    @property
+    def _parts(self) -> int:
+        """Return the number of grids of a function: real and imaginary parts of envelopes."""
+        return 1 if self._plan.baseband is None else 2
+
+    @staticmethod
+    def _turns(filters: SourceFilters) -> dict[str, Any]:
+        """Return how far the carrier of envelopes turns over a sample."""
+        if not isinstance(filters, EnvelopeFilters):
+            return {"turn_per_sample": 0, "half_turns_per_sample": 0.0}
+        turn = round(filters.mixer.turn * 2**64) % 2**64
+        return {"turn_per_sample": turn, "half_turns_per_sample": 2.0 * filters.cycles}
+
     def _levels(self, error: Floats, level: int) -> NDArray[np.int64]:
         """Return the levels of blocks that may do: for paths that begin and end the longest ones are tried in vain."""
         if not self._tapers.there:
@@ -98,7 +113,7 @@ class _ChannelRun(Run):
         begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
-        unit, of_receiver = _TOGETHER * thread_count(), 4 * self._gains * frames.grid.points
+        unit, of_receiver = _TOGETHER * thread_count(), 4 * self._parts * self._gains * frames.grid.points
         beside = min(max(1, _AT_ONCE // (unit * of_receiver)), len(rows))
         step = unit * max(1, _AT_ONCE // (unit * beside * of_receiver))
         for some in (wanted[i : i + step] for i in range(0, len(wanted), step)):
@@ -119,11 +134,11 @@ class _ChannelRun(Run):
         import pyopencl as cl
 
         engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
-        shape = len(some), len(rows), self._gains, frames.grid.points
+        shape = len(some), len(rows), self._parts * self._gains, frames.grid.points
         grids = engine._scratch.take(("grids", shape[1:]), 4 * math.prod(shape), zeros=True)
         reached = engine.reached[shape[1:]] = max(frames.grid.reached, engine.reached.get(shape[1:], 0))
-        bank = self._plan.source_filters[self._source].bank
-        room = 1 if self._gains == 1 else -(-self._gains // 8) * 8
+        filters = self._plan.source_filters[self._source]
+        bank, room = filters.bank, 1 if shape[2] == 1 else -(-shape[2] // 8) * 8
         constants = {
             "LANES": 8, "FUNCTIONS": room, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": _TOGETHER,
             "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
@@ -134,11 +149,13 @@ class _ChannelRun(Run):
             first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
             window=engine.window, first=frames.grid.first - math.floor(bank.shift),
             shift=bank.shift - math.floor(bank.shift), points=shape[3], reached=reached, grids=grids,
+            **self._turns(filters),
         )  # fmt: skip
         mapped: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         # Of each function the channels of a receiver come side by side.
-        made = mapped.reshape(len(some), len(rows), self._functions, self._channels, shape[3]).swapaxes(2, 3)
-        made = made.reshape(len(some), -1, self._functions, shape[3])
+        made = mapped.reshape(len(some), len(rows), self._functions, self._channels, self._parts, shape[3])
+        made = made.swapaxes(2, 3).reshape(len(some), -1, self._functions, self._parts, shape[3])
+        made = made[..., 0, :] if self._parts == 1 else made
         rows = (rows[:, None] + np.arange(self._channels)).ravel()
         parts = np.array_split(np.arange(len(some)), min(thread_count(), len(some)))
         received = side_by_side(lambda part: frames.received(spectra[part], made[part[0] : part[-1] + 1]), parts)
