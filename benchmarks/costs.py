@@ -119,11 +119,11 @@ def of_dense_scenes() -> dict[str, float]:
         sums.append(
             (
                 seconds(lambda plain=plain: record(plain)),
-                path_samples * int(filters.rows[-1]),
+                plain.path_count * plain.duration,
                 path_samples * len(filters.basis),
             )
         )
-    return dict(zip(("branch", "function"), fitted(sums), strict=True)) | dict(
+    return dict(zip(("second", "function"), fitted(sums), strict=True)) | dict(
         zip(("channel_path", "channel_function", "channel_point", "channel_nodes"), fitted(channels), strict=True)
     )
 

@@ -347,7 +347,7 @@ class SourceFilters:
     def cost(self) -> float:
         """Processor time of a path in a sample, ns."""
         known = measured_costs()
-        return known.branch * float(self.rows[-1]) + known.function * len(self.basis)
+        return known.second / self.rate + known.function * len(self.basis)
 
 
 def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:

@@ -32,7 +32,7 @@ class Costs:
     upsampled: float
     split: float
     planned: float
-    branch: float
+    second: float
     function: float
     channel_path: float
     channel_function: float

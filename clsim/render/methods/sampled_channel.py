@@ -26,7 +26,8 @@ from clsim.tracks.tracks import SceneTracks, Tracks
 
 _SPARE, _MARGINS = 1.03, (6.0, 12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order
 _BEYOND = 1.0  # s beyond delays and blocks, for which motions go on at either end: as long as nodes weigh at most
-_SURE = 0.75  # of the cost of the sum over paths, below which sampling is cheaper even if many paths live shortly
+_SURE = 0.85  # of the cost of the sum over paths, below which sampling is cheaper: estimates are right within 15 %
+_PLANNED = 1.5e7  # ns, of looking at what changes between nodes, and of what is begun
 _LEAST_SPACING = 16  # samples between nodes, below which the sum over paths is as cheap
 
 
@@ -101,7 +102,8 @@ def _may_be_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int]
     spacing = max(_spacing(emission, filters, _MARGINS[0]), 1)
     counts = 0.0, 0.0, sum(len(member.channels) for member in members)
     least = measured_costs().channel_point * work_at_nodes(filters, counts, spacing, longest, emission.until)[2]
-    return least < filters.cost() * rate * emission.until * sum(len(m) * len(m.channels) for m in members)
+    gains = sum(len(member) * len(member.channels) for member in members)
+    return least + _PLANNED < _SURE * filters.cost() * rate * emission.until * gains
 
 
 def _spacing(emission: Emission, filters: SourceFilters, margin: float) -> int:
@@ -130,8 +132,7 @@ def _cheaper(splitter: Splitter, times: float, filters: SourceFilters, longest: 
         cost = sum(a * b for a, b in zip(work, costs, strict=True))
         cost += times * (filters.cost() * seconds * rate + known.stretch * stretches)
         whole = times * splitter.summed(split.pairs)
-        most = filters.cost() * rate * share * whole * (_SURE if split.left else 1.0)
-        if emission.options.channels or cost < most:
+        if emission.options.channels or cost + _PLANNED < _SURE * filters.cost() * rate * share * whole:
             found.append((cost, margin, spacing))
     return [(margin, spacing) for _, margin, spacing in sorted(found)]
 
