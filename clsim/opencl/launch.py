@@ -131,7 +131,7 @@ _FILES = {
     "render/render": _VECTORS + _POLYNOMIALS
     + "common/gains.h common/mask.h render/phases.h render/subblock.h render/farrow.h",
     "render/moments": _VECTORS + _POLYNOMIALS + "render/phases.h render/transition.h",
-    "channels/scatter": _VECTORS + _POLYNOMIALS + "common/taper.h",
+    "channels/scatter": _VECTORS + _POLYNOMIALS + "common/taper.h render/carrier.h",
     "render/plane_waves": _VECTORS,
     "render/baseband": _VECTORS + _POLYNOMIALS
     + "common/mask.h render/carrier.h render/group.h render/branch_powers.h",
