@@ -232,7 +232,10 @@ def _solved(sums: Floats, first: int, products: Floats) -> Floats:
 
 
 def magnitudes(taps: Floats, w: Floats) -> Floats:
-    """Return the magnitudes (K, w) of the responses of filters (K, L) at angular frequencies; of a few taps at once."""
+    """Return the magnitudes (K, w) of the responses of filters (K, L) at angular frequencies, from a few taps at once.
+
+    A. V. Oppenheim and R. W. Schafer, "Discrete-Time Signal Processing", 3rd ed. 2010, section 2.6.1.
+    """
     length = min(taps.shape[1], _AT_ONCE)
     parts = np.pad(taps, ((0, 0), (0, -taps.shape[1] % length))).reshape(-1, length)
     made = (parts @ np.exp(-1j * np.outer(np.arange(length) - taps.shape[1] // 2, w))).reshape(len(taps), -1, len(w))

@@ -173,7 +173,7 @@ class ChannelFilters:
         return int(self.filters.shape[1] // 2)
 
     def frames(self, grid: ChannelGrid, pressure: NDArray[Any], start: int) -> ChannelFrames:
-        """Return what adds responses of nodes to a piece of the pressure from a sample on."""
+        """Return the frames that add responses of nodes to a piece of the pressure from a sample on."""
         kind = EnvelopeFrames if isinstance(self.source, EnvelopeFilters) else ChannelFrames
         return kind(self, grid, pressure, start)
 
@@ -196,7 +196,7 @@ class ChannelFrames:
         self._emitted = self._of(filters.source, grid.needed(self.nodes[-1]) + grid.size).astype(pressure.dtype)
 
     def _of(self, source: SourceFilters, last: int) -> NDArray[Any]:
-        """Return what is emitted up to a sample."""
+        """Return the emitted samples that transforms take, up to one of them."""
         return source.emitted_samples(self._first, last)
 
     def active_nodes(self, nodes: range) -> list[int]:

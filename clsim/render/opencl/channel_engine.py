@@ -97,7 +97,7 @@ class _ChannelRun(Run):
 
     @staticmethod
     def _turns(filters: SourceFilters) -> dict[str, Any]:
-        """Return how far the carrier of envelopes turns over a sample."""
+        """Return the turn of the carrier of envelopes over a sample, as the kernel takes it."""
         if not isinstance(filters, EnvelopeFilters):
             return {"turn_per_sample": 0, "half_turns_per_sample": 0.0}
         turn = round(filters.mixer.turn * 2**64) % 2**64
