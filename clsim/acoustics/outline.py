@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Floats, read_only
 from clsim.numerics.quaternions import cross_product
 
 # Points of an outline beyond the turns of the phase along it, and the most points, those for (k a)^(2/3).
@@ -112,9 +113,7 @@ class EllipsoidOutline:
 
     def table(self, count: int) -> Floats:
         """Cosine and sine of the eccentric angle, and the share of a turn, of points (6, count)."""
-        turn = (np.arange(count) + 0.5) * (2.0 * math.pi / count)
-        ones = np.ones(count)
-        return np.stack([np.cos(turn), np.sin(turn), ones, 0.0 * ones, 0.0 * ones, (2.0 * math.pi / count) * ones])
+        return _turns_of_ellipse(count)
 
     def clearance(self, source: Floats, receiver: Floats) -> Floats:
         """Distances (n,) of lines of sight: that of the unit sphere in affine coordinates, scaled back there."""
@@ -183,14 +182,7 @@ class CapsuleOutline:
 
         First the half circle about the axis as seen, from one side to the other; then that side from there backwards.
         """
-        piece, within = np.divmod(np.arange(count), count // 4)
-        u = (within + 0.5) / (count // 4)
-        at, dense = u - np.sin(2.0 * math.pi * u) / (2.0 * math.pi), 1.0 - np.cos(2.0 * math.pi * u)
-        on_side = piece % 2 == 1
-        turn = np.where(on_side, 0.5 * math.pi, math.pi * (at - 0.5))
-        along = np.where(on_side, 1.0 - 2.0 * at, 1.0)
-        sign = np.where(piece >= 2, -1.0, 1.0)
-        return np.stack([np.cos(turn), np.sin(turn), sign, on_side, along, dense / (count // 4)])
+        return _pieces_of_capsule(count)
 
     def clearance(self, source: Floats, receiver: Floats) -> Floats:
         """Distances (n,) of lines of sight from the side's middle line, less the radius."""
@@ -244,6 +236,28 @@ class CapsuleOutline:
         sine = np.linalg.norm(axis, axis=1)
         one = np.where(sine[:, None] > 1e-9, axis / np.maximum(sine, LEAST)[:, None], one)
         return sight, one, cross_product(sight, one)
+
+
+@lru_cache(maxsize=64)
+def _turns_of_ellipse(count: int) -> Floats:
+    """Points of `EllipsoidOutline.table`."""
+    turn, ones = (np.arange(count) + 0.5) * (2.0 * math.pi / count), np.ones(count)
+    return read_only(
+        np.stack([np.cos(turn), np.sin(turn), ones, 0.0 * ones, 0.0 * ones, (2.0 * math.pi / count) * ones])
+    )
+
+
+@lru_cache(maxsize=64)
+def _pieces_of_capsule(count: int) -> Floats:
+    """Points of `CapsuleOutline.table`."""
+    piece, within = np.divmod(np.arange(count), count // 4)
+    u = (within + 0.5) / (count // 4)
+    at, dense = u - np.sin(2.0 * math.pi * u) / (2.0 * math.pi), 1.0 - np.cos(2.0 * math.pi * u)
+    on_side = piece % 2 == 1
+    turn = np.where(on_side, 0.5 * math.pi, math.pi * (at - 0.5))
+    along = np.where(on_side, 1.0 - 2.0 * at, 1.0)
+    sign = np.where(piece >= 2, -1.0, 1.0)
+    return read_only(np.stack([np.cos(turn), np.sin(turn), sign, on_side, along, dense / (count // 4)]))
 
 
 def _frame(source: Floats, receiver: Floats) -> tuple[Floats, Floats, Floats]:

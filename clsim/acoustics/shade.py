@@ -7,11 +7,9 @@ import math
 import numpy as np
 
 from clsim.acoustics.outline import Outline, counts_of_points, faded
-from clsim.acoustics.silhouette import outline_field
+from clsim.acoustics.silhouette import WITHIN, outline_field
 from clsim.arrays import Complexes, Floats
 
-# Radii of the first Fresnel zone by which a line of sight passes a body: up to here its shade counts, beyond twice not.
-WITHIN = 1.0
 LOUDEST_SHADE = 2.5  # behind a sphere on the axis 2.4 times the free field is heard
 
 

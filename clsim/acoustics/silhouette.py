@@ -22,6 +22,8 @@ ASPECTS = 11  # numbers that a field takes
 # cosines of the angle of incidence: beyond, the body is a mirror.
 FORWARD_FOCK = (-1.0, -2.0)
 FORWARD_COSINE = (0.25, 0.45)
+# Radii of the first Fresnel zone by which a line of sight passes a body: up to here its outline counts, beyond twice not.
+WITHIN = 1.0
 NEAR_FOCK = (-4.0, -5.5)  # where the near side of an outline ends that the line of sight does not meet
 # Squared sine of the angle that a tangent makes with the outline: below, a point is no edge of the body.
 GRAZING = (0.3, 0.02)
@@ -60,10 +62,16 @@ def silhouette_aspects(
 
 
 def forward_share(wave: Floats, aspects: Floats) -> tuple[Floats, Floats]:
-    """Share (n, F) of the field about the outline, and Fock parameter (n, F) of the reflection; wave (F,) 1/m."""
-    cosine, bend = aspects[:, 8:9], aspects[:, 9:10]
+    """Share (n, F) of the field about the outline, and Fock parameter (n, F) of the reflection; wave (F,) 1/m.
+
+    Beside the line of sight the way by the specular point is longer by half a wavelength times the square of the radii
+    of the first Fresnel zone.
+    """
+    cosine, bend, detour = aspects[:, 8:9], aspects[:, 9:10], -aspects[:, 10:11]
     fock = -2.0 * cosine * np.cbrt(0.5 * wave / bend)
-    return np.where(cosine < 0.0, 1.0, faded(fock, FORWARD_FOCK) * faded(cosine, FORWARD_COSINE)), np.asarray(fock)
+    zones = np.sqrt(np.maximum(detour, 0.0) * wave / math.pi)
+    share = faded(fock, FORWARD_FOCK) * faded(cosine, FORWARD_COSINE) * faded(zones, (WITHIN, 2.0 * WITHIN))
+    return np.where(cosine < 0.0, 1.0, share), np.asarray(fock)
 
 
 def silhouette_field(
@@ -76,7 +84,7 @@ def silhouette_field(
 
     Near the forward direction it is the field about the outline, `outline_field`, elsewhere the specular reflection
     times `lit_reflection`. One fades into the other in the penumbra (V. A. Fock's parameter ``(k R / 2)^(1/3) cos
-    theta`` from 0.5 to 1), where both hold. Our own derivation.
+    theta`` from 0.5 to 1), and from one to two radii of the first Fresnel zone, where both hold. Our own derivation.
     """
     flat = aspects.reshape(-1, ASPECTS)
     share, fock = forward_share(wave, flat)

@@ -75,11 +75,11 @@ class RenderOptions:
         Whether pairs of source and receiver with very many paths are rendered by impulse responses, sampled as fast as
         Doppler shifts change them. It applies where the scene allows it, on CPUs, with the OpenCL engine and a
         `Bandlimited` interpolator. Left out: where an estimate says that it pays.
-    shadow_error_db : float, optional
-        Bound on the error of paths by scatterers with the shadow of their outline, -120 to -40 dB, relative to the
-        level of these paths. Their formulae are right within about 1 dB. They have delay filters and functions of
-        frequency of their own. None: those of all other paths. It applies with the OpenCL engine and a `Bandlimited`
-        interpolator, and not in baseband.
+    scattering_error_db : float, optional
+        Bound on the error of paths by capsules, and by scatterers with the shadow of their outline, -120 to -40 dB,
+        relative to the level of these paths. Their formulae are right within about 1 dB. They have delay filters and
+        functions of frequency of their own. None: `response_error_db`, and shadows are rendered with all other paths.
+        It applies with the OpenCL engine and a `Bandlimited` interpolator, and not in baseband.
     tail : {"off", "auto"}
         Whether the energy that image sources leave (higher orders, scattering by walls) is rendered as a diffuse tail
         by rays. "auto" makes a tail for sources whose signal reaches below 40 kHz, in closed rooms, where more than -60
@@ -125,7 +125,7 @@ class RenderOptions:
     convolve_static: bool = True
     narrowband: bool | None = None
     channels: bool | None = None
-    shadow_error_db: float | None = -60.0
+    scattering_error_db: float | None = -60.0
     tail: TailChoice = "off"
     tail_directions: int = 64
     tail_error_db: float = 0.25
@@ -162,7 +162,7 @@ class RenderOptions:
             checked["baseband"] = as_baseband(self.baseband, rate)
             if not isinstance(self.interpolator, Bandlimited):
                 raise InputError("interpolator", f"must be Bandlimited in baseband, but is {self.interpolator!r:.80}")
-        for name, least, most in (("prune_below_db", -300.0, -20.0), ("shadow_error_db", -120.0, -40.0)):
+        for name, least, most in (("prune_below_db", -300.0, -20.0), ("scattering_error_db", -120.0, -40.0)):
             if getattr(self, name) is not None:
                 checked[name] = as_number(name, getattr(self, name), at_least=least, at_most=most, unit="dB")
         if self.duration is not None:

@@ -59,7 +59,8 @@ class Emission:
     spectrum: Callable[[], tuple[Floats, Floats]]
     drawn: Callable[[], Draw]  # returns paths at which responses are looked at; likewise
     drawn_for_bands: Callable[[], Draw]  # the same at fewer instants, for narrow bands and what they leave
-    filters_more: bool = False  # whether its few paths take many functions, so that these cost more than the paths
+    filters_more: bool  # whether its few paths take many functions, so that these cost more than the paths
+    max_rate: float  # bound on how fast their delays change, s/s
 
     @classmethod
     def of(
@@ -71,17 +72,12 @@ class Emission:
         sound, spectrum = spectra(signal)
         draws = [partial(Draw.of, drawn_from, source, until, costly, times=n) for n in (TIMES, TIMES_OF_BANDS)]
         of_run = options, until, static, spectrum, cache(draws[0]), cache(draws[1]), filters_more
-        return cls(source, signal, emitted[1], sound, tracks, *of_run)
+        return cls(source, signal, emitted[1], sound, tracks, *of_run, drawn_from.max_rate(source))
 
     @property
     def field(self) -> str:
         """Its name in messages."""
         return f"signals[{self.source}]"
-
-    @property
-    def max_rate(self) -> float:
-        """Bound on how fast its delays change, s/s."""
-        return self.tracks.max_rate(self.source)
 
     def basis(self, band: tuple[float, float], rate: float, envelope: bool = False, tilt: Tilt = NO_TILT) -> Basis:
         """Return the functions of frequency that its paths need, within a band at most, both in Hz; less a tilt."""
@@ -101,8 +97,8 @@ class Emission:
         if not at_centre:
             requested_db = min(floor_db, options.response_error_db)
             drawn = self.drawn()
-            of_shadows = drawn.outlined and options.response_error_db == options.shadow_error_db
-            option = "shadow_error_db" if of_shadows else "response_error_db"
+            by_formulae = drawn.approximate and options.response_error_db == options.scattering_error_db
+            option = "scattering_error_db" if by_formulae else "response_error_db"
             return scene_basis(drawn, band_at, rate, requested_db, envelope and drawn.tracks.paths.turns_phases, option)
         if of_scene.paths.is_complex:
             return turning_basis(self.source, self.signal.centre_frequency, band_at(), rate, floor_db)

@@ -90,6 +90,7 @@ class Draw:
     grids: tuple[int, ...] = GRIDS  # frequencies of the band, the first number that resolves the responses
     whole: bool = False  # costly responses of few paths: all at each instant, of which every other one is held out
     outlined: bool = False  # whether all paths are by scatterers with the shadows of their outlines
+    approximate: bool = False  # whether all are by scatterers whose fields are approximations
 
     @classmethod
     def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False, *, times: int = TIMES) -> Draw:
@@ -101,14 +102,16 @@ class Draw:
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
         total = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source)
-        vertices = (getattr(pair.family, "vertex", None) for pair in of_scene.pair_paths)
-        outlined = all(getattr(vertex, "outlined", False) for vertex in vertices)
+        vertices = [getattr(pair.family, "vertex", None) for pair in of_scene.pair_paths]
+        outlined, approximate = (
+            all(getattr(vertex, name, False) for vertex in vertices) for name in ("outlined", "approximate")
+        )
         if costly and _LEAST_WHOLE * total <= min(counts):
             together = sum(counts) * (1 if outlined else _CHEAPER)
             rows = tuple(picked_paths(of_scene, source, until, together, rng, whole=True))
-            return cls(of_scene, source, until, rows, (), grids, True, outlined)
+            return cls(of_scene, source, until, rows, (), grids, True, outlined, approximate)
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng, times=times)) for count in counts)
-        return cls(of_scene, source, until, rows, held_out, grids, outlined=outlined)
+        return cls(of_scene, source, until, rows, held_out, grids, False, outlined, approximate)
 
     def probe(self) -> Draw:
         """Return the same with few of the instants, where all paths are taken at each."""

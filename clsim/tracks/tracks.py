@@ -309,9 +309,10 @@ class SceneTracks(Tracks):
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
         fastest, source_speed = 0.0, float(self.speeds.source[source])
+        families = {id(pair.family): pair.family for pair in self.pair_paths}.values()
         clock_rates = (receiver.clock_rate for receiver in self.paths.scene.receivers)
         for speed, clock_rate in set(zip(self.speeds.receiver.tolist(), clock_rates, strict=True)):
-            rate = max(family.max_rate(source_speed, speed) for family in self.paths.families)
+            rate = max((family.max_rate(source_speed, speed) for family in families), default=0.0)
             fastest = max(fastest, rate * clock_rate + abs(clock_rate - 1.0))
         return fastest
 

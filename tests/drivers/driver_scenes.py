@@ -215,7 +215,7 @@ def sonar(device: str) -> Plan:
     found = clsim.find_paths(of, 0, scattering_order=1).families[-1]
     few = np.arange(0, len(found), 26)  # of each one with walls on both legs, and one with fewer
     paths = PathSet(of, (found.part(few),))
-    made = plan(paths, device, responses="centre", duration=96 / RATE, shadow_error_db=None)
+    made = plan(paths, device, responses="centre", duration=96 / RATE, scattering_error_db=None)
     (part,) = made.allocation.scattered  # all of them
     return dataclasses.replace(part.plan, blocks=(96,), builders=BUILDERS)
 

@@ -331,7 +331,7 @@ def test_shadows_on_the_device(thing: str, device: str, measured: Callable[..., 
     finest_db = -75.0 if thing.startswith("pole and ") else -90.0  # two shades in a row need too many functions below
     claims = ((finest_db, f"shadow of a {thing} that passes, on the device"), (-60.0, "the same by default"))
     for asked_db, claim in claims:
-        options = {} if asked_db == -60.0 else {"shadow_error_db": asked_db}
+        options = {} if asked_db == -60.0 else {"scattering_error_db": asked_db}
         made = clsim.render(paths, 192e3, duration=0.06, **options).samples
         error = 10.0 * np.log10(
             np.mean((made - wanted) ** 2) / np.mean(still**2)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.shade import LOUDEST_SHADE, shade
-from clsim.acoustics.silhouette import ASPECTS
+from clsim.acoustics.silhouette import ASPECTS, forward_share
 from clsim.arrays import Floats
 from clsim.numerics.quaternions import inverse, rotate
 from clsim.paths.arrivals import Arrivals, Kinematics
@@ -86,6 +86,11 @@ class ScattererVertex:
     def outlined(self) -> bool:
         """Whether any scatterer has the shadow of its outline."""
         return any(scatterer.shape.outlined for scatterer in self.scatterers)
+
+    @property
+    def approximate(self) -> bool:
+        """Whether the field of any scatterer is an approximation that has lobes or a shadow."""
+        return self.outlined or any(isinstance(scatterer.shape, CapsuleShape) for scatterer in self.scatterers)
 
     @property
     def moves(self) -> bool:
@@ -252,9 +257,12 @@ class ScattererVertex:
         By times (P, T) at which sound is at this one, and its aspects (P, T, n), which hold both ends in its frame.
         """
         which = int(self.scatterer[mine[0]])
-        past: Any = 1.0
-        ends = aspects.reshape(-1, aspects.shape[-1])[:, -ASPECTS:][:, :6].reshape(-1, 2, 3)
-        moments, own = times.ravel(), self.scatterers[which].trajectory
+        outlines = aspects.reshape(-1, aspects.shape[-1])[:, -ASPECTS:]
+        near = np.flatnonzero(forward_share(wave, outlines)[0].any(axis=1))  # elsewhere its own outline does not count
+        ends, own = outlines[near, :6].reshape(-1, 2, 3), self.scatterers[which].trajectory
+        moments, past = times.ravel()[near], np.ones((times.size, len(wave)), dtype=np.complex128)
+        if not len(near):
+            return 1.0
         if own.has_orientation:
             ends = rotate(own.orientation(moments)[:, None], ends)
         ends = ends + own.position(moments)[:, None]
@@ -264,8 +272,8 @@ class ScattererVertex:
                 seen = ends - other.trajectory.position(moments)[:, None]
                 if other.trajectory.has_orientation:
                     seen = rotate(inverse(other.trajectory.orientation(moments))[:, None], seen)
-                past = past * shade(shape.outline, wave, seen[:, 0], seen[:, 1]).reshape(*times.shape, len(wave))
-        return past
+                past[near] *= shade(shape.outline, wave, seen[:, 0], seen[:, 1])
+        return past.reshape(*times.shape, len(wave))
 
     def largest(self, links: Links, at: SceneResponse) -> Floats:
         """Bounds (P, F) of what scatterers send on, times the lengths of the paths."""

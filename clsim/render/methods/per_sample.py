@@ -86,16 +86,15 @@ def scattered_groups(tracks: Tracks, convolved: Allocation, options: RenderOptio
         return []
     vertices = [getattr(pair.family, "vertex", None) for pair in tracks.of_scene.pair_paths]
     varied = {i for i, v in enumerate(vertices) if getattr(v, "varies", False)} - convolved.claimed
-    outlined = frozenset(i for i in varied if getattr(vertices[i], "outlined", False))
-    allowed_db, found = options.shadow_error_db, []
-    if allowed_db is None:
-        outlined = frozenset()
-    elif outlined:
-        within = replace(options, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db, channels=False)
-        found.append(Group("shadows", within, outlined, BLOCKS[1:]))
-    if varied - outlined:
-        found.append(Group(ECHOES, replace(options, channels=False), frozenset(varied - outlined), BLOCKS))
-    return found
+    allowed_db, exact = options.scattering_error_db, replace(options, channels=False)
+    within, outlined = exact, frozenset[int]()
+    if allowed_db is not None:
+        within = replace(exact, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db)
+        outlined = frozenset(i for i in varied if getattr(vertices[i], "outlined", False))
+    others = frozenset(varied - outlined)
+    for_others = within if all(getattr(vertices[i], "approximate", False) for i in others) else exact
+    groups = Group("shadows", within, outlined, BLOCKS[1:]), Group(ECHOES, for_others, others, BLOCKS)
+    return [group for group in groups if group.pairs]
 
 
 @dataclass(eq=False)

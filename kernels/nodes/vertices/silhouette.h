@@ -10,7 +10,7 @@ static double silhouette_field(const vertex_tables* t, const moment* now, const 
     const double l1 = OF_NODE(legs[0], lane), l2 = OF_NODE(legs[1], lane), sight = OF_NODE(legs[2], lane);
     const double held = fmax(sight, SHORTEST * (l1 + l2));
     const double strength = l1 * l2 / held, ratio = hidden ? 0.0 : mirrored / strength;
-    const double lit = hidden ? 1.0 : faded(cosine, COSINE_WHOLE, COSINE_NONE);
+    const double lit = hidden ? 1.0 : faded(cosine, COSINE_WHOLE, COSINE_NONE), detour = fmax(l1 + l2 - sight, 0.0) / HALF_TURN;
     response lit_by;
     bins share[BIN_VECTORS];
     root_range roots;
@@ -19,7 +19,8 @@ static double silhouette_field(const vertex_tables* t, const moment* now, const 
     for (int f = 0; f < FREQUENCIES; f++) {
         const double wave = 2.0 * HALF_TURN * ((__global const float*)t->waves)[f];
         const double root_of_wave = cbrt(0.5 * wave), fock = -2.0 * cosine * root_of_wave / cbrt(curvature);
-        const float one = hidden ? 1.0f : (float)(lit * faded(fock, FOCK_WHOLE, FOCK_NONE));
+        const double near = lit * faded(fock, FOCK_WHOLE, FOCK_NONE) * faded(sqrt(detour * wave), WITHIN, 2.0 * WITHIN);
+        const float one = hidden ? 1.0f : (float)near;
         ((float*)share)[f] = one;
         lit_reflection(t->modes, fock, (float*)lit_by.part[0] + f, (float*)lit_by.part[1] + f);
         ((float*)roots.place)[f] = (float)root_of_wave;

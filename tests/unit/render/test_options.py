@@ -58,7 +58,7 @@ def test_all_are_checked_and_converted_once() -> None:
         ({"baseband": 4e3}, "baseband: must be a carrier and a bandwidth, Hz, but is 4000.0"),
         ({"baseband": (4e3, 1e3), "interpolator": clsim.Lagrange(3)}, "interpolator: must be Bandlimited in baseband"),
         ({"prune_below_db": 3.0}, "prune_below_db: must be at most -20 dB, but is 3 dB"),
-        ({"shadow_error_db": -20.0}, "shadow_error_db: must be at most -40 dB, but is -20 dB"),
+        ({"scattering_error_db": -20.0}, "scattering_error_db: must be at most -40 dB, but is -20 dB"),
         ({"engine": "gpu"}, 'engine: must be one of "opencl", "reference", but is \'gpu\''),
         ({"device": 0}, "device: must be an id or part of a name, but is 0"),
         ({"duration": 0.0}, "duration: must be above 0 s, but is 0 s"),
