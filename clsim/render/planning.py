@@ -223,8 +223,7 @@ class Request:
         splits: dict[int, Split] = {}
         made, others = self._of(others, everyone - alone.union(*(part.pairs for part in parts)), splits)
         for name, within, pairs, blocks in groups:
-            known = splits if name == per_sample.ECHOES else None
-            filters, part = replace(self, options=within)._of(Allocation(everyone - pairs), pairs, known, costly=True)
+            filters, part = replace(self, options=within)._of(Allocation(everyone - pairs), pairs, splits, costly=True)
             alike = replace(part, narrow=())
             plan = plan_of_part(within, tracks, alike, filters, self.samples, blocks, [PER_SAMPLE])
             scattered, narrow = (*others.scattered, ScatteredPart(plan, pairs, name)), others.narrow + part.narrow

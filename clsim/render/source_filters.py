@@ -60,7 +60,7 @@ class Emission:
     drawn: Callable[[], Draw]  # returns paths at which responses are looked at; likewise
     drawn_for_bands: Callable[[], Draw]  # the same at fewer instants, for narrow bands and what they leave
     filters_more: bool  # whether its few paths take many functions, so that these cost more than the paths
-    max_rate: float  # bound on how fast their delays change, s/s
+    drawn_from: Tracks  # those of its paths alone
 
     @classmethod
     def of(
@@ -72,7 +72,12 @@ class Emission:
         sound, spectrum = spectra(signal)
         draws = [partial(Draw.of, drawn_from, source, until, costly, times=n) for n in (TIMES, TIMES_OF_BANDS)]
         of_run = options, until, static, spectrum, cache(draws[0]), cache(draws[1]), filters_more
-        return cls(source, signal, emitted[1], sound, tracks, *of_run, drawn_from.max_rate(source))
+        return cls(source, signal, emitted[1], sound, tracks, *of_run, drawn_from)
+
+    @property
+    def max_rate(self) -> float:
+        """Bound on how fast its delays change, s/s."""
+        return self.drawn_from.max_rate(self.source)
 
     @property
     def field(self) -> str:
@@ -127,7 +132,7 @@ class Emission:
     @property
     def _numbers(self) -> int:
         """Real gains in place of one: two where fields turn phases. Those of envelopes are complex and cost as one."""
-        of_scene = self.tracks.of_scene
+        of_scene = self.drawn_from.of_scene
         return 1 + int(of_scene is not None and of_scene.paths.turns_phases)
 
     def cost_of_rest(self, loud: float) -> float:

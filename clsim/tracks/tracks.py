@@ -245,9 +245,11 @@ class SceneTracks(Tracks):
         return id(paths.family), paths.source, paths.receiver, len(paths), int(paths.index[0])
 
     def among(self, pairs: Sequence[int]) -> SceneTracks:
-        """Return the tracks of some of the pairs, by their indices."""
-        paths = tuple(self.pair_paths[i] for i in pairs)
-        return replace(self, pairs=tuple(self.pairs[i] for i in pairs), pair_paths=paths)
+        """Return the tracks of some of the pairs, by their indices, and of no other kinds of paths."""
+        some = tuple(self.pair_paths[i] for i in pairs)
+        families = tuple({id(pair.family): pair.family for pair in some}.values())
+        mine = tuple(self.pairs[i] for i in pairs)
+        return replace(self, pairs=mine, pair_paths=some, paths=PathSet(self.paths.scene, families))
 
     def with_rows(self, rows: Mapping[int, Rows]) -> SceneTracks:
         """Return the same tracks, of some pairs with other paths: stretches of theirs."""
@@ -309,10 +311,9 @@ class SceneTracks(Tracks):
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
         fastest, source_speed = 0.0, float(self.speeds.source[source])
-        families = {id(pair.family): pair.family for pair in self.pair_paths}.values()
         clock_rates = (receiver.clock_rate for receiver in self.paths.scene.receivers)
         for speed, clock_rate in set(zip(self.speeds.receiver.tolist(), clock_rates, strict=True)):
-            rate = max((family.max_rate(source_speed, speed) for family in families), default=0.0)
+            rate = max((family.max_rate(source_speed, speed) for family in self.paths.families), default=0.0)
             fastest = max(fastest, rate * clock_rate + abs(clock_rate - 1.0))
         return fastest
 
