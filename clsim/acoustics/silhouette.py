@@ -22,7 +22,8 @@ ASPECTS = 11  # numbers that a field takes
 # cosines of the angle of incidence: beyond, the body is a mirror.
 FORWARD_FOCK = (-1.0, -2.0)
 FORWARD_COSINE = (0.25, 0.45)
-# Radii of the first Fresnel zone by which a line of sight passes a body: up to here its outline counts, beyond twice not.
+# Radii of the first Fresnel zone by which a line of sight passes a body: up to here its outline counts, beyond twice
+# it does not.
 WITHIN = 1.0
 NEAR_FOCK = (-4.0, -5.5)  # where the near side of an outline ends that the line of sight does not meet
 # Squared sine of the angle that a tangent makes with the outline: below, a point is no edge of the body.

@@ -36,7 +36,8 @@ _CUBIC = 24  # blocks in each cubic of a motion at least
 _SAMPLED = 5  # instants and pairs at which levels of tangents are taken
 _LESS_DB, _MOST_DB = 10.0, -20.0  # by which tangents may be held less well than responses, and at most
 _PER_SAMPLE: dict[str, Any] = {
-    "convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None, "scattering_error_db": None,
+    "convolve_static": False, "narrowband": False, "channels": False, "prune_below_db": None,
+    "scattering_error_db": None,
 }  # fmt: skip
 
 

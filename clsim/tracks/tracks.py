@@ -247,7 +247,7 @@ class SceneTracks(Tracks):
     def among(self, pairs: Sequence[int]) -> SceneTracks:
         """Return the tracks of some of the pairs, by their indices, and of no other kinds of paths."""
         some = tuple(self.pair_paths[i] for i in pairs)
-        families = tuple({id(pair.family): pair.family for pair in some}.values())
+        families = tuple({id(pair.family): pair.family for pair in some}.values()) or self.paths.families
         mine = tuple(self.pairs[i] for i in pairs)
         return replace(self, pairs=mine, pair_paths=some, paths=PathSet(self.paths.scene, families))
 
@@ -313,7 +313,7 @@ class SceneTracks(Tracks):
         fastest, source_speed = 0.0, float(self.speeds.source[source])
         clock_rates = (receiver.clock_rate for receiver in self.paths.scene.receivers)
         for speed, clock_rate in set(zip(self.speeds.receiver.tolist(), clock_rates, strict=True)):
-            rate = max((family.max_rate(source_speed, speed) for family in self.paths.families), default=0.0)
+            rate = max(family.max_rate(source_speed, speed) for family in self.paths.families)
             fastest = max(fastest, rate * clock_rate + abs(clock_rate - 1.0))
         return fastest
 

@@ -152,6 +152,22 @@ def test_spheres_by_their_outline(radius: float, frequency: float, measured: Cal
     measured(f"{claim}, worst", "the exact series", float(np.abs(found).max()), 2.5)
 
 
+def test_outlines_count_near_the_line_of_sight() -> None:
+    """A ball that goes from it to six radii of the Fresnel zone: beyond two the mirror alone, as the exact series has it."""
+    radius, wave, source = 0.1, 2.0 * np.pi * 40e3 / C, np.array([-3.0, 0.0, 0.0])
+    ball = clsim.Scatterer.sphere("b", radius, clsim.Trajectory.fixed(MIDDLE), model="outline")
+    zone = np.sqrt(2.0 * np.pi / wave * 1.5)
+    places = walk(3.0, 2.0 * np.array([radius + n * zone for n in (0.5, 0.9, 1.3, 1.6, 1.9, 2.2, 3.0, 4.0, 5.0, 6.0, 0.2)]))
+    ends = [np.tile(source, (len(places), 1)).T, places.T]
+    aspects = ball.shape.strength(*ends, None)[1]
+    share = forward_share(np.array([wave]), aspects)[0][:, 0]
+    np.testing.assert_allclose(share[[0, 1, -1]], 1.0, atol=0.05)
+    assert np.all(share[5:10] == 0.0)
+    assert np.all((share[2:5] > 0.0) & (share[2:5] < 0.95))
+    found = errors(heard([ball], wave, source, places), sphere(wave, radius, source, places))
+    assert np.abs(found).max() < 0.4
+
+
 @pytest.mark.parametrize("thin", [0.01, 0.003, 0.0003])
 def test_thin_discs_edge_on_leave_the_free_field(thin: float) -> None:
     """A disc of 60 cm, as rigid as it is, has nothing to reflect or to shade there; Fock's term alone adds 2 to 14 dB."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.acoustics import fock, shade, silhouette
+from clsim.acoustics import fock, silhouette
 from clsim.acoustics.capsule import CAP_FADE, FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE, adjacent_reflections
 from clsim.acoustics.outline import NEAR_AXIS, NEAREST_END, Outline, most_points, steps_of_points
