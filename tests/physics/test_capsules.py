@@ -247,7 +247,9 @@ def test_echoes_leave_the_filters_of_reflections() -> None:
         sticks = [] if shadow is None else [clsim.Scatterer.capsule("c", 0.05, 0.3, way, shadow=shadow)]
         bands[name] = clsim.plan_render(walking(sticks, 0.5), 192e3, duration=0.5)
     assert len({plan.source_filters[0].digest() for plan in bands.values()}) == 1
-    functions = [len(bands[name].allocation.scattered[0].plan.source_filters[0].basis) for name in ("echoes", "shadows")]
+    functions = [
+        len(bands[name].allocation.scattered[0].plan.source_filters[0].basis) for name in ("echoes", "shadows")
+    ]
     assert functions[0] <= 3
     assert functions[1] <= 6
 

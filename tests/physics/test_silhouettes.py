@@ -157,7 +157,9 @@ def test_outlines_count_near_the_line_of_sight() -> None:
     radius, wave, source = 0.1, 2.0 * np.pi * 40e3 / C, np.array([-3.0, 0.0, 0.0])
     ball = clsim.Scatterer.sphere("b", radius, clsim.Trajectory.fixed(MIDDLE), model="outline")
     zone = np.sqrt(2.0 * np.pi / wave * 1.5)
-    places = walk(3.0, 2.0 * np.array([radius + n * zone for n in (0.5, 0.9, 1.3, 1.6, 1.9, 2.2, 3.0, 4.0, 5.0, 6.0, 0.2)]))
+    places = walk(
+        3.0, 2.0 * np.array([radius + n * zone for n in (0.5, 0.9, 1.3, 1.6, 1.9, 2.2, 3.0, 4.0, 5.0, 6.0, 0.2)])
+    )
     ends = [np.tile(source, (len(places), 1)).T, places.T]
     aspects = ball.shape.strength(*ends, None)[1]
     share = forward_share(np.array([wave]), aspects)[0][:, 0]
