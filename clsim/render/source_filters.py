@@ -100,8 +100,7 @@ class Emission:
         low = min(max(low, least, _LEAST_BIN * float(sound.frequencies[1])), 0.999 * high)
         band_at = cache(partial(band_of, low, high, sound, tilt))
         if not at_centre:
-            requested_db = min(floor_db, options.response_error_db)
-            drawn = self.drawn()
+            requested_db, drawn = min(floor_db, options.response_error_db), self.drawn()
             by_formulae = drawn.approximate and options.response_error_db == options.scattering_error_db
             option = "scattering_error_db" if by_formulae else "response_error_db"
             return scene_basis(drawn, band_at, rate, requested_db, envelope and drawn.tracks.paths.turns_phases, option)
