@@ -223,7 +223,8 @@ class Request:
         splits: dict[int, Split] = {}
         made, others = self._of(others, everyone - alone.union(*(part.pairs for part in parts)), splits)
         for name, within, pairs, blocks in groups:
-            filters, part = replace(self, options=within)._of(Allocation(everyone - pairs), pairs, splits, costly=True)
+            known = splits if name == per_sample.ECHOES else None
+            filters, part = replace(self, options=within)._of(Allocation(everyone - pairs), pairs, known, costly=True)
             alike = replace(part, narrow=())
             plan = plan_of_part(within, tracks, alike, filters, self.samples, blocks, [PER_SAMPLE])
             scattered, narrow = (*others.scattered, ScatteredPart(plan, pairs, name)), others.narrow + part.narrow
