@@ -30,6 +30,9 @@ _LEAST = 6 * _APART  # times, for that
 _LONGEST_GAP = 0.05  # s between these
 _FEW_ROUNDS = 3  # from there on
 _FOUND = 1e-11  # s; what the next step leaves of this is its share of the mirrors' Mach numbers
+_ASTRAY = 1e-5  # m, by which places on mirrors may still move from round to round; beyond it rounds are mixed
+_FAR_ASTRAY, _OFF_LEG = 1e-2, 0.05  # the same where mirrors are off a leg, by so much of it
+_MIXED, _MOST_SHARE = (10, 30), 10.0  # rounds, then, and how far one goes on from the last two, in their distance
 BEYOND_LEG = 0.5  # of a leg, by which events of paths that are not there may lie off it
 
 
@@ -102,6 +105,9 @@ def find_events(
     Where times are many and near to each other, events are looked for at every fourth of them first: quintic splines
     through these are where the others begin, and change no more than how many rounds that takes.
 
+    Along a mirror that turns at w, a round leaves the share ``w L / (c sin a)`` of an error, L being the
+    length of the path and a its angle with the mirror. What grazes it takes more rounds, mixed by Anderson's method.
+
     References
     ----------
     A. Einstein, Annalen der Physik 17 (1905), section 8: reflection by a moving mirror, of which this is the form for
@@ -111,13 +117,15 @@ def find_events(
     search = _Search(mirrors, motion, medium, retarded)
     few = few_of(moments) if retarded else None
     if few is None:
-        return search.solved(walls, moments, None, rounds)[0]
-    coarse = search.solved(walls, moments[few], None, rounds)[0]
-    found, left = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
+        return search.surely_solved(walls, moments, rounds)
+    coarse = search.surely_solved(walls, moments[few], rounds)
+    found, left, _ = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
     rows = np.flatnonzero(left > _FOUND)
-    if not len(rows):
-        return found
-    again = search.solved(walls[rows], moments, None, rounds)[0]
+    return _replaced(found, rows, search.surely_solved(walls[rows], moments, rounds)) if len(rows) else found
+
+
+def _replaced(found: Events, rows: NDArray[np.int64], again: Events) -> Events:
+    """Write events of some of the rows."""
     for name in (f.name for f in fields(Events)):
         getattr(found, name)[rows] = getattr(again, name)
     return found
@@ -159,11 +167,30 @@ class _Search:
     motion: tuple[Motion, Motion]
     medium: UniformAir
     retarded: bool
+    mixes: bool = False  # whether rounds are mixed
+
+    def surely_solved(self, walls: NDArray[np.signedinteger[Any]], times: Floats, rounds: int) -> Events:
+        """Return the events of paths: of those that are astray after some rounds with mixed ones."""
+        found, _, strays = self.solved(walls, times, None, rounds)
+        for more in _MIXED:
+            near = np.all((found.share > -_OFF_LEG) & (found.share < 1.0 + _OFF_LEG), axis=2).any(axis=1)
+            rows = np.flatnonzero((strays > _ASTRAY) & near | (strays > _FAR_ASTRAY))
+            if not len(rows):
+                break
+            motion: Any = tuple(end.part(rows) if hasattr(end, "part") else end for end in self.motion)
+            search, some = replace(self, motion=motion, mixes=True), times[rows] if times.ndim > 1 else times
+            again, _, strays[rows] = search.solved(walls[rows], some, None, more)
+            _replaced(found, rows, again)
+        return found
 
     def solved(
-        self, walls: NDArray[np.signedinteger[Any]], times: Floats, known: _Known | None, rounds: int
-    ) -> tuple[Events, Floats]:
-        """Return the events of paths, and the last steps (P,) of their times of emission, s."""
+        self,
+        walls: NDArray[np.signedinteger[Any]],
+        times: Floats,
+        known: _Known | None,
+        rounds: int,
+    ) -> tuple[Events, Floats, Floats]:
+        """Return the events of paths, and the last steps (P,) of times of emission, s, and of places on mirrors, m."""
         shape, retarded = (len(walls), times.shape[-1]), self.retarded
         now, receiver = np.broadcast_to(times, shape), self.motion[1]
         wind, c, count = np.array(self.medium.wind or (0.0, 0.0, 0.0)), self.medium.speed_of_sound, walls.shape[1]
@@ -174,6 +201,7 @@ class _Search:
         if known is not None:
             emission = known.emission
             event, place = ([x[:, :, k] for k in range(count)] for x in (known.event, known.place))
+        mixed, strays = _Mixing(), np.zeros(len(walls))
         for _ in range(rounds):
             rest = first or not retarded
             at = [e if retarded else np.zeros(shape) for e in event]
@@ -187,14 +215,46 @@ class _Search:
             onwards = apart / np.maximum(distance, 1e-300)[..., None]
             beyond = seen.late - dot(onwards, seen.moved) / c
             step = -(seen.time[-1] + distance / c) / (1.0 + beyond)
-            emission = emission + step
+            taken, emission = [emission, *event], emission + step
+            before = place
             event, place, share = _traced(planes, seen, receiver_at, wind)
             largest = np.abs(step).max(axis=1, initial=0.0)
-            if not first and largest.max(initial=0.0) <= (_CONVERGED if known is None else _FOUND):
+            strays = np.max(
+                [np.abs(a - b).max(axis=(1, 2)) for a, b in zip(place, before, strict=True)], axis=0, initial=0.0
+            )
+            enough = largest.max(initial=0.0) <= (_CONVERGED if known is None else _FOUND)
+            if not first and enough and (not self.mixes or strays.max(initial=0.0) <= _ASTRAY):
                 break
+            if self.mixes and not first:
+                emission, event, place = mixed.next((taken, before), ([emission, *event], place), c)
             first = False
         found = (emission, event, place, share), (distance, onwards, beyond)
-        return _given(self.mirrors, walls, planes, ends, *found, c), largest
+        return _given(self.mirrors, walls, planes, ends, *found, c), largest, strays
+
+
+class _Mixing:
+    """Anderson's method of the first order: the next guess is where the line through the last two rounds would end.
+
+    D. G. Anderson, J. ACM 12 (1965). Residuals are those of times, as lengths of sound's way, and of places together.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[Floats, Floats] | None = None  # residuals and results (P, T, n) of the round before
+
+    def next(
+        self, taken: tuple[list[Floats], list[Floats]], found: tuple[list[Floats], list[Floats]], c: float
+    ) -> tuple[Floats, list[Floats], list[Floats]]:
+        """Return emission, events and places to go on from, from those taken and found in a round."""
+        before, after = (np.concatenate([np.stack(x[0], axis=-1) * c, *x[1]], axis=-1) for x in (taken, found))
+        residual, mixed = after - before, after
+        if self._last is not None:
+            change = residual - self._last[0]
+            share = dot(residual, change) / np.maximum(dot(change, change), 1e-300)
+            mixed = after - np.clip(share, -_MOST_SHARE, _MOST_SHARE)[..., None] * (after - self._last[1])
+        self._last = residual, after
+        count = len(found[1])
+        times, places = mixed[..., : count + 1] / c, mixed[..., count + 1 :]
+        return times[..., 0], list(np.moveaxis(times[..., 1:], -1, 0)), np.split(places, count, axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import ByRow, Floats, read_only
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.scene.body import Body
 from clsim.scene.room.edges import Edges, find_edges
@@ -213,7 +213,7 @@ class EdgeLines:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgePoint:
+class EdgePoint(ByRow):
     """Points at places (P, T) along edges (P,) as an end of ways: each keeps its place as time goes on."""
 
     lines: EdgeLines

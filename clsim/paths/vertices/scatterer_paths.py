@@ -328,6 +328,9 @@ class _Point:
     def __init__(self, motion: Motion, offset: Floats | None) -> None:
         self._motion, self._offset = motion, offset
 
+    def part(self, rows: NDArray[np.int64]) -> _Point:
+        return _Point(self._motion, None if self._offset is None else self._offset[rows])
+
     def _arm(self, times: Floats) -> Floats:
         assert self._offset is not None
         return rotate(self._motion.orientation(times), self._offset) if self._motion.has_orientation else self._offset

@@ -28,6 +28,7 @@ stays.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,6 +42,7 @@ from clsim.paths.propagation import UniformAir
 from clsim.paths.visibility.rates import FAR, Pace, lasts, middle_of
 
 Bools = NDArray[np.bool_]
+PaceOf = Callable[[NDArray[np.int64], Floats], Pace]
 
 EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of time was met before it, and more
 _MOST_DILATION = 2.0  # of a second of emission to one of reception that is taken first, and checked
@@ -48,6 +50,12 @@ _MOST_SLIDE = 0.5  # of the speed of sound, at which places on mirrors that turn
 _ROUNDS = 2  # in which bounds are made narrower
 _MARGIN = 0.25  # of a path's length or rise, by which it may slide or shrink before bounds no longer hold
 _LESS = 0.8  # of that margin: both length and share may change
+_TURNS = 2  # of finding when sound is at the middle of a face, and when it was emitted
+_BRIEF = 2e-2  # s; faces that turn past all their points within twice that are looked at at every sample then
+_WIDEST, _CHORD = (
+    0.5,
+    1.0353,
+)  # sine of an angle from the middle of a face to another point, and unit vectors' chord by it
 _TAME = 1e-4  # m, by which events may lie off the line for the bounds to hold of where mirrors are met
 
 
@@ -301,3 +309,88 @@ def behind(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium
             found = np.minimum(found, lasts(np.maximum(off, 0.0), EARLIER * (faced + end)))
         sure[n] = np.where(heights[0] * heights[1] < 0.0, found, 0.0)
     return sure
+
+
+def averted(
+    mirrors: Mirrors, walls: NDArray[Any], ends: tuple[Any, Any], now: Floats, pace_of: PaceOf, medium: UniformAir
+) -> tuple[Floats, Bools]:
+    """Return for how long the one moving face of paths surely is so turned that no point of it reflects, (n,) s.
+
+    The mask (n,) is of faces for which this is known but for some milliseconds about a glint.
+
+    A point of a face that moves at v sees both ends along the unit vectors a and b, with the parts a' and b' in its
+    plane. Where it reflects, ``a' (c - b v) + b' (c + a v) = 0`` by Fermat's principle, so that ``|a' + b'| <= 2 v /
+    c``. In the body's axes that sum is the one of the face's middle but for the angles under which the ends see the
+    face and what moves, and for turns. No line is drawn on to a mirror: that holds however a path is slanted.
+    """
+    sure, far = np.zeros(len(walls)), np.zeros(len(walls), dtype=bool)
+    moving = np.append([not body.is_static for body in mirrors.bodies], False)[mirrors.owner[walls]]
+    if medium.wind is not None:
+        return sure, far
+    number = np.where(np.sum(moving, axis=1) == 1, np.argmax(moving, axis=1), -1)
+    for k in np.unique(number[number >= 0]).tolist():
+        for face in np.unique(walls[number == k, k]).tolist():
+            p = np.flatnonzero((number == k) & (walls[:, k] == face))
+            seen = _Middle.of(mirrors, walls[p], k, (ends[0], ends[1].part(p)), now[p], medium.speed_of_sound)
+            pace = pace_of(p, 2.0 * (now[p] - seen.emitted))
+            sure[p], far[p] = seen.averted(mirrors, int(mirrors.owner[face]), pace, medium)
+    return sure, far
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Middle:
+    """How the middle of a moving face sees both ends of n paths, or their images by walls at rest."""
+
+    emitted: Floats  # (n,) when sound leaves the source that goes by the middle, s
+    sums: Floats  # (n,) lengths of a' + b', see `averted`
+    apart: tuple[Floats, Floats]  # (n,) distances from source and receiver, m
+    size: float  # how far points of the face are from its middle, m
+    unsure: float  # of those times, s
+
+    @staticmethod
+    def of(mirrors: Mirrors, walls: NDArray[Any], k: int, ends: tuple[Any, Any], now: Floats, c: float) -> _Middle:
+        face, zeros = int(walls[0, k]), np.zeros((len(now), 1))
+        number = int(mirrors.owner[face])
+        body, local = mirrors.bodies[number], face - int(mirrors.first[number])
+        middle = body.mesh.walls.centre[local]
+
+        def image(place: Floats, met: NDArray[Any]) -> Floats:
+            for each in met:
+                plane = mirrors.planes(each, now[:, None], zeros, None)
+                place = place - 2.0 * plane.height(zeros, place)[..., None] * plane.normal
+            return place[:, 0]
+
+        ear = image(ends[1].position(now[:, None]), walls[:, :k:-1].T)
+        event = now
+        for _ in range(_TURNS):
+            before, event = event, now - np.linalg.norm(ear - body.placed(middle, event), axis=1) / c
+        unsure, place, emission = np.abs(event - before), body.placed(middle, event), event
+        for _ in range(_TURNS):
+            source = image(ends[0].position(emission[:, None]), walls[:, :k].T)
+            before, emission = emission, event - np.linalg.norm(source - place, axis=1) / c
+        own = [body.seen(x, event) - middle for x in (source, ear)]
+        apart = [np.linalg.norm(x, axis=1) for x in own]
+        sums = sum(x / np.maximum(d, 1e-300)[:, None] for x, d in zip(own, apart, strict=True))
+        sums = sums - (sums @ mirrors.normal[face])[:, None] * mirrors.normal[face]
+        worst = float(np.max(unsure + np.abs(emission - before), initial=0.0))
+        return _Middle(
+            emission, np.linalg.norm(sums, axis=1), (apart[0], apart[1]), float(body.mesh.walls.radius[local]), worst
+        )
+
+    def averted(self, mirrors: Mirrors, body: int, pace: Pace, medium: UniformAir) -> tuple[Floats, Bools]:
+        """Return for how long the sum surely differs from what it is where the face reflects, (n,) s; see `averted`."""
+        c, source, ear = medium.speed_of_sound, pace.source, pace.receiver
+        fast = pace.speed[:, body] + pace.turn[:, body] * middle_of(mirrors.bodies[body]).lever
+        # By how much, s, an event at the face and the emission may differ from those of the middle, and go on.
+        met = self.size / (c - fast) + self.unsure, (c + ear) / (c - fast)
+        left = ((c + fast) * met[0] + self.size) / (c - source) + self.unsure, (c + fast) * met[1] / (c - source)
+        moves = [self.size + source * left[0] + fast * met[0], source * left[1] + fast * met[1]]
+        other = [self.size + fast * met[0], ear + fast * met[1]]
+        first, then = 2.0 * fast / c + 2.0 * pace.turn[:, body] * met[0], 2.0 * pace.turn[:, body] * met[1]
+        sure = np.full(len(fast), FAR)
+        for (start, speed), apart in zip((moves, other), self.apart, strict=True):
+            first, then = first + _CHORD * start / apart, then + _CHORD * speed / apart
+            sure = np.minimum(sure, lasts(np.maximum(_WIDEST * apart - start, 0.0), speed))
+        known = (sure > 0.0) & (left[1] <= EARLIER)  # within the times that the pace is of
+        sure = np.where(known, np.minimum(sure, lasts(np.maximum(self.sums - first, 0.0), then)), 0.0)
+        return sure, known & (first < _BRIEF * then)

@@ -15,7 +15,7 @@ from clsim.paths.legs.events import Events, find_events
 from clsim.paths.legs.mirrors import ROOM
 from clsim.paths.legs.static import path_vertices
 from clsim.paths.propagation import UniformAir, mean_medium_of
-from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, behind, drift, straightened
+from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, averted, behind, drift, straightened
 from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_by
 from clsim.paths.visibility.rates import FAR, EndRates, Pace, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS, Status
@@ -88,7 +88,21 @@ class MirrorEvaluation:
         certain = np.where(jumps & (certain < half), 0.0, certain)
         loose = np.minimum(lasts(np.full(len(walls), self.step), pace.all_lengths), FAR)
         fastest = np.minimum(change.place.max(axis=1), FAR) + pace.all_lengths
-        return there, certain, np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
+        taken = np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
+        gone = gone[(taken[gone] > 0.0) & np.any(pace.turn[gone] > 0.0, axis=1)]
+        aside, brief = self._averted(walls[gone], ears[gone], times[gone], half[gone])
+        certain[gone], taken[gone] = np.maximum(certain[gone], aside), np.where(brief, 0.0, taken[gone])
+        return there, certain, taken
+
+    def _averted(self, walls: NDArray[np.int32], ears: Rows, times: Floats, half: Floats) -> tuple[Floats, Bools]:
+        """Return for how long faces that turn are surely so turned that no point of them reflects, (n,) s."""
+
+        def pace_of(p: Rows, late: Floats) -> Pace:
+            return self.rates.over(ears[p], times[p] - EARLIER * (half[p] + late), times[p], half[p])
+
+        return averted(
+            self.obstacles.mirrors, walls, (self.source, _Ears(self.receivers, ears)), times, pace_of, self.medium
+        )
 
     def _on_faces(self, walls: NDArray[np.int32], place: Floats, when: Floats) -> tuple[Bools, Floats, Floats]:
         """Mask of hits (n, N) on their faces, and distances from borders and from the middles of bodies, m."""
@@ -143,7 +157,11 @@ class _Ears:
     """Receivers (n,) of paths as one motion, of times (n, T)."""
 
     def __init__(self, motions: Sequence[Motion], which: Rows) -> None:
-        self._motions, self._rows = motions, [(ear, np.flatnonzero(which == ear)) for ear in np.unique(which).tolist()]
+        self._motions, self._which = motions, which
+        self._rows = [(ear, np.flatnonzero(which == ear)) for ear in np.unique(which).tolist()]
+
+    def part(self, rows: Rows) -> _Ears:
+        return _Ears(self._motions, self._which[rows])
 
     def position(self, times: Floats) -> Floats:
         return self._of("position", times)

@@ -20,6 +20,7 @@ from clsim.scene.room.walls import Walls
 Bools = NDArray[np.bool_]
 Rows = NDArray[np.int64]
 
+_ON_PLANE = 1e-6  # m, by which an event may lie off the mirror that it is at
 _STEPS = 2  # of the secant's towards where a leg meets a face that turns
 _SPARE = 1.01  # of a body's radius, for legs that are curved as it sees them
 
@@ -127,9 +128,11 @@ class Obstacles:
         return surface - int(self.mirrors.first[body]), self.mirrors.bodies[body].seen(places, times)
 
     def _holds(self, surface: int, places: Floats, times: Floats) -> Bools:
-        """Mask of places (n, 3) in the plane of a mirror at times (n,) that are on it."""
+        """Mask of places (n, 3) of events at times (n,) that are on a mirror; events not found lie off its plane."""
         walls, face, places = self.walls[self.mirrors.owner[surface]], *self._seen(surface, places, times)
-        held: Bools = walls.holds(face, places)
+        held: Bools = walls.holds(face, places) & (
+            np.abs(places @ self.mirrors.normal[surface] - self.mirrors.offset[surface]) < _ON_PLANE
+        )
         for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
             held &= ~walls.holds(int(twin), places)
         return held
