@@ -18,7 +18,7 @@ from clsim.scene.flush import in_face
 from clsim.scene.material.material import Material
 from clsim.scene.motion.motion import Instants, Moved, even_lengths, seen_by
 from clsim.scene.motion.trajectory import Trajectory, as_places
-from clsim.scene.placement import Placed, check_lasts, first_refused
+from clsim.scene.placement import TOUCHING, Placed, check_lasts, first_refused
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.protocol import Room, is_room
 
@@ -29,7 +29,6 @@ End = TypeVar("End", Source, Receiver)
 _SHEET = (0, 1, 3, 2)  # corners of the face of a box on one side of an axis, around it
 _SIDES = ("min", "max")
 _SHORTEST = 1e-5  # m, of a box: faces of less have no area
-TOUCHING = 1e-3  # m; a body may be so deep in a wall, as a door is on the floor or at its hinge
 _STEP = 0.01  # m, which a body goes from one look to the next
 _RATE = 1000.0  # Hz, at which speeds are looked at
 _AT_A_TIME = 256  # instants
@@ -222,11 +221,12 @@ def _check_walls(field_name: str, body: Body, room: Room, mesh: MeshRoom) -> Non
         corners = body.placed(body.mesh.vertices[None], some[:, None])
         if room.is_convex:
             faces = room.faces
-            deep = corners @ faces.normals.T - faces.offsets < -TOUCHING
-            if deep.any():
-                i = int(np.argmax(deep.any(axis=(1, 2))))
-                wall = faces.names[int(np.argmax(deep[i].any(axis=0)))]
-                raise _met(field_name, body, f"the wall {wall!r}", float(some[i]))
+            deep = (faces.offsets - corners @ faces.normals.T).max(axis=1)
+            if deep.max() > TOUCHING:
+                i = int(np.argmax(deep.max(axis=1) > TOUCHING))
+                wall = int(np.argmax(deep[i]))
+                name = f"the wall {faces.names[wall]!r} by {deep[i, wall]:.3g} m"
+                raise _met(field_name, body, name, float(some[i]))
             continue
         low, high = corners.min(axis=1), corners.max(axis=1)
         centre, reach = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)

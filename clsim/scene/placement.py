@@ -18,13 +18,15 @@ from clsim.scene.motion.motion import Indices, Instants, Motion
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.mesh_cleaning import held_by_rooms
 from clsim.scene.room.protocol import Room
-from clsim.scene.scatterer import Scatterer
+from clsim.scene.scatterer import Scatterer, SphereShape
 from clsim.scene.transducer import TRANSDUCER_NAMES, Transducer
 
 Placed = End | Scatterer
 
 _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
 _SCAN_BLOCK = 65536  # instants among which the nearest approach is sought
+_DEPTHS = 4096  # instants at which scatterers are compared with walls
+TOUCHING = 1e-3  # m; what is less deep in a wall touches it
 _SAME = 1e-9  # m, up to which two places count as one
 
 
@@ -133,6 +135,23 @@ def check_scatterers(
             raise InputError(f"{field_name}.trajectory", problem)
         for _, end in ends:
             _check_apart(field_name, scatterer, end, nearest)
+
+
+def warn_of_walls(room: Room, scatterers: Sequence[tuple[str, Scatterer]]) -> None:
+    """Warn of spheres that reach into a wall by more than bodies may, with the time and depth where it is deepest."""
+    for field_name, scatterer in scatterers:
+        motion, (start, stop) = scatterer.trajectory, scatterer.time_range
+        if not isinstance(scatterer.shape, SphereShape):
+            continue
+        count = 1 if motion.is_static else min(int((stop - start) * _SCAN_RATE) + 2, _DEPTHS)
+        times = np.linspace(start, stop, count)
+        deep = scatterer.shape.radius - room.clearance(motion.position(times))
+        i = int(np.argmax(deep))
+        if deep[i] > TOUCHING:
+            warn(
+                f"{field_name}.trajectory: {scatterer.name!r} reaches {deep[i]:.3g} m into a wall at {times[i]:.6g} s; "
+                f"its sound is that of a sphere in the open air"
+            )
 
 
 def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float) -> None:

@@ -140,7 +140,8 @@ class Scene:
     -----
     ClsimWarning
         If all ends are outside a closed mesh, or some outside one with small holes, the room's size or a signal's
-        frequency look like another unit, or a directional end moves without orientation or aim.
+        frequency look like another unit, a directional end moves without orientation or aim, or a sphere reaches into a
+        wall.
     """
 
     room: Room
@@ -177,6 +178,7 @@ class Scene:
             placement.check_distances(f"sources[{i}]", source, self.receivers, distance)
             placement.check_lasts(f"sources[{i}]", source.trajectory, source.end, "the signal, which ends")
         placement.check_scatterers(self.named_scatterers(), ends, distance, self.air.slowest)
+        placement.warn_of_walls(self.room, self.named_scatterers())
         check_bodies(self.room, self.named_bodies(), [*ends, *self.named_scatterers()], self.air.slowest)
         _check_bands(self)
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 from pydantic import Discriminator, Field, Tag, ValidationError, create_model
 
 from clsim.arrays import short_repr
-from clsim.paths.options import DEFAULT_PATH_LIMIT
+from clsim.errors import inside
+from clsim.paths.options import DEFAULT_PATH_LIMIT, PathOptions
 from clsim.render.baseband import Baseband
 from clsim.render.interpolator import Bandlimited, Lagrange, TruncatedLagrange
 from clsim.render.options import RenderOptions
@@ -198,6 +199,8 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     arguments = built("render", model.render, base)
     scene = Scene(**parts, min_distance=model.min_distance)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
+    with inside("paths"):
+        PathOptions(**search)  # find_paths refuses the same, but does not know the file
     return SceneFile(scene, search, arguments, model, base)
 
 

@@ -17,7 +17,7 @@ from clsim.paths.legs.static import path_vertices
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, averted, behind, drift, straightened
 from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_by
-from clsim.paths.visibility.rates import FAR, EndRates, Pace, lasts, taken_for
+from clsim.paths.visibility.rates import FAR, GRAZE_TIME, EndRates, Pace, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS, Status
 from clsim.scene.motion.motion import Motion
 
@@ -86,7 +86,8 @@ class MirrorEvaluation:
         certain = sure
         jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
         certain = np.where(jumps & (certain < half), 0.0, certain)
-        loose = np.minimum(lasts(np.full(len(walls), self.step), pace.all_lengths), FAR)
+        most = GRAZE_TIME if walls.shape[1] < 2 else FAR  # many images of higher orders are that slanted
+        loose = np.minimum(lasts(np.full(len(walls), self.step), pace.all_lengths), most)
         fastest = np.minimum(change.place.max(axis=1), FAR) + pace.all_lengths
         taken = np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
         gone = gone[(taken[gone] > 0.0) & np.any(pace.turn[gone] > 0.0, axis=1)]

@@ -29,7 +29,7 @@ _BEFORE = 0.06  # s, before the earliest emission
 
 _ROUNDING = 1e-9  # m/s, rad/s
 _GRAZE = 1e-6  # m
-_GRAZE_TIME = 0.5e-3  # s
+GRAZE_TIME = 0.5e-3  # s
 FAR = 1e30  # m, s, next to no bound
 
 
@@ -45,7 +45,7 @@ def taken_for(sure: Floats, fastest: Floats) -> Floats:
     What is certain for times (n,) only, s, while what decides moves at up to (n,) m/s, is so near to changing that a
     path may run along it.
     """
-    return np.where(sure * fastest < _GRAZE, _GRAZE_TIME, 0.0)
+    return np.where(sure * fastest < _GRAZE, GRAZE_TIME, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

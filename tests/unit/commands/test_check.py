@@ -107,6 +107,10 @@ def test_run_draws_how_paths_come_and_go(corner_scene: Path, tmp_path: Path, cap
         (("{ reflection = 0.3 }", "{ reflektion = 0.3 }"), "room.materials.soft.reflektion: is no known key"),
         (("[2.0, -8.0, 1.0]", "[6.0, -8.0, 1.0]"), "sources[0].trajectory: must stay 1e-06 m away from every wall"),
         (("transition = 0.002", 'transition = "slow"'), "render.transition: must be"),
+        (
+            ("max_order = 2", "max_order = 2\ndiffraction = 7"),
+            "scene.toml: paths.diffraction: must be from 0 to 2, but is 7",
+        ),
         (("max_order = 2", "max_order = 2\npath_limit = 3"), "paths.max_order: must give at most 3 paths (path_limit)"),
     ],
 )

@@ -295,3 +295,18 @@ def test_a_transmitter_that_hears_and_a_receiver_that_sounds_are_told() -> None:
         "receivers[0].transducer: MA40S4S is a transmitting transducer, given in Pa/V; the receiver is MA40S4R",
     ]
     built(clsim.Transducer.resonance(40e3, 2.4e3, 0.01, "MA40S4R"), ear)  # a measured one, by the same name
+
+
+def test_a_sphere_in_a_wall_is_told_with_time_and_depth() -> None:
+    ends = (
+        [clsim.Source("s", TONE, clsim.Trajectory.fixed((4, 3, 1)))],
+        [clsim.Receiver("r", clsim.Trajectory.fixed((1, 1, 1)))],
+    )
+    for room in (BOX, MESH):
+        for last, told in ((7.5, r"'ball' reaches 0\.1 m into a wall at 0\.2 s"), (7.4, None)):
+            ball = clsim.Scatterer.sphere("ball", 0.6, clsim.Trajectory.line((6, 3, 1), (last, 3, 1), 0.2))
+            if told is None:
+                clsim.Scene(room, clsim.Air(), *ends, scatterers=[ball])
+                continue
+            with pytest.warns(clsim.ClsimWarning, match=r"scatterers\[0\]\.trajectory: " + told):
+                clsim.Scene(room, clsim.Air(), *ends, scatterers=[ball])
