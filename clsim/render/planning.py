@@ -317,15 +317,13 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
-    PER_SAMPLE,
-    methodcaller("where_scattered", "shadows", per_sample.PathSum),
+    PER_SAMPLE, methodcaller("where_scattered", "shadows", per_sample.PathSum),
     methodcaller("where_scattered", "scattered", per_sample.PathSum),
     methodcaller("where_claimed", "narrow", narrow_part.build),
     methodcaller("where_claimed", "convolved", static.build),
-    methodcaller("where_claimed", "channels", sampled_channel.build),
-    methodcaller("where_claimed", "ears", ears.build),
+    methodcaller("where_claimed", "channels", sampled_channel.build), methodcaller("where_claimed", "ears", ears.build),
     methodcaller("where_claimed", "tails", DiffuseTail),
-]
+]  # fmt: skip
 
 
 def _builders() -> list[Callable[[Plan], Contribution | None]]:

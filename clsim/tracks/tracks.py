@@ -462,15 +462,10 @@ def track(
         for ends in (scene.sources, scene.receivers)
     )
     return SceneTracks(
-        paths=paths,
-        kinematics=kinematics,
-        pairs=tuple(pairs),
-        pair_paths=tuple(pair_paths),
-        speeds=PeakSpeeds(source_speed, receiver_speed),
-        transition=as_transition(transition),
-        source_count=len(scene.sources),
-        receiver_names=tuple(r.name for r in scene.receivers),
-    )
+        paths=paths, kinematics=kinematics, pairs=tuple(pairs), pair_paths=tuple(pair_paths),
+        speeds=PeakSpeeds(source_speed, receiver_speed), transition=as_transition(transition),
+        source_count=len(scene.sources), receiver_names=tuple(r.name for r in scene.receivers),
+    )  # fmt: skip
 
 
 def _peak_speed(trajectory: Trajectory, start: float, end: float) -> float:

@@ -146,12 +146,9 @@ def work_of(part: ChannelPart, filters: SourceFilters, until: float) -> tuple[fl
 
 
 def parts_of(
-    offers: list[tuple[int, ChannelOffer]],
-    tracks: Tracks,
-    filters: tuple[SourceFilters, ...],
-    options: RenderOptions,
+    offers: list[tuple[int, ChannelOffer]], tracks: Tracks, filters: tuple[SourceFilters, ...], options: RenderOptions,
     samples: int,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Return the fields of the allocation: sampled channels of sources, and what is summed beside them."""
     everything, channels, left = frozenset(range(len(tracks.pairs))), [], dict[int, Rows]()
     for source, one in offers:

@@ -97,14 +97,11 @@ class _BasebandRun(Run):
         size = work(spans, len(self._batch.pairs), self._channels, group=1 if on_cpu else math.gcd(spans, 32))
         filters = self._filters
         constants = {
-            "LANES": lanes,
-            "GROUPS": together,
-            "BATCH": BATCH if on_cpu else 1,
+            "LANES": lanes, "GROUPS": together, "BATCH": BATCH if on_cpu else 1,
             "FINE": int(not (on_cpu and self._plan.left_out_over(self._source, block, few=self._batch.few))),
-            "COUNTS": filters.counts,
-            "SUBBLOCK": filters.bank.subblock,
+            "COUNTS": filters.counts, "SUBBLOCK": filters.bank.subblock,
             "TILTED": int(filters.stretches.per_sample != 0.0),
-        }
+        }  # fmt: skip
         kernel = engine._compiler.kernel("baseband", constants | self._constants(nodes))
         kernel(
             engine._queue, size, **self._branch_arguments(begin), **self._block_arguments(nodes, first_block),

@@ -31,16 +31,10 @@ class Layout:
         """Return the compile-time constants of the render kernel for a subblock's length."""
         workers = 1 if self.lanes > 1 else subblock
         return {
-            "LANES": self.lanes,
-            "VECTORS": subblock // (workers * self.lanes),
-            "WORKERS": workers,
-            "SPARSE": int(sparse),
-            "FINE": int(fine),
-            "OVERSAMPLING": oversampling,
-            "BATCH": 1 if sparse else BATCH,
-            "TILE": _TILE,
-            "SUBBLOCKS": (self.sparse_subblocks if sparse else self.subblocks) * (32 // subblock),
-        }
+            "LANES": self.lanes, "VECTORS": subblock // (workers * self.lanes), "WORKERS": workers,
+            "SPARSE": int(sparse), "FINE": int(fine), "OVERSAMPLING": oversampling, "BATCH": 1 if sparse else BATCH,
+            "TILE": _TILE, "SUBBLOCKS": (self.sparse_subblocks if sparse else self.subblocks) * (32 // subblock),
+        }  # fmt: skip
 
 
 CPU_LAYOUT = Layout(lanes=8, subblocks=16, sparse_subblocks=48, nodes=4)
@@ -231,16 +225,12 @@ def fill_batch(plan: Plan, active: list[ActivePaths], apart: int = 1) -> PathBat
         first.append(first[-1] + len(order) + extra)
     receivers = [plan.tracks.pairs[pair.index].receiver for pair in active]
     return PathBatch(
-        tuple(pair.index for pair in active),
-        np.array(receivers, dtype=np.int32),
+        tuple(pair.index for pair in active), np.array(receivers, dtype=np.int32),
         np.array([plan.rows_of_pair(pair.index).start for pair in active], dtype=np.int32),
-        np.array(first, dtype=np.int32),
-        np.concatenate(path),
-        np.concatenate(padding),
-        min(float(pair.low.min()) for pair in active),
-        max(float(pair.high.max()) for pair in active),
+        np.array(first, dtype=np.int32), np.concatenate(path), np.concatenate(padding),
+        min(float(pair.low.min()) for pair in active), max(float(pair.high.max()) for pair in active),
         _boundaries(plan, [pair.index for pair in active], path, np.concatenate(padding)),
-    )
+    )  # fmt: skip
 
 
 def _boundaries(plan: Plan, pairs: list[int], rows: list[NDArray[np.int64]], padding: NDArray[np.bool_]) -> Boundaries:

@@ -281,13 +281,8 @@ class PairNodeMaker(NodeMaker):
         first, last = filters.emitted_between(rate)
         c, times = self._media[chunk.source]["speed_of_sound"], filters.oversampling
         numbers = [
-            start / rate - origin,
-            block / rate,
-            1.0 / c,
-            times * rate,
-            filters.delay_samples,
-            0.5 * times * block,
-        ]
+            start / rate - origin, block / rate, 1.0 / c, times * rate, filters.delay_samples, 0.5 * times * block,
+        ]  # fmt: skip
         given = np.zeros(receivers.shape, PAIR_RECEIVER)
         for name in ("velocity", "axes"):
             given[name] = receivers[name]

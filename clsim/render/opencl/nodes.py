@@ -291,13 +291,11 @@ class NodeMaker:
         """Return values that differ between blocks and scenes: as arguments they need no new build."""
         subblock = self._plan.subblock(source, block)
         return {
-            "block_samples": block,
-            "segment_blocks": self._plan.segment // block,
-            "subblock_samples": subblock,
+            "block_samples": block, "segment_blocks": self._plan.segment // block, "subblock_samples": subblock,
             "subblock_share": self._plan.left_out_over(source, block, few=batch.few),
             "function_count": len(self._plan.source_filters[source].basis) * self._channels(batch),
             "angular": self._environments[source].angular,
-        }
+        }  # fmt: skip
 
     def _constants(self, source: int, batch: PathBatch) -> dict[str, Any]:
         retarded, env = self._tracks.kinematics.retarded, self._environments[source]
