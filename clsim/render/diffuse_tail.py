@@ -46,11 +46,9 @@ class DiffuseTail:
 
     @property
     def name(self) -> str:
-        """Name of its kind."""
         return "diffuse tail"
 
     def describe(self) -> list[str]:
-        """Describe each source's tail."""
         return [
             f"source {i}: diffuse tail of {tail.describe()}; without it {tail.left_db:.1f} dB of the energy is missing"
             for i, tail in enumerate(self.plan.allocation.tails)
@@ -58,12 +56,10 @@ class DiffuseTail:
         ]
 
     def digest(self) -> str:
-        """Return a text that changes with energies and seeds."""
         parts = ["" if tail is None else tail.digest() for tail in self.plan.allocation.tails]
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
     def begin(self) -> _Tail:
-        """Return an object that adds it."""
         return _Tail(self.plan)
 
 
@@ -75,7 +71,6 @@ class _Tail(Stateless):
         self._received: list[_ZoneTail] | None = None
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add the tail from sample `start` on to the pressure (rows, n), Pa."""
         if self._received is None:
             self._received = [
                 _ZoneTail(self._plan, signals, zone)

@@ -138,12 +138,10 @@ class EnvelopeFilters(SourceFilters):
 
     @property
     def rate(self) -> float:
-        """Sampling rate of the envelope, Hz."""
         return self.signal.sampling_rate / self.mixer.every
 
     @property
     def held(self) -> tuple[float, float]:
-        """Frequencies between which sound is not removed on purpose, Hz."""
         return self.carrier - self.half, self.carrier + self.half
 
     def streams(self, first: int, last: int) -> NDArray[Any]:
@@ -158,11 +156,9 @@ class EnvelopeFilters(SourceFilters):
         return places, streams[:, places]
 
     def emitted(self, first: int, last: int) -> NDArray[Any]:
-        """Return samples `first` to `last` of the envelope, (n,) complex."""
         return np.asarray(self.plain(self.signal.read, first, last)[0])
 
     def digest(self) -> str:
-        """Return a text that changes with any tap."""
         found = hashlib.sha256(SourceFilters.digest(self).encode())
         for mixer in (self.mixer, self.plain):
             found.update(np.ascontiguousarray(mixer.taps).tobytes())
@@ -187,7 +183,6 @@ class EnvelopeFilters(SourceFilters):
         return np.asarray(np.exp(-2j * math.pi * self.cycles * delay_samples))
 
     def describe_filters(self) -> str:
-        """Describe the delay filters in a sentence."""
         removed = "none" if np.isneginf(self.removed_db) else f"{self.removed_db:.0f} dB"
         return (
             f"filters of {len(self.bank.taps)} branches hold {self.half:.0f} Hz on either side of "
@@ -398,11 +393,9 @@ class RestFilters(SourceFilters):
         return math.inf
 
     def emitted_samples(self, first: int, last: int) -> Floats:
-        """Return samples `first` to `last` of the rest."""
         return self.split.rest(self.signal, first, last)
 
     def digest(self) -> str:
-        """Return a text that changes with any tap."""
         taps = b"".join(band.low_pass.tobytes() for band in self.split.bands)
         return SourceFilters.digest(self) + hashlib.sha256(taps).hexdigest()
 

@@ -266,22 +266,17 @@ class PressureSum:
         return pressure
 
     def until(self, last: int) -> None:
-        """Hint: chunks from sample `last` on will not be requested yet."""
         for adding in self._adding:
             adding.until(last)
 
     def shared(self, first: int, last: int) -> list[str]:
-        """Return the names of arrays that samples `first` to `last` share with others."""
         return [f"{i}.{name}" for i, adding in enumerate(self._adding) for name in adding.shared(first, last)]
 
     def made(self, name: str) -> NDArray[Any]:
-        """Compute the shared array of a name, of any shape."""
         number, _, rest = name.partition(".")
         return self._adding[int(number)].made(rest)
 
     def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
-        """Get shared arrays from `find`, by name, instead of computing them."""
-
         def found(number: int, name: str) -> NDArray[Any]:
             return find(f"{number}.{name}")
 
@@ -289,20 +284,17 @@ class PressureSum:
             adding.look_up(partial(found, i))
 
     def state(self) -> State:
-        """Return the state after the chunks so far; empty if chunks are independent."""
         parts: State = {}
         for i, adding in enumerate(self._adding):
             parts |= {f"contribution{i}.{name}": value for name, value in adding.state().items()}
         return parts
 
     def restore(self, state: State) -> None:
-        """Continue from the `state` of another object of the same plan; its arrays have any shape."""
         for i, adding in enumerate(self._adding):
             mine = f"contribution{i}."
             adding.restore({name.removeprefix(mine): state[name] for name in state if name.startswith(mine)})
 
     def warn(self) -> None:
-        """Warn of results that miss the requested accuracy."""
         for adding in self._adding:
             adding.warn()
 

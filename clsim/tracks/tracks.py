@@ -226,7 +226,6 @@ class SceneTracks(Tracks):
 
     @property
     def of_scene(self) -> SceneTracks:
-        """These tracks."""
         return self
 
     @property
@@ -236,11 +235,9 @@ class SceneTracks(Tracks):
 
     @property
     def channels(self) -> tuple[tuple[str, ...], ...]:
-        """Those of the receivers' directivities."""
         return tuple(receiver.directivity.channels for receiver in self.paths.scene.receivers)
 
     def paths_of(self, pair: int) -> Any:
-        """Return the kind of paths, both ends, and where among all the paths stand."""
         paths = self.pair_paths[pair]
         return id(paths.family), paths.source, paths.receiver, len(paths), int(paths.index[0])
 
@@ -260,14 +257,12 @@ class SceneTracks(Tracks):
         return replace(self, pairs=tuple(pairs), pair_paths=tuple(pair_paths))
 
     def costly(self, pair: int) -> bool:
-        """Test the kind of paths, and whether the host works out the gains of several channels."""
         receiver = self.paths.scene.receivers[self.pairs[pair].receiver]
         return self.pair_paths[pair].family.costly or isinstance(receiver.directivity, ChannelDirectivity)
 
     def evaluate(
         self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> tuple[Floats, Floats, Floats]:
-        """Return delay, its derivative and gains, in float64 without approximation."""
         return self.evaluate_together([pair], times, basis, rows, every)[0]
 
     def evaluate_together(
@@ -331,11 +326,9 @@ class SceneTracks(Tracks):
         return most, max_rate * self.paths.scene.air.slowest / together * most
 
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
-        """Return the bounds of the kind of paths, by the receiver's clock."""
         return self.delay_ranges([pair], start, end)[0]
 
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
-        """Return the bounds of very many pairs at once."""
         clock_times = np.array([start, end])
         clock_error = np.stack([r.clock_error(clock_times) for r in self.paths.scene.receivers])
         first, last = (clock_times + clock_error).T
@@ -354,7 +347,6 @@ class SceneTracks(Tracks):
         return [bounds[pair] for pair in pairs]
 
     def first_end(self) -> tuple[float, str]:
-        """Return the end of the first trajectory of a moving receiver, scatterer or body, or infinity, and whose."""
         scene = self.paths.scene
         ends = [(thing.trajectory.end, thing.name) for thing in scene.scatterers]
         ends += [(body.trajectory.end, body.name) for body in scene.bodies]
@@ -398,7 +390,6 @@ class SampledTracks(Tracks):
         return delay[rows], rate[rows], gain[None, None, rows]
 
     def max_rate(self, source: int) -> float:
-        """Return the largest derivative of any delay."""
         return self.largest_rate
 
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
@@ -406,13 +397,11 @@ class SampledTracks(Tracks):
         return 343.0 * self.largest_rate, 343.0 * max_rate
 
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
-        """Return bounds from the delay at mid-time and the largest derivative."""
         delay = self.evaluate(pair, np.array([0.5 * (start + end)]), flat_basis(1.0))[0][:, 0]
         slack = 0.5 * (end - start) * self.largest_rate
         return delay - slack, delay + slack
 
     def first_end(self) -> tuple[float, str]:
-        """Return the last sample's time."""
         return self.end, "the samples"
 
 

@@ -98,11 +98,9 @@ class Ears:
 
     @property
     def name(self) -> str:
-        """Name of its kind."""
         return "ears"
 
     def describe(self) -> list[str]:
-        """Describe the paths, and the filters and errors of each source."""
         lines = []
         for part in self.parts:
             receivers = len({pair.receiver for pair in part.plan.tracks.pairs})
@@ -124,7 +122,6 @@ class Ears:
         return found.hexdigest()
 
     def begin(self) -> _Adding:
-        """Return an object that adds it."""
         return _Adding(self)
 
 
@@ -136,7 +133,6 @@ class _Adding(Stateless):
         self._engines: list[EarEngine] = []
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add what ears receive from sample `start` on to the pressure (rows, n), Pa."""
         for i, part in enumerate(self._ears.parts):
             plan = part.plan
             frames = EarFrames(plan, self._ears.scene, (self._ears.first_rows, pressure), start)
@@ -152,7 +148,6 @@ class _Adding(Stateless):
             self._engines[i].filter(frames, begin, end)
 
     def warn(self) -> None:
-        """Warn of residuals above the requested error."""
         for engine in self._engines:
             engine.warn()
 
@@ -181,7 +176,6 @@ class EarEngine(OpenclEngine):
 
     @property
     def run(self) -> type[Run]:
-        """Class that renders a batch of receivers."""
         return _EarRun
 
 

@@ -50,15 +50,12 @@ class NarrowParts:
 
     @property
     def name(self) -> str:
-        """Name of its kind."""
         return "narrow parts"
 
     def describe(self) -> list[str]:
-        """Describe the rendering of each, some lines."""
         return [line for part in self.parts for line in _described(part)]
 
     def digest(self) -> str:
-        """Return a text that changes with their options and with any tap."""
         found = hashlib.sha256()
         for part in self.parts:
             found.update(repr((part.plan.baseband, part.sources)).encode() + part.upsampler.taps.tobytes())
@@ -66,7 +63,6 @@ class NarrowParts:
         return found.hexdigest()
 
     def begin(self) -> _Adding:
-        """Return an object that adds them."""
         return _Adding(self.parts)
 
 
@@ -93,24 +89,19 @@ class _Adding(Stateless):
         self._parts = [_Upsampled(part) for part in parts]
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add the upsampled envelopes from sample `start` on to the pressure (receivers, n), Pa."""
         with with_blas_threads(1):
             for part in self._parts:
                 part.add(pressure, start)
 
     def shared(self, first: int, last: int) -> list[str]:
-        """Return names of the chunks of envelopes that samples `first` to `last` are made of: part and number."""
         return [f"{i}.{k}" for i, part in enumerate(self._parts) for k in part.chunks(first, last)]
 
     def made(self, name: str) -> NDArray[Any]:
-        """Return a chunk of envelopes by its name, (receivers, n) complex."""
         part, chunk = map(int, name.split("."))
         with with_blas_threads(1):
             return self._parts[part].rendered(chunk, alone=True)
 
     def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
-        """Have chunks of envelopes come from `find`, by their names."""
-
         def found(part: int, chunk: int) -> NDArray[Any]:
             return find(f"{part}.{chunk}")
 
@@ -118,7 +109,6 @@ class _Adding(Stateless):
             part.found = partial(found, i)
 
     def warn(self) -> None:
-        """Warn of residuals above the requested error."""
         for part in self._parts:
             part.warn()
 
@@ -139,13 +129,11 @@ class _Upsampled:
         self._chunks: dict[int, Complexes] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add the sound from sample `start` on to the pressure (receivers, n), Pa."""
         envelopes = self._envelopes(*self._span(start, start + pressure.shape[1]))
         first, skipped = divmod(start, self._upsampler.every)
         self._upsampler.add(envelopes, first, pressure, skipped)
 
     def warn(self) -> None:
-        """Warn of residuals above the requested error."""
         if self._engine is not None:
             self._engine.warn()
 

@@ -74,22 +74,18 @@ class StaticConvolution:
 
     @property
     def name(self) -> str:
-        """Name of its kind."""
         return "static pairs"
 
     def describe(self) -> list[str]:
-        """Describe the number of convolved pairs, one line."""
         return [f"{len(self.pairs)} of {len(self.tracks.pairs)} pairs never move: impulse responses, convolved"]
 
     def digest(self) -> str:
-        """Return a text that changes with the pairs and with what is emitted."""
         found = hashlib.sha256(repr((self.pairs, self.at_centre)).encode())
         for filters in self.source_filters:
             found.update(filters.digest().encode())
         return found.hexdigest()
 
     def begin(self) -> _Convolution:
-        """Return an object that adds it."""
         return _Convolution(self)
 
     def responses(self, source: int) -> list[tuple[int, ImpulseResponse]]:
@@ -117,7 +113,6 @@ class _Convolution(Stateless):
         self._responses: dict[int, list[tuple[int, ImpulseResponse]]] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add the convolved pairs from sample `start` on to the pressure (rows, n), Pa."""
         all_filters = self._what.source_filters
         if not self._responses:
             self._responses = {source: self._what.responses(source) for source in range(len(all_filters))}

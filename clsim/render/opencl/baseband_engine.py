@@ -37,11 +37,9 @@ class BasebandEngine(OpenclEngine):
 
     @property
     def run(self) -> type[Run]:
-        """Class that renders a batch of receivers."""
         return _BasebandRun
 
     def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
-        """Add the rows of all receivers, real and imaginary part, to the envelopes."""
         pressure.real += rows[::2]
         pressure.imag += rows[1::2]
 
@@ -110,7 +108,6 @@ class _BasebandRun(Run):
         )  # fmt: skip
 
     def _render_fades(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
-        """Render the blocks in which paths begin or end, and take them out of the polynomials."""
         engine, begin = self._engine, segment * self._plan.segment
         fades = self._batch.fades(self._start + begin, block, -(-(end - begin) // block))
         if fades is None:

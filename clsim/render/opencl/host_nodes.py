@@ -76,7 +76,6 @@ class HostNodeMaker:
         self, state: tuple[int, PathBatch, Boundaries], start: int, block: int, blocks: int,
         meanwhile: Callable[[], None] | None = None,
     ) -> Nodes:  # fmt: skip
-        """Make the polynomials of `blocks` blocks from a sample on, in threads; other work can be done meanwhile."""
         source, batch, bounds = state
         plan, filters = self._plan, self._plan.source_filters[source]
         run = _Run(source, start, block, blocks, bounds.samples_from(start))
@@ -269,7 +268,6 @@ class PairNodeMaker(NodeMaker):
     def _coarse_delays(
         self, source: int, batch: PathBatch, paths: dict[str, Any], start: int, ends: int
     ) -> dict[str, Any]:
-        """Return nothing: nodes are predicted from those before."""
         return {}
 
     def _launch(

@@ -171,12 +171,10 @@ class VertexColumns(StaticColumns):
         return made[name][np.searchsorted(mine, rows)]
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Vertices as both ends are seen from them."""
         image = {"image_matrix": None, "image_offset": None}
         return self._of.uploaded(views=self._column("views", source, rows)) | image
 
     def reflection(self, source: int, rows: NDArray[np.int64]) -> Floats:
-        """Factors (slots, parts, nodes) of walls that are the same at every angle."""
         return self._column("reflection", source, rows)
 
     def bounces(self, source: int, rows: NDArray[np.int64]) -> Bounces:
@@ -222,7 +220,6 @@ class EdgeColumns(VertexColumns):
         return {"views": edges, "faces": factors.reshape(len(edges), 2, *factors.shape[1:])}
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Transition functions, and factors of faces."""
         return self._transitions[source] | self._of.uploaded(faces=self._column("faces", source, rows))
 
 
@@ -296,18 +293,15 @@ class ScattererColumns(VertexColumns):
         return np.concatenate([head, np.ravel(rows), *tables])
 
     def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
-        """Make scatterers as both ends are seen from them."""
         views = self._shapes[source][links.vertex.scatterer]
         for end, leg in zip(("source", "receiver"), links.legs, strict=True):
             views[f"{end}_turn"], views[f"{end}_shift"] = leg.matrix.reshape(-1, 9), leg.offset
         return {"views": views}
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """Transition functions and modes."""
         return super().field(source, rows) | self._fields[source]
 
     def poses(self, start: float, end: float) -> dict[str, Any]:
-        """Cubics of poses of all scatterers."""
         knots, cells, first = pose_knots(self._motions, start, end, self._pose_rate)
         count = {"pose_count": cells.shape[1] - 1, "first_pose": first, "pose_rate": self._pose_rate}
         return self._of.uploaded(poses=knots, pose_cells=cells) | count
@@ -350,7 +344,6 @@ class MirrorColumns(StaticColumns):
         return np.asarray((surfaces >= 0) & self._moves[surfaces])
 
     def met(self, rows: Rows) -> Walls:
-        """Faces and walls of paths (P, N), -1 for none."""
         return np.asarray(self._family.legs[0].surfaces[rows])
 
     def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
@@ -400,7 +393,6 @@ class MirrorColumns(StaticColumns):
         return wall_of, columns
 
     def poses(self, start: float, end: float) -> dict[str, Any]:
-        """Cubics of the faces that move."""
         knots, first = face_knots(self._family.legs[0].mirrors, self._faces, start, end, self._face_rate)
         given = {"pose_cells": None, "pose_count": knots.shape[1], "first_pose": first, "pose_rate": self._face_rate}
         return self._of.uploaded(poses=knots) | given

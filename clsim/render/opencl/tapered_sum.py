@@ -55,7 +55,6 @@ class TaperedEngine(OpenclEngine):
 
     @property
     def run(self) -> type[Run]:
-        """Class that renders a batch of receivers."""
         return _TaperedRun
 
 
