@@ -24,7 +24,7 @@ def response_seconds(scene: clsim.Scene, paths: clsim.PathSet) -> float:
 
     plan = plan_render(paths, RATE)
     begun = time.perf_counter()
-    static.build(plan).begin().add(np.zeros((1, 1), dtype=np.float32), 0)
+    static.StaticConvolution(plan).begin().add(np.zeros((1, 1), dtype=np.float32), 0)
     return time.perf_counter() - begun
 
 

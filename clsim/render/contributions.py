@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 State = dict[str, "NDArray[Any]"]
 
 
-class Contribution(Protocol):
-    """Part of the pressure at all receivers, decided before any of it is computed.
+def digest_of(*parts: str | NDArray[Any]) -> str:
+    """Return the SHA-256 of texts and arrays (...), one after the other, in hexadecimal."""
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
+    return found.hexdigest()
 
-    Attributes
-    ----------
-    name : str
-        Name of its kind, one word or two.
-    """
+
+class Contribution(Protocol):
+    """Part of the pressure at all receivers, decided before any of it is computed."""
 
     @property
     def name(self) -> str:
-        """Name of its kind, as in messages and in what is kept of a run."""
+        """Name of its kind, one word or two, as in messages and in what is kept of a run."""
 
     def describe(self) -> list[str]:
         """Describe the planned computation, one line for each part."""
@@ -79,6 +83,8 @@ class WithoutTables:
 class Stateless(WithoutTables):
     """Base class of contributions whose chunks do not depend on earlier chunks."""
 
+    engines: Sequence[Any] = ()  # those that have something to warn of
+
     def until(self, last: int) -> None:
         """Prepare nothing anyway."""
 
@@ -90,4 +96,6 @@ class Stateless(WithoutTables):
         """Go on anywhere."""
 
     def warn(self) -> None:
-        """Give no warnings."""
+        """Warn of what engines missed."""
+        for engine in self.engines:
+            engine.warn()

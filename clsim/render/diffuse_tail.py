@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from clsim.arrays import Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.paths.path_set import PathSet
-from clsim.render.contributions import Stateless
+from clsim.render.contributions import Stateless, digest_of
 from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.render.plan import Plan
 from clsim.scene.directivity.directivity import ChannelDirectivity
@@ -43,10 +42,7 @@ class DiffuseTail:
     """The tails of all sources."""
 
     plan: Plan  # which has them
-
-    @property
-    def name(self) -> str:
-        return "diffuse tail"
+    name: ClassVar[str] = "diffuse tail"
 
     def describe(self) -> list[str]:
         return [
@@ -56,8 +52,7 @@ class DiffuseTail:
         ]
 
     def digest(self) -> str:
-        parts = ["" if tail is None else tail.digest() for tail in self.plan.allocation.tails]
-        return hashlib.sha256(" ".join(parts).encode()).hexdigest()
+        return digest_of(" ".join("" if tail is None else tail.digest() for tail in self.plan.allocation.tails))
 
     def begin(self) -> _Tail:
         return _Tail(self.plan)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
@@ -16,6 +15,7 @@ from clsim.arrays import Complexes, Floats
 from clsim.numerics.convolution import low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
+from clsim.render.contributions import digest_of
 from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.methods.costs import measured_costs
 from clsim.render.opencl.batches import CELL
@@ -159,10 +159,7 @@ class EnvelopeFilters(SourceFilters):
         return np.asarray(self.plain(self.signal.read, first, last)[0])
 
     def digest(self) -> str:
-        found = hashlib.sha256(SourceFilters.digest(self).encode())
-        for mixer in (self.mixer, self.plain):
-            found.update(np.ascontiguousarray(mixer.taps).tobytes())
-        return found.hexdigest()
+        return digest_of(SourceFilters.digest(self), self.mixer.taps, self.plain.taps)
 
     def acting(self, response: ImpulseResponse) -> ImpulseResponse:
         """Return an impulse response at the signal's sampling rate as it acts on the envelope, at that one's rate.
@@ -396,8 +393,7 @@ class RestFilters(SourceFilters):
         return self.split.rest(self.signal, first, last)
 
     def digest(self) -> str:
-        taps = b"".join(band.low_pass.tobytes() for band in self.split.bands)
-        return SourceFilters.digest(self) + hashlib.sha256(taps).hexdigest()
+        return SourceFilters.digest(self) + digest_of(*(band.low_pass for band in self.split.bands))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -319,9 +319,9 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE, methodcaller("where_scattered", "shadows", per_sample.PathSum),
     methodcaller("where_scattered", "scattered", per_sample.PathSum),
-    methodcaller("where_claimed", "narrow", narrow_part.build),
-    methodcaller("where_claimed", "convolved", static.build),
-    methodcaller("where_claimed", "channels", sampled_channel.build), methodcaller("where_claimed", "ears", ears.build),
+    methodcaller("where_claimed", "narrow", narrow_part.NarrowParts),
+    methodcaller("where_claimed", "convolved", static.StaticConvolution),
+    methodcaller("where_claimed", "channels", sampled_channel.build), methodcaller("where_claimed", "ears", ears.Ears),
     methodcaller("where_claimed", "tails", DiffuseTail),
 ]  # fmt: skip
 

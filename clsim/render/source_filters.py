@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from clsim.numerics.band_filters import magnitudes
 from clsim.numerics.convolution import convolved, low_pass_between
 from clsim.paths.impulse_response import ImpulseResponse
 from clsim.paths.response import check_band_coverage
+from clsim.render.contributions import digest_of
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator
 from clsim.render.methods.costs import measured_costs
 from clsim.render.options import RenderOptions
@@ -268,10 +268,7 @@ class SourceFilters:
 
     def digest(self) -> str:
         """Return a text that changes with any tap."""
-        found = hashlib.sha256()
-        for taps in (self.basis.projection, self.filters, *(bank.taps for bank in self.banks), self.band_limit):
-            found.update(np.ascontiguousarray(taps).tobytes())
-        return found.hexdigest()
+        return digest_of(self.basis.projection, self.filters, *(bank.taps for bank in self.banks), self.band_limit)
 
     def streams(self, first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last`, at `rate`, of the signal through each function of the basis, (K, n)."""

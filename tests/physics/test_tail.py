@@ -261,7 +261,7 @@ def test_chunks_and_resuming_change_nothing_and_zones_little() -> None:
     np.testing.assert_array_equal(of_contribution(cut), whole)
     np.testing.assert_array_equal(of_contribution(cut, 2 * SEGMENT), whole[:, 2 * SEGMENT :])
     heard = rendered(plan)
-    by_path = rendered(replace(plan, builders=[PER_SAMPLE, static.build]))
+    by_path = rendered(replace(plan, builders=[PER_SAMPLE, static.StaticConvolution]))
     np.testing.assert_allclose(heard - by_path, whole, atol=1e-5 * np.abs(heard).max())
     level = [float(np.mean(part**2)) for part in np.array_split(whole[0][round(0.3 * RATE) : round(1.4 * RATE)], 6)]
     assert 10.0 * math.log10(max(level) / min(level)) < 2.5

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsim.numerics.blas import with_blas_threads
 from clsim.paths.path_set import PathSet
-from clsim.render.contributions import Stateless
+from clsim.render.contributions import Stateless, digest_of
 from clsim.render.ear_frames import EarFrames
 from clsim.render.methods.per_sample import PathSum, path_pressures
 from clsim.render.opencl.batches import Fades
@@ -82,44 +81,37 @@ def parts_of(
     return (PairPart(plan, frozenset(pairs)),)
 
 
-def build(plan: Plan) -> Ears:
-    """Make the contribution of a plan's receivers whose channels differ over frequency."""
-    assert plan.tracks.of_scene is not None, "ears are those of scenes"
-    return Ears(plan.allocation.ears, plan.tracks.of_scene.paths.scene, plan.first_rows)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Ears:
     """Contribution of receivers whose channels differ over frequency."""
 
-    parts: tuple[PairPart, ...]
-    scene: Scene
-    first_rows: NDArray[np.int32]  # of each receiver in the pressure
+    plan: Plan  # of the whole
+    name: ClassVar[str] = "ears"
 
     @property
-    def name(self) -> str:
-        return "ears"
+    def scene(self) -> Scene:
+        """The scene."""
+        assert self.plan.tracks.of_scene is not None, "ears are those of scenes"
+        return self.plan.tracks.of_scene.paths.scene
 
     def describe(self) -> list[str]:
         lines = []
-        for part in self.parts:
-            receivers = len({pair.receiver for pair in part.plan.tracks.pairs})
-            lines.append(
-                f"{part.plan.path_count} paths to {receivers} receivers with ears: each is filtered on its own"
-            )
+        for part in self.plan.allocation.ears:
+            ears = f"{len({pair.receiver for pair in part.plan.tracks.pairs})} receivers with ears"
+            lines.append(f"{part.plan.path_count} paths to {ears}: each is filtered on its own")
             lines += PathSum(part.plan).describe()
         return lines
 
     def digest(self) -> str:
         """Return a text that changes with any tap, and with the responses, of which some are looked at."""
-        found, c = hashlib.sha256(), self.scene.air.speed_of_sound
-        for part in self.parts:
-            found.update(PathSum(part.plan).digest().encode())
+        found, c = list[Any](), self.scene.air.speed_of_sound
+        for part in self.plan.allocation.ears:
+            found.append(PathSum(part.plan).digest())
             for receiver in sorted({pair.receiver for pair in part.plan.tracks.pairs}):
                 ears = self.scene.receivers[receiver].directivity
                 some = np.clip(np.geomspace(100.0, 0.4 * part.plan.sampling_rate, 8), *ears.band)
-                found.update(np.ascontiguousarray(ears.gain_towards(np.eye(3)[:, None], some, c)).tobytes())
-        return found.hexdigest()
+                found.append(ears.gain_towards(np.eye(3)[:, None], some, c))
+        return digest_of(*found)
 
     def begin(self) -> _Adding:
         return _Adding(self)
@@ -130,12 +122,12 @@ class _Adding(Stateless):
 
     def __init__(self, ears: Ears) -> None:
         self._ears = ears
-        self._engines: list[EarEngine] = []
+        self.engines: list[EarEngine] = []
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        for i, part in enumerate(self._ears.parts):
+        for i, part in enumerate(self._ears.plan.allocation.ears):
             plan = part.plan
-            frames = EarFrames(plan, self._ears.scene, (self._ears.first_rows, pressure), start)
+            frames = EarFrames(plan, self._ears.scene, (self._ears.plan.first_rows, pressure), start)
             begin = max(start - frames.after, 0) // plan.segment * plan.segment
             # Whole segments but for the plan's last one, so that no bit depends on the chunks.
             end = -(-(start + pressure.shape[1] + frames.before) // plan.segment) * plan.segment
@@ -143,13 +135,9 @@ class _Adding(Stateless):
             if plan.options.engine == "reference":
                 _add_exactly(frames, begin, end)
                 continue
-            if len(self._engines) <= i:
-                self._engines.append(EarEngine(plan))
-            self._engines[i].filter(frames, begin, end)
-
-    def warn(self) -> None:
-        for engine in self._engines:
-            engine.warn()
+            if len(self.engines) <= i:
+                self.engines.append(EarEngine(plan))
+            self.engines[i].filter(frames, begin, end)
 
 
 def _add_exactly(frames: EarFrames, begin: int, end: int) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
-from clsim.render.contributions import Stateless
+from clsim.render.contributions import Stateless, digest_of
 from clsim.render.envelope import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
 from clsim.render.interpolator import Bandlimited
 from clsim.render.methods.costs import measured_costs, on_gpu, passes, passing_times
@@ -37,33 +36,25 @@ _STREAMS = 150.0
 _AHEAD = 64  # samples of the envelope before the first one of the sound: for upsampling, in whole subblocks
 
 
-def build(plan: Plan) -> NarrowParts:
-    """Make the contribution of a plan's narrow parts."""
-    return NarrowParts(plan.allocation.narrow)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class NarrowParts:
     """Contribution of the signals that are rendered as envelopes and upsampled."""
 
-    parts: tuple[NarrowPart, ...]  # one for each carrier
-
-    @property
-    def name(self) -> str:
-        return "narrow parts"
+    plan: Plan  # of the whole
+    name: ClassVar[str] = "narrow parts"
 
     def describe(self) -> list[str]:
-        return [line for part in self.parts for line in _described(part)]
+        return [line for part in self.plan.allocation.narrow for line in _described(part)]
 
     def digest(self) -> str:
-        found = hashlib.sha256()
-        for part in self.parts:
-            found.update(repr((part.plan.baseband, part.sources)).encode() + part.upsampler.taps.tobytes())
-            found.update(PathSum(part.plan).digest().encode())
-        return found.hexdigest()
+        found = list[Any]()
+        for part in self.plan.allocation.narrow:
+            options = repr((part.plan.baseband, part.sources))
+            found += [options, part.upsampler.taps, PathSum(part.plan).digest()]
+        return digest_of(*found)
 
     def begin(self) -> _Adding:
-        return _Adding(self.parts)
+        return _Adding(self.plan.allocation.narrow)
 
 
 def _described(part: NarrowPart) -> list[str]:
@@ -86,7 +77,7 @@ class _Adding(Stateless):
     """Adds all narrow parts."""
 
     def __init__(self, parts: tuple[NarrowPart, ...]) -> None:
-        self._parts = [_Upsampled(part) for part in parts]
+        self.engines = self._parts = [_Upsampled(part) for part in parts]
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         with with_blas_threads(1):
@@ -107,10 +98,6 @@ class _Adding(Stateless):
 
         for i, part in enumerate(self._parts):
             part.found = partial(found, i)
-
-    def warn(self) -> None:
-        for part in self._parts:
-            part.warn()
 
 
 class _Upsampled:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsim.numerics.convolution import convolved
 from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_responses
-from clsim.render.contributions import Stateless
+from clsim.render.contributions import Stateless, digest_of
 from clsim.render.interpolator import Bandlimited
 from clsim.render.options import RenderOptions
 from clsim.render.plan import Plan
@@ -19,7 +18,7 @@ from clsim.render.source_filters import SourceFilters
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.signal.occupied_bandwidth import shares
-from clsim.tracks.tracks import SceneTracks, Tracks
+from clsim.tracks.tracks import Tracks
 
 _WIDEST = 0.95  # of Nyquist
 _SHARE = 1e-12  # of a signal's energy that may lie beyond the band to either side
@@ -56,50 +55,46 @@ def _is_static(end: Source | Receiver) -> bool:
     return end.trajectory.is_static and (isinstance(end.directivity, Omni) or not end.trajectory.turns)
 
 
-def build(plan: Plan) -> StaticConvolution:
-    """Make the contribution of a plan's pairs at rest."""
-    of_scene, pairs = plan.tracks.of_scene, plan.allocation.convolved
-    assert of_scene is not None, "only pairs of scenes are claimed"
-    return StaticConvolution(of_scene, plan.source_filters, tuple(sorted(pairs)), plan.options.responses == "centre")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticConvolution:
     """Emitted signals, convolved with the impulse responses of static pairs."""
 
-    tracks: SceneTracks  # of all paths
-    source_filters: tuple[SourceFilters, ...]  # by source
-    pairs: tuple[int, ...]  # indices of the pairs among the tracks' pairs
-    at_centre: bool  # whether air, walls and directivities are those at the centre frequency of the source's signal
+    plan: Plan  # of the whole
+    name: ClassVar[str] = "static pairs"
 
     @property
-    def name(self) -> str:
-        return "static pairs"
+    def pairs(self) -> tuple[int, ...]:
+        """Indices of the pairs among the tracks' pairs."""
+        return tuple(sorted(self.plan.allocation.convolved))
+
+    @property
+    def at_centre(self) -> bool:
+        """Whether air, walls and directivities are those at the centre frequency of the source's signal."""
+        return self.plan.options.responses == "centre"
 
     def describe(self) -> list[str]:
-        return [f"{len(self.pairs)} of {len(self.tracks.pairs)} pairs never move: impulse responses, convolved"]
+        return [f"{len(self.pairs)} of {len(self.plan.tracks.pairs)} pairs never move: impulse responses, convolved"]
 
     def digest(self) -> str:
-        found = hashlib.sha256(repr((self.pairs, self.at_centre)).encode())
-        for filters in self.source_filters:
-            found.update(filters.digest().encode())
-        return found.hexdigest()
+        filters = (filters.digest() for filters in self.plan.source_filters)
+        return digest_of(repr((self.pairs, self.at_centre)), *filters)
 
     def begin(self) -> _Convolution:
         return _Convolution(self)
 
     def responses(self, source: int) -> list[tuple[int, ImpulseResponse]]:
         """Return rows of the pressure and impulse responses of a source."""
-        filters, scene = self.source_filters[source], self.tracks.paths.scene
+        filters, tracks = self.plan.source_filters[source], self.plan.tracks.of_scene
+        assert tracks is not None, "only pairs of scenes are claimed"
         centre = filters.signal.centre_frequency if self.at_centre else None
         rate = filters.signal.sampling_rate
-        band, found = _band(filters, complex_responses=self.tracks.paths.is_complex), []
+        band, found = _band(filters, complex_responses=tracks.paths.is_complex), []
         for i in self.pairs:
-            pair = self.tracks.pair_paths[i]
+            pair = tracks.pair_paths[i]
             if pair.source == source:
-                clock_error = float(scene.receivers[pair.receiver].clock_error(np.zeros(1))[0])
+                clock_error = float(tracks.scene.receivers[pair.receiver].clock_error(np.zeros(1))[0])
                 later = filters.start - clock_error
-                row = sum(map(len, self.tracks.channels[: pair.receiver])) + self.tracks.pairs[i].channels.start
+                row = self.plan.rows_of_pair(i).start
                 for channel, made in enumerate(frozen_responses(pair, 0.0, rate, band, later=later, centre=centre)):
                     found.append((row + channel, filters.acting(made)))
         return found
@@ -113,7 +108,7 @@ class _Convolution(Stateless):
         self._responses: dict[int, list[tuple[int, ImpulseResponse]]] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        all_filters = self._what.source_filters
+        all_filters = self._what.plan.source_filters
         if not self._responses:
             self._responses = {source: self._what.responses(source) for source in range(len(all_filters))}
         stop = start + pressure.shape[1]
