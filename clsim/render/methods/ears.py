@@ -152,21 +152,6 @@ def _add_exactly(frames: EarFrames, begin: int, end: int) -> None:
             frames.add(pair, np.arange(len(member)), signals, first)
 
 
-class EarEngine(OpenclEngine):
-    """Renders the sound of each path at receivers' centres, and has it filtered."""
-
-    frames: EarFrames
-
-    def filter(self, frames: EarFrames, begin: int, end: int) -> None:
-        """Add paths that arrive at centres from a sample to another to frames."""
-        self.frames = frames
-        self.add(np.zeros((self._plan.row_count, end - begin), np.float32), begin)
-
-    @property
-    def run(self) -> type[Run]:
-        return _EarRun
-
-
 class _EarRun(Run):
     """Renders the paths of a batch one by one."""
 
@@ -202,3 +187,15 @@ class _EarRun(Run):
                 here = here[~self._batch.padding[here]]
                 engine.frames.add(pair, self._batch.path[here], made[here], self._start + at)
             made.base.release(engine._queue)
+
+
+class EarEngine(OpenclEngine):
+    """Renders the sound of each path at receivers' centres, and has it filtered."""
+
+    run = _EarRun
+    frames: EarFrames
+
+    def filter(self, frames: EarFrames, begin: int, end: int) -> None:
+        """Add paths that arrive at centres from a sample to another to frames."""
+        self.frames = frames
+        self.add(np.zeros((self._plan.row_count, end - begin), np.float32), begin)

@@ -21,29 +21,6 @@ _FEW = 2  # blocks that are looked at in each
 _FAR = 30.0  # times the tolerance: an error from which on the next shorter blocks will not do either
 
 
-class BasebandEngine(OpenclEngine):
-    """Carries out a plan of complex envelopes on an OpenCL device."""
-
-    parts = 2
-
-    def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
-        super().__init__(plan, layout)
-        # By source: the longest blocks in which any batch of a chunk was rendered, with which the next ones begin.
-        self.levels: dict[int, int] = {}
-
-    def _add(self, pressure: NDArray[Any], start: int) -> None:
-        self.levels.clear()
-        super()._add(pressure, start)
-
-    @property
-    def run(self) -> type[Run]:
-        return _BasebandRun
-
-    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
-        pressure.real += rows[::2]
-        pressure.imag += rows[1::2]
-
-
 class _BasebandRun(Run):
     """Renders one batch of receivers over some segments of a chunk."""
 
@@ -143,3 +120,22 @@ class _BasebandRun(Run):
             "stretch": stretches.length, "per_stretch": 1.0 / stretches.length, "first_stretch": stretches.origin,
             "stretches": stretches.count,
         }  # fmt: skip
+
+
+class BasebandEngine(OpenclEngine):
+    """Carries out a plan of complex envelopes on an OpenCL device."""
+
+    parts, run = 2, _BasebandRun
+
+    def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
+        super().__init__(plan, layout)
+        # By source: the longest blocks in which any batch of a chunk was rendered, with which the next ones begin.
+        self.levels: dict[int, int] = {}
+
+    def _add(self, pressure: NDArray[Any], start: int) -> None:
+        self.levels.clear()
+        super()._add(pressure, start)
+
+    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
+        pressure.real += rows[::2]
+        pressure.imag += rows[1::2]

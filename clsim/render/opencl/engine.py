@@ -30,147 +30,6 @@ _CHANNELS = 16  # of a receiver that are summed at a time
 _TURN = 4  # segments at a time in which they do
 
 
-class OpenclEngine:
-    """Carries out a plan on an OpenCL device."""
-
-    parts = 1  # rows of what is heard of a receiver
-
-    def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
-        import pyopencl as cl
-
-        self._plan = plan
-        self._info, device = find_device(plan.options.device)
-        self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
-        check_group(self._info, 32)
-        self.limits = Limits(plan, self._info, self.parts)
-        self._compiler = compiler_of(device)
-        self._context = self._compiler.context
-        self._queue = cl.CommandQueue(self._context)
-        self._scratch = Scratch(self._context)
-        self.branch_signals = BranchSignals(
-            plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts, self.limits.most_samples
-        )
-        self.skips_silence = True
-        self.residuals = [Residual(plan.receiver_count) for _ in plan.source_filters]
-        self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
-        self._makers: dict[PathFamily | None, Maker] = {}  # None: the host, whatever the kind of paths
-
-    def render(self, start: int, stop: int) -> NDArray[Any]:
-        """Return the pressure (rows, stop - start) in Pa; `start` is a whole number of segments."""
-        pressure = np.zeros((self._plan.row_count, stop - start), dtype=self._plan.sample_type)
-        self.add(pressure, start)
-        return pressure
-
-    def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add all paths from sample `start` on, a whole number of segments, to the pressure (rows, n), Pa."""
-        import pyopencl as cl
-
-        most = self.limits.most_samples
-        try:
-            for first in range(0, pressure.shape[1], most):
-                self._add(pressure[:, first : first + most], start + first)
-        except cl.Error as error:
-            raise DeviceError(
-                f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
-                "receivers at a time, or on another device (see `clsim devices`)"
-            ) from error
-
-    def until(self, last: int) -> None:
-        """Prepare nothing from sample `last` on."""
-        self.branch_signals.last = last
-
-    def warn(self) -> None:
-        """Warn of responses for which the functions of frequency miss the requested error."""
-        for i, filters in enumerate(self._plan.source_filters):
-            reached = self.residuals[i].level_db
-            if reached > filters.residual_db > -math.inf:
-                warn(
-                    f"source {i}: air, walls and directivities are approximated to {reached:.1f} dB, not the "
-                    f"{filters.basis.requested_db:g} dB asked for; ask for a smaller {filters.basis.option}"
-                )
-            wrong, time = self._coarse[i]
-            wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
-            if wrong_db > self._plan.motion_error_db + 6.0:  # that of the delay filters
-                warn(
-                    f"source {i}: at about {time:.3f} s it passes a receiver so near and fast, or turns so sharply, "
-                    f"that even the shortest blocks have an error of {wrong_db:.0f} dB re the received level; "
-                    "raise the sampling rate or the distance"
-                )
-
-    def shares(self, other: OpenclEngine) -> None:
-        """Have `warn` report this engine and another, which renders other paths of the same plan."""
-        self.residuals, self._coarse = other.residuals, other._coarse
-
-    def note_coarse(self, source: int, wrong: float, time: float) -> None:
-        """Remember the largest error that the shortest blocks leave of a source, and when."""
-        self._coarse[source] = max(self._coarse[source], (wrong, time))
-
-    def kind(self, pair: int) -> PathFamily | None:
-        """Return the kind of paths of a pair for which the device has a program of nodes; None for the host.
-
-        Without float64 there is none for envelopes, whose delays are septics, and for wind.
-        """
-        plan, of_scene = self._plan, self._plan.tracks.of_scene
-        if of_scene is None or not plan.tracks.on_device:
-            return None
-        family, member, scene = of_scene.pair_paths[pair].family, of_scene.pairs[pair], of_scene.paths.scene
-        in_pairs = plan.baseband is None and scene.air.wind is None
-        known = COLUMNS.keys() if self._info.fp64 else {"images"} if in_pairs else set()
-        gains = len(member.channels) * len(plan.source_filters[member.source].basis)
-        on_device = family.device in known and has_directivity(scene.receivers[member.receiver].directivity, gains)
-        return family if on_device else None
-
-    def maker(self, pair: int) -> Maker:
-        """Return the maker of the nodes of a pair: the device, where it has a program for such paths."""
-        plan, of_scene, kind = self._plan, self._plan.tracks.of_scene, self.kind(pair)
-        if kind not in self._makers:
-            device = NodeMaker if self._info.fp64 else PairNodeMaker
-            self._makers[kind] = (
-                HostNodeMaker(plan, self._queue) if kind is None or of_scene is None
-                else device(plan, of_scene, kind, self._queue, self._compiler, self._layout.nodes)
-            )  # fmt: skip
-        return self._makers[kind]
-
-    @property
-    def run(self) -> type[Run]:
-        """Class that renders a batch of receivers."""
-        return Run
-
-    def _add(self, pressure: NDArray[Any], start: int) -> None:
-        import pyopencl as cl
-
-        plan, length = self._plan, self.branch_signals.whole_blocks(start, start + pressure.shape[1])
-        shape = self.parts * plan.row_count, length
-        size = 4 * shape[0] * shape[1]
-        on_device = None
-        for source in range(len(plan.source_filters)):
-            feed = self.branch_signals.take(source, start, length)
-            if feed is None:
-                continue
-            if on_device is None:
-                on_device = self._scratch.take("pressure", size)
-                cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
-            active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
-            for first, last, here in self.branch_signals.chosen(active, start, length):
-                parts = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
-                for batch in in_batches(plan, parts, self.kind, self.limits.node_budget, plan.shortest_block):
-                    self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
-        for residuals in self.residuals:
-            residuals.settle((start + length) // plan.segment)
-        if on_device is None:
-            return
-        rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
-        self.put(rows[:, : pressure.shape[1]], pressure)
-        rows.base.release(self._queue)
-
-    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
-        """Add the rows of all receivers, `parts` of each, to the pressure."""
-        pressure += rows
-
-    def _upload(self, array: NDArray[Any]) -> Any:
-        return upload(self._context, array)
-
-
 @dataclass(eq=False)
 class Run:
     """Carries out a task, choosing the block length for each segment."""
@@ -382,3 +241,140 @@ class Run:
             self._engine._queue, work(count), count=count, slot=slot, block=at, functions=self._gains,
             polynomials=nodes.polynomials, slots=self._batch.count,
         )  # fmt: skip
+
+
+class OpenclEngine:
+    """Carries out a plan on an OpenCL device."""
+
+    parts: ClassVar[int] = 1  # rows of what is heard of a receiver
+    run: ClassVar[type[Run]] = Run  # renders a batch of receivers
+
+    def __init__(self, plan: Plan, layout: Layout | None = None) -> None:
+        import pyopencl as cl
+
+        self._plan = plan
+        self._info, device = find_device(plan.options.device)
+        self._layout = layout or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT)
+        check_group(self._info, 32)
+        self.limits = Limits(plan, self._info, self.parts)
+        self._compiler = compiler_of(device)
+        self._context = self._compiler.context
+        self._queue = cl.CommandQueue(self._context)
+        self._scratch = Scratch(self._context)
+        self.branch_signals = BranchSignals(
+            plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts, self.limits.most_samples
+        )
+        self.skips_silence = True
+        self.residuals = [Residual(plan.receiver_count) for _ in plan.source_filters]
+        self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
+        self._makers: dict[PathFamily | None, Maker] = {}  # None: the host, whatever the kind of paths
+
+    def render(self, start: int, stop: int) -> NDArray[Any]:
+        """Return the pressure (rows, stop - start) in Pa; `start` is a whole number of segments."""
+        pressure = np.zeros((self._plan.row_count, stop - start), dtype=self._plan.sample_type)
+        self.add(pressure, start)
+        return pressure
+
+    def add(self, pressure: NDArray[Any], start: int) -> None:
+        """Add all paths from sample `start` on, a whole number of segments, to the pressure (rows, n), Pa."""
+        import pyopencl as cl
+
+        most = self.limits.most_samples
+        try:
+            for first in range(0, pressure.shape[1], most):
+                self._add(pressure[:, first : first + most], start + first)
+        except cl.Error as error:
+            raise DeviceError(
+                f"{self._info.name} ran out of memory or failed ({error}); render with a smaller chunk=, fewer "
+                "receivers at a time, or on another device (see `clsim devices`)"
+            ) from error
+
+    def until(self, last: int) -> None:
+        """Prepare nothing from sample `last` on."""
+        self.branch_signals.last = last
+
+    def warn(self) -> None:
+        """Warn of responses for which the functions of frequency miss the requested error."""
+        for i, filters in enumerate(self._plan.source_filters):
+            reached = self.residuals[i].level_db
+            if reached > filters.residual_db > -math.inf:
+                warn(
+                    f"source {i}: air, walls and directivities are approximated to {reached:.1f} dB, not the "
+                    f"{filters.basis.requested_db:g} dB asked for; ask for a smaller {filters.basis.option}"
+                )
+            wrong, time = self._coarse[i]
+            wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
+            if wrong_db > self._plan.motion_error_db + 6.0:  # that of the delay filters
+                warn(
+                    f"source {i}: at about {time:.3f} s it passes a receiver so near and fast, or turns so sharply, "
+                    f"that even the shortest blocks have an error of {wrong_db:.0f} dB re the received level; "
+                    "raise the sampling rate or the distance"
+                )
+
+    def shares(self, other: OpenclEngine) -> None:
+        """Have `warn` report this engine and another, which renders other paths of the same plan."""
+        self.residuals, self._coarse = other.residuals, other._coarse
+
+    def note_coarse(self, source: int, wrong: float, time: float) -> None:
+        """Remember the largest error that the shortest blocks leave of a source, and when."""
+        self._coarse[source] = max(self._coarse[source], (wrong, time))
+
+    def kind(self, pair: int) -> PathFamily | None:
+        """Return the kind of paths of a pair for which the device has a program of nodes; None for the host.
+
+        Without float64 there is none for envelopes, whose delays are septics, and for wind.
+        """
+        plan, of_scene = self._plan, self._plan.tracks.of_scene
+        if of_scene is None or not plan.tracks.on_device:
+            return None
+        family, member, scene = of_scene.pair_paths[pair].family, of_scene.pairs[pair], of_scene.paths.scene
+        in_pairs = plan.baseband is None and scene.air.wind is None
+        known = COLUMNS.keys() if self._info.fp64 else {"images"} if in_pairs else set()
+        gains = len(member.channels) * len(plan.source_filters[member.source].basis)
+        on_device = family.device in known and has_directivity(scene.receivers[member.receiver].directivity, gains)
+        return family if on_device else None
+
+    def maker(self, pair: int) -> Maker:
+        """Return the maker of the nodes of a pair: the device, where it has a program for such paths."""
+        plan, of_scene, kind = self._plan, self._plan.tracks.of_scene, self.kind(pair)
+        if kind not in self._makers:
+            device = NodeMaker if self._info.fp64 else PairNodeMaker
+            self._makers[kind] = (
+                HostNodeMaker(plan, self._queue) if kind is None or of_scene is None
+                else device(plan, of_scene, kind, self._queue, self._compiler, self._layout.nodes)
+            )  # fmt: skip
+        return self._makers[kind]
+
+    def _add(self, pressure: NDArray[Any], start: int) -> None:
+        import pyopencl as cl
+
+        plan, length = self._plan, self.branch_signals.whole_blocks(start, start + pressure.shape[1])
+        shape = self.parts * plan.row_count, length
+        size = 4 * shape[0] * shape[1]
+        on_device = None
+        for source in range(len(plan.source_filters)):
+            feed = self.branch_signals.take(source, start, length)
+            if feed is None:
+                continue
+            if on_device is None:
+                on_device = self._scratch.take("pressure", size)
+                cl.enqueue_fill_buffer(self._queue, on_device, np.zeros(1, np.float32), 0, size)
+            active, branches = feed.active, self.branch_signals.made(feed, self.skips_silence)
+            for first, last, here in self.branch_signals.chosen(active, start, length):
+                parts = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
+                for batch in in_batches(plan, parts, self.kind, self.limits.node_budget, plan.shortest_block):
+                    self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
+        for residuals in self.residuals:
+            residuals.settle((start + length) // plan.segment)
+        if on_device is None:
+            return
+        rows: Any = cl.enqueue_map_buffer(self._queue, on_device, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
+        self.put(rows[:, : pressure.shape[1]], pressure)
+        rows.base.release(self._queue)
+
+    def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
+        """Add the rows of all receivers, `parts` of each, to the pressure."""
+        pressure += rows
+
+    def _upload(self, array: NDArray[Any]) -> Any:
+        return upload(self._context, array)

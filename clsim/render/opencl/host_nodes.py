@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -31,32 +30,8 @@ _PATHS_EACH = 128  # paths of a pair that one thread makes at a time
 _BESIDE = {4: 8, 8: 16}  # paths whose terms stand side by side, by the terms of delays, as in polynomials.h
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Run:
-    """Inputs of nodes: source, blocks of a length from a sample on, and the active interval of each slot."""
-
-    source: int
-    start: int
-    block: int
-    blocks: int
-    audible: tuple[NDArray[np.int32], NDArray[np.int32]]  # (slots,), samples of the run
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """Results of some paths: squares (2, segments, P) of errors and levels, and bounds of delays, s."""
-
-    squares: Floats
-    shortest: float
-    longest: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """Paths of some pairs that have the same ones: slots of each pair, and rows of the pairs' paths."""
-
-    pairs: list[tuple[int, NDArray[np.int64]]]
-    rows: NDArray[np.int64]
+# Paths of some pairs that have the same ones: slots of each pair, and rows of the pairs' paths.
+_Part = tuple[list[tuple[int, NDArray[np.int64]]], NDArray[np.int64]]
 
 
 class HostNodeMaker:
@@ -78,58 +53,58 @@ class HostNodeMaker:
     ) -> Nodes:  # fmt: skip
         source, batch, bounds = state
         plan, filters = self._plan, self._plan.source_filters[source]
-        run = _Run(source, start, block, blocks, bounds.samples_from(start))
+        audible, times = bounds.samples_from(start), node_times(start, block, blocks, plan.sampling_rate)
         whole = np.empty((blocks, batch.count), dtype=np.int32)
         channels = len(plan.tracks.pairs[batch.pairs[0]].channels)  # the same of all of a batch
         terms = plan.delay_terms + 4 * len(filters.basis) * channels
         cubics = np.empty((blocks, terms, batch.count), dtype=np.float32)
         squares = np.zeros((3, -(-blocks * block // plan.segment), batch.count))
 
-        def make(part: _Part) -> list[_Found]:
-            found = self._evaluated(
-                part, node_times(run.start, run.block, run.blocks, plan.sampling_rate), filters.basis
-            )
+        def make(part: _Part) -> list[tuple[float, float]]:
             here = []
-            for (_, slots), tracks in zip(part.pairs, found, strict=True):
-                whole[:, slots], cubics[:, :, slots], result = self._part(run, tracks, slots)
-                squares[:2, :, slots] = result.squares
-                here.append(result)
+            for (_, slots), tracks in zip(part[0], self._evaluated(part, times, filters.basis), strict=True):
+                here.append((float(tracks[0].min()), float(tracks[0].max())))
+                active = audible[0][slots, None], audible[1][slots, None]
+                whole[:, slots], cubics[:, :, slots], squares[:2, :, slots] = self._part(
+                    source, times, block, tracks, active
+                )
             return here
 
         parts, padding = _parts(plan, batch)
         with with_blas_threads(1):  # each part has a thread of its own, and its matrices are small
-            made = [result for several in side_by_side(make, parts, meanwhile) for result in several]
+            lows, highs = zip(
+                *(found for several in side_by_side(make, parts, meanwhile) for found in several), strict=True
+            )
         for first, silent in padding:
             whole[:, silent], cubics[:, :, silent] = whole[:, [first]], 0.0
         laid_out = cubics.reshape(*cubics.shape[:2], -1, _BESIDE[plan.delay_terms]).swapaxes(1, 2)
-        shortest, longest = min(found.shortest for found in made), max(found.longest for found in made)
-        return Nodes(self._upload(whole), self._upload(laid_out), None, squares, shortest, longest)
+        return Nodes(self._upload(whole), self._upload(laid_out), None, squares, min(lows), max(highs))
 
     def _part(
-        self, run: _Run, tracks: tuple[Floats, Floats, Floats], slots: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int32], NDArray[np.float32], _Found]:
-        """Return whole delays, polynomials and results of some paths, of delays, rates and gains at nodes."""
-        plan, filters, block = self._plan, self._plan.source_filters[run.source], run.block
+        self, source: int, times: Floats, block: int, tracks: tuple[Floats, Floats, Floats],
+        active: tuple[NDArray[np.int32], NDArray[np.int32]],
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32], Floats]:  # fmt: skip
+        """Return whole delays, polynomials and squares (2, segments, P) of errors and levels of some paths.
+
+        They are made of delays, rates and gains at nodes; `active` (P, 1) are samples of the run.
+        """
+        plan, filters, (delay, change, gain) = self._plan, self._plan.source_filters[source], tracks
         rate, terms = plan.sampling_rate, plan.delay_terms
-        times = node_times(run.start, block, run.blocks, rate)
-        delay, change, gain = tracks
         whole, made = block_polynomials(
             delay, change, gain, block, rate, filters.delay_samples, filters.oversampling, terms
         )
         sized = gain * _strengths(filters.basis, len(gain))[:, None, None]
-        part, each = plan.left_out_over(run.source, block), np.abs(sized).sum(axis=0)
+        part, each = plan.left_out_over(source, block), np.abs(sized).sum(axis=0)
         level = each[:, 1:-2]
         if plan.tracks.least_level > 0.0:  # tangents, which may begin with nothing
             level = np.maximum(level, each[:, 2:-1])
         wrong = block_error(delay, change, sized, level, 2.0 * math.pi * filters.swiftness, block / rate, part, terms)
-        first, last = (edge[slots, None] for edge in run.audible)
-        begins = block * np.arange(run.blocks)
-        audible = (first < begins + block) & (last > begins)
+        begins = block * np.arange(whole.shape[0])
+        audible = (active[0] < begins + block) & (active[1] > begins)
         made[:, terms:] = np.where(audible.T[:, None], made[:, terms:], 0.0)
         loud = level * audible
         sounds = audible & _sounds(filters, times, delay, rate)
-        squares = _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block)
-        return whole, made, _Found(squares, float(delay.min()), float(delay.max()))
+        return whole, made, _by_segment(np.where(sounds, wrong, 0.0), loud, plan.segment // block)
 
     def _evaluated(self, part: _Part, times: Floats, basis: Basis) -> list[tuple[Floats, Floats, Floats]]:
         """Return delays, their rates, and gains of each pair at evenly spaced times.
@@ -140,7 +115,7 @@ class HostNodeMaker:
         to be wrong by less than the error that is allowed between nodes, by 10 dB, relative to what is heard of all.
         """
         tracks, count, cells = self._plan.tracks, len(times), -(-(len(times) - 1) // _CELL)
-        pairs, rows = [pair for pair, _ in part.pairs], part.rows
+        pairs, rows = [pair for pair, _ in part[0]], part[1]
         if not tracks.costly(pairs[0]) or cells < 4:
             found = tracks.evaluate_together(pairs, times, basis, rows)
             return [(delay, rate, _side_by_side(gain)) for delay, rate, gain in found]
@@ -212,7 +187,7 @@ def _parts(plan: Plan, batch: PathBatch) -> tuple[list[_Part], list[tuple[int, N
             members = [(pair, order[~batch.padding[order]]) for pair, order in members]
         for first in range(0, len(members[0][1]), _PATHS_EACH):
             some = [(pair, order[first : first + _PATHS_EACH]) for pair, order in members]
-            parts.append(_Part(some, batch.path[some[0][1]]))
+            parts.append((some, batch.path[some[0][1]]))
     return parts, padding
 
 
@@ -247,7 +222,7 @@ PAIR_RECEIVER = np.dtype(
 
 
 def pairs(values: Floats) -> NDArray[np.float32]:
-    """Return numbers (...) as pairs of floats (..., 2), the second one what the first leaves."""
+    """Return numbers (...) as pairs of floats (..., 2), of which the second is what the first leaves."""
     large = np.asarray(values).astype(np.float32)
     return np.stack([large, (values - large).astype(np.float32)], axis=-1)
 

@@ -46,18 +46,6 @@ class BatchTapers:
         return {"rise": rise, "fall": fall, "terms": TERMS, "per_half": self._per_half}
 
 
-class TaperedEngine(OpenclEngine):
-    """Renders what tapers leave of the paths of a plan."""
-
-    def __init__(self, plan: Plan) -> None:
-        super().__init__(plan)
-        self.branch_signals.of_few = True
-
-    @property
-    def run(self) -> type[Run]:
-        return _TaperedRun
-
-
 class _TaperedRun(Run):
     """Multiplies gains by what tapers leave before they are summed."""
 
@@ -96,3 +84,13 @@ class _TaperedRun(Run):
             **self._tapers.arguments(self._start + begin), polynomials=nodes.polynomials,
         )  # fmt: skip
         super()._render(nodes, segment, end, block, first_block)
+
+
+class TaperedEngine(OpenclEngine):
+    """Renders what tapers leave of the paths of a plan."""
+
+    run = _TaperedRun
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan)
+        self.branch_signals.of_few = True
