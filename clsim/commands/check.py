@@ -11,12 +11,12 @@ from clsim.commands.arguments import add_scene
 from clsim.numerics.quaternions import rotate
 from clsim.paths.path_set import PathSet
 from clsim.paths.without_edges import largest_jump_db
-from clsim.render.diffuse_tail import left_by_images
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scene import Scene, shaded_pairs
 from clsim.scene_file import load_scene
 from clsim.scene_file.scene import SceneFile
+from clsim.tail.design import left_by_images
 from clsim.workflow.console import progress
 from clsim.workflow.pipeline import plan_scene
 

@@ -1,4 +1,4 @@
-"""The contribution of diffuse tails: plane waves from fixed directions, and the source signals that excite them."""
+"""Diffuse tails: plane waves from fixed directions, their sum on a device, and the source signals that excite them."""
 
 from __future__ import annotations
 
@@ -11,27 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats
+from clsim.errors import DeviceError
 from clsim.numerics.blas import with_blas_threads
+from clsim.opencl.device import find_device
+from clsim.opencl.launch import Scratch, compiler_of, upload, work
 from clsim.paths.arrivals import MACH_EXPONENT
-from clsim.paths.path_set import PathSet
 from clsim.render.contributions import Stateless, digest_of
-from clsim.render.opencl.device_waves import DeviceWaves
+from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT
 from clsim.render.plan import Plan
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.scene import Scene
-from clsim.tail.design import NoTailError, SourceTail, TailOptions, find_tail, searched_order
-from clsim.tail.noise import (
-    Responses,
-    at_one_place,
-    combined,
-    gains_of,
-    own_directions,
-    plane_waves,
-    row_gains,
-    static_gains,
-)
-from clsim.tail.streams import NODE, Between, Blocks, HostWaves, Motion, Streams, Waves, ears_among
-from clsim.tail.zones import Crossings, Zones, fastest, is_static
+from clsim.tail import noise
+from clsim.tail.design import SourceTail
+from clsim.tail.streams import NEIGHBOURS, NODE, Between, Blocks, HostWaves, Motion, Streams, Waves, ears_among
+from clsim.tail.zones import Crossings, fastest, is_static
 
 _TOGETHER = 16384  # samples that moving receivers hear at a time
 _RECEIVERS = 16  # of them at a time
@@ -149,7 +142,7 @@ class _ZoneTail:
         if towards is None:
             return None
         times = self.signals.crossings.times(receiver, filters.instants(k))
-        directions = own_directions(self._scene.receivers[receiver], self._tail.arrivals, times)
+        directions = noise.own_directions(self._scene.receivers[receiver], self._tail.arrivals, times)
         ahead = self._rate * (towards[0] - filters.lateness(directions)).swapaxes(1, 2)
         # A listener for each wave at each ear: filters are shared by waves that have arrived there.
         ahead = ahead.reshape(-1, ahead.shape[2], 1)
@@ -172,7 +165,7 @@ class _ZoneTail:
         if towards is None:
             return []
         times = self.signals.crossings.times(receiver, grid)
-        by_row = row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
+        by_row = noise.row_gains(self._scene, receiver, self._tail.arrivals, times, self._frequency)
         return [(towards[0] * self._rate, gains * towards[1][:, None]) for gains in by_row]
 
     def _approach(self, receiver: int, grid: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
@@ -197,26 +190,28 @@ class _ZoneTail:
                 make = self._at_one_place
             elif not waves:
                 made = self._combined_responses()
-                longest, lead, make = made.taps.shape[1], made.lead, partial(_same, made)
+                longest, lead, make = made.taps.shape[1], made.lead, lambda zone: made
             self.streams[waves] = Streams(
                 self.signals, make, len(self._tail.zones), count, longest, self._samples, lead
             )
         return self.streams[waves]
 
-    def _waves(self, zone: int) -> Responses:
-        return plane_waves(self._tail, (zone, self._zone), self._source, self._rate, moves=self.signals.moves)
+    def _waves(self, zone: int) -> noise.Responses:
+        return noise.plane_waves(self._tail, (zone, self._zone), self._source, self._rate, moves=self.signals.moves)
 
-    def _at_one_place(self, zone: int) -> Responses:
-        weights = np.square(gains_of(self._scene, self._alone, self._tail, 0.0)[0])
-        return at_one_place(self._tail, (zone, self._zone), self._source, self._rate, weights, moves=self.signals.moves)
+    def _at_one_place(self, zone: int) -> noise.Responses:
+        weights = np.square(noise.gains_of(self._scene, self._alone, self._tail, 0.0)[0])
+        return noise.at_one_place(
+            self._tail, (zone, self._zone), self._source, self._rate, weights, moves=self.signals.moves
+        )
 
-    def _combined_responses(self) -> Responses:
+    def _combined_responses(self) -> noise.Responses:
         places = [self._scene.receivers[r].trajectory.position(0.0) for r in self._combined for _ in self._rows[r]]
         middle = self._tail.receiver_zones.centres[self._zone]
         late = -(np.array(places) - middle) @ self._tail.arrivals.T / self._scene.air.speed_of_sound
-        gains = static_gains(self._scene, self._combined, self._tail, 0.0, self._rate)
+        gains = noise.static_gains(self._scene, self._combined, self._tail, 0.0, self._rate)
         zone = int(np.argmax(self._tail.zones.weights(self._scene.sources[self._source], np.zeros(1))[:, 0]))
-        return combined(self._waves(zone), late, gains, self._tail.centres, self._rate)
+        return noise.combined(self._waves(zone), late, gains, self._tail.centres, self._rate)
 
     def _longest(self) -> int:
         steps = max(len(pair.energy) for key, pair in self._tail.pairs.items() if key[1] == self._zone)
@@ -233,11 +228,6 @@ class _ZoneTail:
 def _grid(start: int, stop: int) -> NDArray[np.int64]:
     """Return the samples of the nodes from that of `start` to the one that is not before `stop`."""
     return np.arange(start // NODE, -(-stop // NODE) + 1) * NODE
-
-
-def _same(responses: Responses, zone: int) -> Responses:
-    """Return the responses of the only zone."""
-    return responses
 
 
 _HIGHEST = 0.42  # of the sampling rate, above which what is between samples fades
@@ -348,20 +338,47 @@ class SourceSignals:
         return known[first - begin : last - begin]
 
 
-def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
-    """Return the energy that images leave at 0 s, relative to all, of the source where it is most, dB, by a few rays.
+assert CPU_LAYOUT.lanes <= NEIGHBOURS
 
-    None in rooms from which most of the energy escapes.
-    """
-    scene, most = paths.scene, -np.inf
-    receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
-    requested = TailOptions(searched_order(paths), directions=1, error_db=np.inf)
-    for i, source in enumerate(scene.sources):
-        low, high = source.emitted.band()
-        own = Zones.frozen([source], scene.room, 0.0, beams=True)
+
+class DeviceWaves:
+    """Sums streams on an OpenCL device; `HostWaves` is its twin."""
+
+    def __init__(self, between: Between, device: str | None, lanes: int | None = None) -> None:
+        import pyopencl as cl
+
+        self._info, found = find_device(device)
+        compiler = compiler_of(found)
+        self._queue, self._scratch = cl.CommandQueue(compiler.context), Scratch(compiler.context)
+        self._lanes = lanes or (GPU_LAYOUT if self._info.kind == "GPU" else CPU_LAYOUT).lanes
+        powers, taps = between.bank.shape
+        constants = {"LANES": self._lanes, "NODE": NODE, "POWERS": powers, "TAPS": taps}
+        self._kernel = compiler.kernel("plane_waves", constants)
+        self._bank = upload(compiler.context, np.pad(between.bank.ravel(), (0, self._lanes)))
+
+    def received(
+        self, streams: NDArray[np.float32], first: int, motion: Motion, start: int, stop: int
+    ) -> NDArray[np.float32]:
+        """Return the pressure at listeners (R, n), see `Waves`."""
+        import pyopencl as cl
+
+        listeners, nodes, count = motion.ahead[:, :-1].shape
+        begin = start // NODE * NODE
+        whole = np.floor(motion.ahead[:, :-1])
+        packed = np.empty((listeners, nodes, count, 4), np.float32)
+        packed[..., 0] = motion.ahead[:, :-1] - whole
+        packed[..., 1] = np.diff(motion.ahead, axis=1) / NODE
+        packed[..., 2] = motion.gains[:, :-1]
+        packed[..., 3] = np.diff(motion.gains, axis=1) / NODE
+        received = np.empty((listeners, nodes * NODE), np.float32)
         try:
-            found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), requested)
-        except NoTailError:
-            return None
-        most = max(most, found.left_db)
-    return float(most)
+            out = self._scratch.take("received", received.nbytes)
+            self._kernel(
+                self._queue, work(nodes * NODE // self._lanes, listeners), streams=streams, count=count,
+                total=len(streams), stride=streams.shape[1], lead=begin - first, whole=whole.astype(np.int32),
+                motion=packed, nodes=nodes, bank=self._bank, received=out,
+            )  # fmt: skip
+            cl.enqueue_copy(self._queue, received, out)
+        except cl.Error as error:
+            raise DeviceError(f"{self._info.name} ran out of memory or failed ({error}) at a diffuse tail") from error
+        return received[:, start - begin : stop - begin]

@@ -184,6 +184,25 @@ def searched_order(paths: PathSet) -> int:
     return int(paths.order[only_mirrored].max(initial=0))
 
 
+def left_by_images(paths: PathSet, sampling_rate: float) -> float | None:
+    """Return the energy that images leave at 0 s, relative to all, of the source where it is most, dB, by a few rays.
+
+    None in rooms from which most of the energy escapes.
+    """
+    scene, most = paths.scene, -np.inf
+    receivers = Zones.frozen(scene.receivers, scene.room, 0.0, beams=False)
+    requested = TailOptions(searched_order(paths), directions=1, error_db=np.inf)
+    for i, source in enumerate(scene.sources):
+        low, high = source.emitted.band()
+        own = Zones.frozen([source], scene.room, 0.0, beams=True)
+        try:
+            found = find_tail(scene, i, (low, min(high, 0.5 * sampling_rate)), (own, receivers), requested)
+        except NoTailError:
+            return None
+        most = max(most, found.left_db)
+    return float(most)
+
+
 def _emitted(scene: Scene, source: int, turn: Floats, centres: Floats) -> Callable[[Floats], Floats]:
     """Return a function: the energy (n, B) that a source emits in directions (n, 3), turned by a quaternion."""
     from clsim.numerics.quaternions import rotate

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,18 +15,14 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats
 from clsim.paths.arrivals import Arrivals
 from clsim.paths.family import PairPaths
-from clsim.paths.path_set import PathSet
 from clsim.paths.response import SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.curves import CONTINUATION, onward
-from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.faces import NEAREST
 from clsim.tracks.basis import GRIDS, IN_CACHE, Band, Sample
 from clsim.tracks.tracks import SceneTracks, Tracks
-
-End = TypeVar("End", Source, Receiver)
 
 SEED = 20_160_914
 _ROWS = 1024  # responses of which the functions are made
@@ -265,13 +261,8 @@ def _instants(tracks: SceneTracks, pair: int, until: float, most: int, alike_mos
     travelled = until * float(tracks.speeds.source[paths.source] + tracks.speeds.receiver[paths.receiver])
     begin = np.zeros(1)
     apart = float(np.linalg.norm(source.trajectory.position(begin) - receiver.trajectory.position(begin)))
-    return int(
-        np.clip(
-            math.ceil(_PER_DISTANCE * travelled / max(apart - travelled, 1e-3 * travelled, NEAREST)),
-            3,
-            min(most, alike_most),
-        )
-    )
+    wanted = math.ceil(_PER_DISTANCE * travelled / max(apart - travelled, 1e-3 * travelled, NEAREST))
+    return int(np.clip(wanted, 3, min(most, alike_most)))
 
 
 def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Floats]:
@@ -299,24 +290,15 @@ def continued(tracks: SceneTracks, seconds: float) -> SceneTracks:
 
     Ends are copied without their checks: where nothing sounds they may be outside of the room.
     """
-    scene, families = copy(tracks.paths.scene), {id(family): copy(family) for family in tracks.paths.families}
-    object.__setattr__(scene, "sources", tuple(_end(end, seconds) for end in tracks.paths.scene.sources))
-    object.__setattr__(scene, "receivers", tuple(_end(end, seconds) for end in tracks.paths.scene.receivers))
-    for family in families.values():
-        object.__setattr__(family, "scene", scene)
-    pair_paths = tuple(replace(pair, family=families[id(pair.family)]) for pair in tracks.pair_paths)
-    return replace(tracks, paths=PathSet(scene, tuple(families.values())), pair_paths=pair_paths)
+    ends: dict[str, Any] = {"sources": tracks.scene.sources, "receivers": tracks.scene.receivers}
+    return tracks.with_ends(**{name: [_end(end, seconds) for end in some] for name, some in ends.items()})
 
 
-def _end(end: End, seconds: float) -> End:
-    made = copy(end)
-    object.__setattr__(made, "trajectory", _motion(end.trajectory, seconds))
+def _end(end: Source | Receiver, seconds: float) -> Source | Receiver:
+    """Return an end that moves on: on lines and circles as they are, on others straight beyond their continuation."""
+    made, motion = copy(end), end.trajectory
+    if motion.end != np.inf:
+        curve = onward(motion.curve, motion.start - CONTINUATION, motion.end + CONTINUATION)
+        longer = replace(motion, curve=curve, start=motion.start - seconds, end=motion.end + seconds)
+        object.__setattr__(made, "trajectory", longer)
     return made
-
-
-def _motion(motion: Trajectory, seconds: float) -> Trajectory:
-    """Return a motion that goes on: lines and circles as they are, others straight beyond their continuation."""
-    if motion.end == np.inf:
-        return motion
-    curve = onward(motion.curve, motion.start - CONTINUATION, motion.end + CONTINUATION)
-    return replace(motion, curve=curve, start=motion.start - seconds, end=motion.end + seconds)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,8 +23,7 @@ from clsim.scene.motion.curves import CONTINUATION
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scene import Scene
 from clsim.tracks.basis import Basis, flat_basis
-from clsim.tracks.splines import DEFAULT_TRANSITION, as_transition, fitted_tracks, in_batches
-from clsim.tracks.tapers import Rows, Tapers
+from clsim.tracks.splines import DEFAULT_TRANSITION, Rows, Tapers, as_transition, fitted_tracks, in_batches
 
 _BESIDE = 1e-4  # s, to either side, between which the lateness of channels is taken to change evenly
 
@@ -247,6 +247,16 @@ class SceneTracks(Tracks):
         families = tuple({id(pair.family): pair.family for pair in some}.values()) or self.paths.families
         mine = tuple(self.pairs[i] for i in pairs)
         return replace(self, pairs=mine, pair_paths=some, paths=PathSet(self.paths.scene, families))
+
+    def with_ends(self, **ends: Iterable[Any]) -> SceneTracks:
+        """Return the same tracks between other `sources` or `receivers`, which are not checked."""
+        scene, families = copy(self.paths.scene), {id(family): copy(family) for family in self.paths.families}
+        for name, values in ends.items():
+            object.__setattr__(scene, name, tuple(values))
+        for family in families.values():
+            object.__setattr__(family, "scene", scene)
+        pair_paths = tuple(replace(pair, family=families[id(pair.family)]) for pair in self.pair_paths)
+        return replace(self, paths=PathSet(scene, tuple(families.values())), pair_paths=pair_paths)
 
     def with_rows(self, rows: Mapping[int, Rows]) -> SceneTracks:
         """Return the same tracks, of some pairs with other paths: stretches of theirs."""

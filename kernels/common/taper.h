@@ -1,4 +1,4 @@
-// Tapers: slow weights of paths that begin or end. Twin of tracks/tapers.py; `terms` are those of odd powers.
+// Tapers: slow weights of paths that begin or end. Twin of tracks/splines.py; `terms` are those of odd powers.
 
 #define FAR 8388608.0f  // samples: nothing begins or ends
 

@@ -25,6 +25,7 @@ from clsim.opencl import launch as compiler_module
 from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module
+from clsim.render.diffuse_tail import DeviceWaves
 from clsim.render.methods.ears import EarEngine
 from clsim.render.opencl import baseband_engine as envelope_module
 from clsim.render.opencl import batches as layout_module
@@ -33,7 +34,6 @@ from clsim.render.opencl import channel_engine as channel_module
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.channel_engine import ChannelEngine
-from clsim.render.opencl.device_waves import DeviceWaves
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.opencl.tapered_sum import TaperedEngine
 from clsim.render.plan import Plan
@@ -42,7 +42,7 @@ from clsim.render.tilt import Stretches
 from clsim.sensitivity.adjoint import MomentEngine
 from clsim.tail.device_rays import GROUP, DeviceRays
 from clsim.tail.streams import NODE, Between, Motion
-from clsim.tracks.tapers import Pieces
+from clsim.tracks.splines import Pieces
 
 RATE = 192e3
 SAMPLES = 192

@@ -75,7 +75,7 @@ def foreign(tree: ast.Module) -> set[str]:
 
 def test_docstrings_name_the_thing_in_short_sentences_and_the_package_is_in_the_fields_words() -> None:
     every, long, strange = files(*FOLDERS), [], []
-    assert len(every) > 600
+    assert len(every) > 500
     for path in every:
         tree = ast.parse(path.read_text("utf-8"))
         long += [f"{path.name}: {head}" for head in faults(tree)]

@@ -17,7 +17,7 @@ from clsim.render.methods.costs import passes, passing_times
 from clsim.render.plan import BLOCKS, FINE, PairPart
 from clsim.render.source_filters import Emission, SourceFilters
 from clsim.tracks.basis import flat_basis
-from clsim.tracks.tapers import REACH, Pieces, Rows
+from clsim.tracks.splines import REACH, Pieces, Rows
 from clsim.tracks.tracks import SceneTracks, clock_time
 
 _BLOCKS_IN_TAPER = 8  # at least: cubics hold its weight within -94 dB, root mean square

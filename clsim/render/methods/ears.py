@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
-from clsim.paths.path_set import PathSet
+from clsim.paths.family import PairPaths
+from clsim.paths.response import to_transducer_frame
 from clsim.render.contributions import Stateless, digest_of
-from clsim.render.ear_frames import EarFrames
 from clsim.render.methods.per_sample import PathSum, path_pressures
 from clsim.render.opencl.batches import Fades
 from clsim.render.opencl.engine import OpenclEngine, Run
+from clsim.render.opencl.host_nodes import side_by_side
 from clsim.render.options import RenderOptions
 from clsim.render.plan import Allocation, PairPart, Plan, plan_of_part
 from clsim.render.source_filters import Emission
@@ -25,6 +30,188 @@ from clsim.scene.directivity.patterns import Omni
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.tracks import SceneTracks, Tracks
+
+_NODES, _BEFORE = 6, 2  # from which responses between two of them are made, and how many lie before both
+_SPACINGS = (4608, 3072, 2304, 1536, 1024, 768, 512, 384, 256, 192, 128, 96, 64)  # samples, divisors of a segment
+_EVERY = 192  # samples, after which directions are looked at before a spacing is chosen
+_TURNS = (0.025, 0.0175, 0.0125, 0.00875, 0.006, 0.004)  # rad between nodes, tried in this order
+_SPARE = 1.1  # times that angle, up to which nodes beside a segment may lie apart
+_TURN_ERROR_DB = -92.0  # of responses between nodes, relative to them, over random great circles
+_CIRCLES = 24
+_SIZES = (2048, 8192, 32768, 131072)  # samples in which impulse responses are looked for
+_FADE = 1.0 / 12.0  # of the sampling rate, over which responses fade out above the band
+_POWERS = 16  # of a bin's phase factor that are worked out at a time
+_QUIET = 1e-10  # of their energy, that is cut off at either end
+_AT_ONCE = 32  # paths of a segment that are filtered at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EarResponses:
+    """Responses of a receiver's channels within a band at a sampling rate."""
+
+    directivity: ChannelDirectivity
+    speed_of_sound: float  # m/s
+    rate: float  # Hz
+    band: float  # Hz, from which on to half the sampling rate responses are faded out
+    before: int  # samples that a response lasts before the centre's time
+    after: int
+    turn: float  # rad from node to node
+
+    def spectra(self, directions: Floats, size: int, kind: Any) -> Complexes:
+        """Return the responses (..., C, F) of a kind of number at a transform's first bins, by direction (..., 3)."""
+        step, end = self.rate / size, min(self.band + _FADE * self.rate, 0.5 * self.rate)
+        share = (step * np.arange(math.ceil(end / step)) - self.band) / (end - self.band)
+        fade = np.cos(0.5 * math.pi * np.clip(share, 0.0, 1.0)) ** 2
+        return self.at_multiples(directions, step, fade.astype(np.empty(0, kind).real.dtype))
+
+    def at_multiples(self, directions: Floats, step: float, weights: Floats) -> Complexes:
+        """Return weighted responses (..., C, F) at multiples of a frequency from 0 Hz on, by direction (..., 3)."""
+        count, directivity, c = len(weights), self.directivity, self.speed_of_sound
+        frequencies = np.clip(step * np.arange(count), *directivity.band)
+        gain = directivity.aligned(directions, frequencies, c, range(len(directivity.channels)))
+        angle = -2.0j * math.pi * step * directivity.lateness(directions, c)[..., None]
+        # Products of few powers: exponential functions would take most of the time.
+        coarse, fine = (np.exp(angle * k) for k in (_POWERS * np.arange(-(-count // _POWERS)), np.arange(_POWERS)))
+        kind = np.result_type(weights, np.complex64)
+        turned = coarse.astype(kind)[..., None] * fine.astype(kind)[..., None, :]
+        out = turned.reshape(*angle.shape[:-1], -1)[..., :count] * weights
+        out *= np.moveaxis(gain, 0, -2)
+        return np.asarray(out)
+
+
+@lru_cache(maxsize=32)
+def ear_responses(directivity: ChannelDirectivity, speed_of_sound: float, rate: float, band: float) -> EarResponses:
+    """Return a receiver's responses, with their length and the angle between nodes as measured at some directions."""
+    from scipy.fft import irfft
+
+    drawn = np.random.default_rng(0).standard_normal((2, _CIRCLES, 3))
+    axis = drawn[0] / np.linalg.norm(drawn[0], axis=1, keepdims=True)
+    across = np.cross(axis, drawn[1])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    made = EarResponses(directivity, speed_of_sound, rate, min(band, 0.49 * rate), 0, 0, 0.0)
+    for size in _SIZES:
+        impulses = irfft(made.spectra(axis, size, np.complex128), size, axis=-1)
+        energy = np.cumsum(np.roll(np.sum(impulses**2, axis=(0, 1)), size // 2))
+        edges = np.searchsorted(energy, energy[-1] * np.array([_QUIET, 1.0 - _QUIET])) - size // 2
+        if np.abs(edges).max() < 0.4 * size:
+            break
+    for turn in _TURNS:
+        angle = turn * np.append(np.arange(_NODES) - 1.0 * _BEFORE, 0.5)[:, None]
+        towards = axis[:, None] * np.cos(angle) + across[:, None] * np.sin(angle)
+        found = made.at_multiples(towards, made.band / 64, np.ones(65))  # (circles, nodes, C, F)
+        wrong = np.tensordot(found[:, :-1], _weights(np.array([_BEFORE + 0.5]))[:, 0], ([1], [0])) - found[:, -1]
+        if np.linalg.norm(wrong) <= 10 ** (_TURN_ERROR_DB / 20.0) * np.linalg.norm(found[:, -1]):
+            break
+    return replace(made, before=max(int(-edges[0]), 0), after=max(int(edges[1]), 0), turn=turn)
+
+
+def _weights(places: Floats) -> Floats:
+    """Return Lagrange's weights (_NODES, n) of nodes 0, 1 and so on at places (n,)."""
+    nodes, same = np.arange(_NODES), np.eye(_NODES)[..., None]
+    factors = (places - nodes[:, None]) / np.where(same, 1.0, (nodes[:, None] - nodes)[..., None])
+    return np.asarray(np.where(same, 1.0, factors).prod(axis=1))
+
+
+def _largest_step(directions: Floats) -> float:
+    """Return the largest distance of neighbours among unit vectors (P, n, 3), rad if it is small."""
+    return float(np.linalg.norm(np.diff(directions, axis=1), axis=-1).max())
+
+
+class EarFrames:
+    """Adds the sound of paths at receivers' centres, through their channels' responses, to a piece of the pressure."""
+
+    def __init__(self, plan: Plan, scene: Scene, rows: tuple[NDArray[np.int32], NDArray[Any]], start: int) -> None:
+        self.plan, self._start, (self._rows, self._pressure) = plan, start, rows
+        assert plan.tracks.of_scene is not None, "ears are those of scenes"
+        self._tracks = plan.tracks.of_scene
+        band = max(filters.band for filters in plan.source_filters) * (1.0 + plan.max_rate)
+        c = scene.air.speed_of_sound
+        with with_blas_threads(1):
+            self._ears = {
+                r: ear_responses(scene.receivers[r].directivity, c, plan.sampling_rate, band)
+                for r in sorted({pair.receiver for pair in plan.tracks.pairs})
+            }
+
+        # Samples that responses last before the centre's time, and behind it.
+        self.before = max(ears.before for ears in self._ears.values())
+        self.after = max(ears.after for ears in self._ears.values())
+
+    def add(self, pair: int, rows: NDArray[np.int64], signals: NDArray[Any], first: int) -> None:
+        """Add the signals (P, n) of some paths of a pair at the centre, from a sample on, the first of a segment."""
+        active, paths = np.flatnonzero(np.any(signals, axis=1)), self._tracks.pair_paths[pair]
+
+        def filtered(part: tuple[int, int]) -> tuple[int, NDArray[Any]]:
+            at, some = part[0], active[part[1] : part[1] + _AT_ONCE]
+            return self._filtered(paths.part(rows[some]), signals[some, at : at + self.plan.segment], first + at)
+
+        parts = list(product(range(0, signals.shape[1], self.plan.segment), range(0, len(active), _AT_ONCE)))
+        with with_blas_threads(1):  # each part has a thread of its own
+            found = side_by_side(filtered, parts)
+        row = int(self._rows[paths.receiver])
+        for begin, received in found:
+            low, high = max(begin, self._start), min(begin + received.shape[1], self._start + self._pressure.shape[1])
+            if low < high:
+                into = self._pressure[row : row + len(received), low - self._start : high - self._start]
+                into += received[:, low - begin : high - begin]
+
+    def _filtered(self, paths: PairPaths, signals: NDArray[Any], first: int) -> tuple[int, NDArray[Any]]:
+        """Return a first sample, and from there the sound (C, n) of signals (P, n) through the channels' responses."""
+        from scipy.fft import irfft, next_fast_len, rfft
+
+        ears, count, wide = self._ears[paths.receiver], signals.shape[1], np.result_type(signals.dtype, np.complex64)
+        spacing, towards = self._nodes(paths, ears.turn, first, count)
+        blocks = -(-count // spacing)
+        size = next_fast_len(spacing + ears.before + ears.after, real=True)
+        responses = ears.spectra(towards, size, wide)  # (P, nodes, C, F)
+        cut = np.zeros((len(signals), blocks, spacing), signals.dtype)
+        cut.reshape(len(signals), -1)[:, :count] = signals
+        weights = _weights(_BEFORE + np.arange(spacing) / spacing).astype(signals.dtype)
+        total = np.zeros((blocks, *responses.shape[2:]), wide)
+        for k in range(_NODES):
+            sounds = rfft(cut * weights[k], size)[..., : total.shape[-1]]
+            for sound, response in zip(sounds, responses[:, k : k + blocks], strict=True):
+                total += sound[:, None] * response
+        out = np.zeros((total.shape[1], (blocks - 1) * spacing + size), signals.dtype)
+        for b, received in enumerate(np.roll(irfft(total, size), ears.before, axis=-1)):
+            out[:, b * spacing : b * spacing + size] += received
+        return first - ears.before, out
+
+    def _nodes(self, paths: PairPaths, turn: float, first: int, count: int) -> tuple[int, Floats]:
+        """Return the spacing of nodes for a segment, samples, and directions (P, nodes, 3) that turn little between."""
+        towards, _ = self._directions(paths, first + _EVERY * np.arange(-(-count // _EVERY) + 1))
+        fastest = _largest_step(towards) / _EVERY
+        for spacing in _SPACINGS:
+            if spacing * fastest <= turn or spacing == _SPACINGS[-1]:
+                near = first // spacing - _BEFORE + np.arange(-_NODES, -(-count // spacing) + 2 * _NODES - 1)
+                # Nodes at either end tell how motions go on beyond their ends.
+                nodes = self._continued(paths, spacing * near)[:, _NODES:-_NODES]
+                if _largest_step(nodes) <= _SPARE * turn:
+                    break
+        return spacing, nodes
+
+    def _continued(self, paths: PairPaths, samples: NDArray[np.int64]) -> Floats:
+        """Return directions (P, n, 3) at evenly spaced samples, beyond the ends of motions as these would go on."""
+        towards, known = self._directions(paths, samples)
+        for own, inside in zip(towards, known, strict=True):
+            if inside.all() or inside.sum() < _NODES:
+                continue
+            first, last = np.flatnonzero(inside)[[0, -1]]
+            for edge, step, count in ((first, 1, first), (last, -1, len(own) - 1 - last)):
+                beyond = np.minimum(np.arange(count) + 1, _NODES)
+                made = _weights(-1.0 * beyond).T @ own[edge + step * np.arange(_NODES)]
+                own[edge - step * (np.arange(count) + 1)] = made / np.linalg.norm(made, axis=1, keepdims=True)
+        return towards
+
+    def _directions(self, paths: PairPaths, samples: NDArray[np.int64]) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return directions (P, n, 3) of arrival in the receiver's frame, and if motions of both ends are known."""
+        scene, times = paths.family.scene, samples / self.plan.sampling_rate
+        receiver, emits = scene.receivers[paths.receiver], scene.sources[paths.source].trajectory
+        now = times + receiver.clock_error(times)
+        found = paths.arrivals(now, self._tracks.kinematics)
+        known = (found.emission_time >= emits.start) & (found.emission_time <= emits.end)
+        known &= (now >= receiver.trajectory.start) & (now <= receiver.trajectory.end)
+        return to_transducer_frame(receiver.orientation, now, np.nan_to_num(found.arrival)), known
+
 
 _BYTES = 64 * 2**20  # of path signals on the device at a time
 
@@ -42,25 +229,13 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
 
 def centre_tracks(tracks: SceneTracks, pairs: Sequence[int]) -> SceneTracks:
     """Return the tracks of pairs as an omnidirectional receiver at each receiver's centre has them."""
-    scene = copy(tracks.paths.scene)
-    receivers = [copy(receiver) for receiver in scene.receivers]
+    receivers = [copy(receiver) for receiver in tracks.scene.receivers]
     for i in {tracks.pairs[pair].receiver for pair in pairs}:
         object.__setattr__(receivers[i], "directivity", Omni())
-    object.__setattr__(scene, "receivers", tuple(receivers))
-    families = {id(family): copy(family) for family in tracks.paths.families}
-    for family in families.values():
-        object.__setattr__(family, "scene", scene)
     once = {tracks.paths_of(pair): pair for pair in reversed(pairs)}  # both ears have the same paths
-    kept = sorted(once.values())
-    return replace(
-        tracks,
-        paths=PathSet(scene, tuple(families.values())),
-        pairs=tuple(replace(tracks.pairs[i], channels=range(1)) for i in kept),
-        pair_paths=tuple(
-            replace(tracks.pair_paths[i], family=families[id(tracks.pair_paths[i].family)], channels=range(1))
-            for i in kept
-        ),
-    )
+    made = tracks.with_ends(receivers=receivers).among(sorted(once.values()))
+    paths = tuple(replace(own, channels=range(1)) for own in made.pair_paths)
+    return replace(made, pairs=tuple(replace(own, channels=range(1)) for own in made.pairs), pair_paths=paths)
 
 
 def parts_of(

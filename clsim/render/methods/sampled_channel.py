@@ -21,7 +21,7 @@ from clsim.render.options import RenderOptions
 from clsim.render.plan import LONG_BLOCKS, Allocation, ChannelPart, PairPart, Plan, plan_of_part
 from clsim.render.source_filters import Emission, SourceFilters
 from clsim.tracks.sampled import continued
-from clsim.tracks.tapers import Rows
+from clsim.tracks.splines import Rows
 from clsim.tracks.tracks import SceneTracks, Tracks
 
 _SPARE, _MARGINS = 1.03, (6.0, 12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order

@@ -11,7 +11,7 @@ from clsim.opencl.launch import work
 from clsim.render.opencl.batches import Fades, PathBatch
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.plan import Plan
-from clsim.tracks.tapers import TAPER_TERMS, Tapers, taper_terms
+from clsim.tracks.splines import TAPER_TERMS, Tapers, taper_terms
 
 TERMS = taper_terms().astype(np.float32)
 CONSTANTS = {"TAPER_TERMS": TAPER_TERMS}

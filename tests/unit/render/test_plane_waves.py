@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsim.render.opencl.device_waves import DeviceWaves
+from clsim.render.diffuse_tail import DeviceWaves
 from clsim.tail.streams import NODE, Between, HostWaves, Motion
 
 RATE, C, START, STOP = 48e3, 343.0, 1000, 5000

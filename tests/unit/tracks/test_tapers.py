@@ -6,8 +6,7 @@ from scipy.integrate import quad
 from scipy.special import i0
 
 from clsim.render.channel_grid import NODES, OVERSAMPLING, node_window
-from clsim.tracks.splines import audible
-from clsim.tracks.tapers import REACH, Pieces, taper
+from clsim.tracks.splines import REACH, Pieces, audible, taper
 
 TRANSITION, UNTIL = 1e-3, 2.0
 
