@@ -11,18 +11,27 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
 import clsim
+from clsim.render.channel_grid import work_at_nodes
 from clsim.render.methods.costs import FILE, measured_costs
-from clsim.render.methods.sampled_channel import work_of
-from clsim.render.opencl.tapered_sum import TaperedEngine
+from clsim.render.opencl.channel_engine import TaperedEngine
 from clsim.render.render import record
 
 RATE, SECONDS = 192e3, 1.0
 LOW, HIGH = 5, 9  # orders between which the cost of a path is taken
 REPEATS = 5
+
+
+def work_of(part: Any, filters: Any, until: float) -> tuple[float, ...]:
+    """Return the counts of `work_at_nodes` of a part, until the end of a run, s."""
+    tracks = part.plan.tracks
+    pairs = [tracks.pairs[pair] for pair in part.pairs]
+    counts = sum(map(len, pairs)), sum(len(p) * len(p.channels) for p in pairs), sum(len(p.channels) for p in pairs)
+    return work_at_nodes(filters, counts, part.spacing, tracks.longest_delay(0.0, until, part.source), until)
 
 
 def seconds(call: Callable[[], object]) -> float:

@@ -241,16 +241,11 @@ class EnvelopeFrames(ChannelFrames):
         return source.streams(self._first, last)
 
     def spectra(self, nodes: Sequence[int]) -> NDArray[Any]:
-        """Return the spectra (nodes, K, size) of what is emitted through each function and received at some nodes."""
         from scipy.fft import fft
 
         return np.asarray(fft(np.stack([self._frame(node) for node in nodes])))
 
     def received(self, emitted: NDArray[Any], grids: NDArray[Any]) -> NDArray[Any]:
-        """Return weighted samples (nodes, rows, n) of spectra and responses (nodes, rows, K, 2, points) in two parts.
-
-        With spectra R and I of real and imaginary part that of the response is R + j I, and R* + j I* below 0 Hz.
-        """
         from scipy.fft import ifft, rfft
 
         size, half = self.grid.size, self.grid.size // 2

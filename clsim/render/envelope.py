@@ -172,7 +172,6 @@ class EnvelopeFilters(SourceFilters):
         return ImpulseResponse(first, 0.5 * every * self.plain(response.read, first, last)[0])
 
     def cost(self) -> float:
-        """Processor time of a path in a sample of the envelope, ns."""
         return measured_costs().envelope
 
     def carrier_phase(self, delay_samples: Floats) -> Complexes:

@@ -317,13 +317,14 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
-    PER_SAMPLE, methodcaller("where_scattered", "shadows", per_sample.PathSum),
-    methodcaller("where_scattered", "scattered", per_sample.PathSum),
+    PER_SAMPLE,
+    *(methodcaller("where_scattered", name, per_sample.PathSum) for name in ("shadows", "scattered")),
     methodcaller("where_claimed", "narrow", narrow_part.NarrowParts),
     methodcaller("where_claimed", "convolved", static.StaticConvolution),
-    methodcaller("where_claimed", "channels", sampled_channel.build), methodcaller("where_claimed", "ears", ears.Ears),
+    methodcaller("where_claimed", "channels", sampled_channel.SampledChannels),
+    methodcaller("where_claimed", "ears", ears.Ears),
     methodcaller("where_claimed", "tails", DiffuseTail),
-]  # fmt: skip
+]
 
 
 def _builders() -> list[Callable[[Plan], Contribution | None]]:

@@ -33,9 +33,8 @@ from clsim.render.opencl import branch_signals as limits_module
 from clsim.render.opencl import channel_engine as channel_module
 from clsim.render.opencl import engine as engine_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
-from clsim.render.opencl.channel_engine import ChannelEngine
+from clsim.render.opencl.channel_engine import ChannelEngine, TaperedEngine
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
-from clsim.render.opencl.tapered_sum import TaperedEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import BUILDERS, plan_render
 from clsim.render.tilt import Stretches

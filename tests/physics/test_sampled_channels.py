@@ -29,8 +29,7 @@ from clsim.render.channel_grid import (
 )
 from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl import branch_signals, channel_engine
-from clsim.render.opencl.channel_engine import ChannelEngine
-from clsim.render.opencl.tapered_sum import TaperedEngine
+from clsim.render.opencl.channel_engine import ChannelEngine, TaperedEngine
 from clsim.render.plan import Plan
 from clsim.render.planning import on_device
 from clsim.render.render import record

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.render.contributions import Stateless
+from clsim.render.contributions import Stateless, digest_of
 from clsim.render.interpolator import Bandlimited
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.engine import OpenclEngine
@@ -33,7 +32,6 @@ class PathSum:
     name: str = "path sum"
 
     def describe(self) -> list[str]:
-        """Describe the filters of each source for delays and responses, and the bound of the error."""
         lines = []
         for i, filters in enumerate(self.plan.source_filters):
             if not self.plan.is_claimed(i):
@@ -55,14 +53,10 @@ class PathSum:
 
     def digest(self) -> str:
         """Return a text that changes with the filters: linear algebra on other threads may round them otherwise."""
-        plan = self.plan
-        found = hashlib.sha256(repr((sorted(plan.allocation.claimed), plan.segment, plan.blocks)).encode())
-        for filters in plan.source_filters:
-            found.update(filters.digest().encode())
-        return found.hexdigest()
+        about = repr((sorted(self.plan.allocation.claimed), self.plan.segment, self.plan.blocks))
+        return digest_of(about, *(filters.digest() for filters in self.plan.source_filters))
 
     def begin(self) -> _Sum:
-        """Return an object that adds it."""
         return _Sum(self.plan)
 
 
@@ -106,11 +100,9 @@ class _Sum(Stateless):
     last: int | None = None  # sample from which on the engine prepares nothing; None: prepares all
 
     def until(self, last: int) -> None:
-        """Have the engine prepare nothing from sample `last` on."""
         self.last = last
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add the sum of paths from sample `start` on to the pressure (receivers, n), Pa."""
         if self.engine is None:
             on_device = OpenclEngine if self.plan.baseband is None else BasebandEngine
             self.engine = (ReferenceEngine if self.plan.options.engine == "reference" else on_device)(self.plan)
@@ -118,7 +110,6 @@ class _Sum(Stateless):
         self.engine.add(pressure, start)
 
     def warn(self) -> None:
-        """Warn of residuals above the requested error."""
         if self.engine is not None:
             self.engine.warn()
 
@@ -153,7 +144,6 @@ class ReferenceEngine:
         return pressure
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add all paths from sample `start` on to the pressure (rows, n), Pa."""
         pressure += self.render(start, start + pressure.shape[1])
 
 

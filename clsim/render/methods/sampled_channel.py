@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from numpy.typing import NDArray
 
 from clsim.render.channel_grid import OVERSAMPLING, SPREAD_ERROR_DB, WIDEST, ChannelFilters, work_at_nodes
-from clsim.render.contributions import Stateless
+from clsim.render.contributions import Stateless, digest_of
 from clsim.render.interpolator import Bandlimited
 from clsim.render.methods.channel_split import Split, Splitter, described_beside, node_error_db
 from clsim.render.methods.costs import measured_costs, on_gpu
 from clsim.render.methods.per_sample import PER_SAMPLE, PathSum
-from clsim.render.opencl.channel_engine import ChannelEngine
-from clsim.render.opencl.tapered_sum import TaperedEngine
+from clsim.render.opencl.channel_engine import ChannelEngine, TaperedEngine
 from clsim.render.options import RenderOptions
 from clsim.render.plan import LONG_BLOCKS, Allocation, ChannelPart, PairPart, Plan, plan_of_part
 from clsim.render.source_filters import Emission, SourceFilters
@@ -137,14 +135,6 @@ def _cheaper(splitter: Splitter, times: float, filters: SourceFilters, longest: 
     return [(margin, spacing) for _, margin, spacing in sorted(found)]
 
 
-def work_of(part: ChannelPart, filters: SourceFilters, until: float) -> tuple[float, ...]:
-    """Return the counts of `work_at_nodes` of a part, until the end of a run, s."""
-    tracks = part.plan.tracks
-    pairs = [tracks.pairs[pair] for pair in part.pairs]
-    counts = sum(map(len, pairs)), sum(len(p) * len(p.channels) for p in pairs), sum(len(p.channels) for p in pairs)
-    return work_at_nodes(filters, counts, part.spacing, tracks.longest_delay(0.0, until, part.source), until)
-
-
 def parts_of(
     offers: list[tuple[int, ChannelOffer]], tracks: Tracks, filters: tuple[SourceFilters, ...], options: RenderOptions,
     samples: int,
@@ -166,41 +156,28 @@ def parts_of(
     return {"channels": tuple(channels), "beside": (PairPart(plan, frozenset(left)),)}
 
 
-def build(plan: Plan) -> SampledChannels:
-    """Make the contribution of a plan's sampled channels."""
-    return SampledChannels(plan.allocation.channels, plan.allocation.beside)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledChannels:
     """Contribution of the pairs whose impulse responses are sampled over time."""
 
-    parts: tuple[ChannelPart, ...]  # one for each source
-    beside: tuple[PairPart, ...]  # what the sum over paths keeps of their pairs; one part at most
-
-    @property
-    def name(self) -> str:
-        """Name of its kind."""
-        return "sampled channels"
+    plan: Plan  # of the whole
+    name: ClassVar[str] = "sampled channels"
 
     def describe(self) -> list[str]:
-        """Describe node rates, functions of frequency and errors, some lines."""
-        lines = [line for part in self.parts for line in _described(part)]
-        return lines + [line for part in self.beside for line in described_beside(part)]
+        lines = [line for part in self.plan.allocation.channels for line in _described(part)]
+        return lines + [line for part in self.plan.allocation.beside for line in described_beside(part)]
 
     def digest(self) -> str:
-        """Return a text that changes with any tap."""
-        found = hashlib.sha256()
-        for part in self.parts:
-            found.update(repr((part.source, part.spacing)).encode() + PathSum(part.plan).digest().encode())
-        for beside in self.beside:
+        found = list[str]()
+        for part in self.plan.allocation.channels:
+            found += [repr((part.source, part.spacing)), PathSum(part.plan).digest()]
+        for beside in self.plan.allocation.beside:
             lengths = [tapers.length for i in sorted(beside.pairs) if (tapers := beside.plan.tracks.pairs[i].tapers)]
-            found.update(repr(lengths).encode() + PathSum(beside.plan).digest().encode())
-        return found.hexdigest()
+            found += [repr(lengths), PathSum(beside.plan).digest()]
+        return digest_of(*found)
 
     def begin(self) -> _Adding:
-        """Return an object that adds them."""
-        return _Adding(self)
+        return _Adding(self.plan.allocation)
 
 
 def _described(part: ChannelPart) -> list[str]:
@@ -221,27 +198,21 @@ def _described(part: ChannelPart) -> list[str]:
 class _Adding(Stateless):
     """Adds sampled channels and what is summed beside them; the engines start with the first piece."""
 
-    def __init__(self, what: SampledChannels) -> None:
-        self._what = what
-        self._engines: list[ChannelEngine | TaperedEngine] = []
-        self._last = what.parts[0].plan.samples
+    def __init__(self, allocation: Allocation) -> None:
+        self._allocation = allocation
+        self._all: list[ChannelEngine | TaperedEngine] = []
+        self._last = allocation.channels[0].plan.samples
 
     def until(self, last: int) -> None:
-        """Have the engines prepare nothing from sample `last` on."""
         self._last = last
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add what sampled channels make from sample `start` on to the pressure (receivers, n), Pa."""
-        if not self._engines:
-            self._engines = [ChannelEngine(part.plan, part.spacing) for part in self._what.parts]
-            self._engines += [TaperedEngine(part.plan) for part in self._what.beside]
-            for engine in self._engines[1:]:
-                engine.shares(self._engines[0])  # functions of frequency are made for all paths together
-        for engine in self._engines:
+        if not self._all:
+            self._all = [ChannelEngine(part.plan, part.spacing) for part in self._allocation.channels]
+            self._all += [TaperedEngine(part.plan) for part in self._allocation.beside]
+            self.engines = self._all[:1]
+            for engine in self._all[1:]:
+                engine.shares(self._all[0])  # functions of frequency are made for all paths together
+        for engine in self._all:
             engine.until(self._last)
             engine.add(pressure, start)
-
-    def warn(self) -> None:
-        """Warn of residuals above the requested error."""
-        for engine in self._engines[:1]:
-            engine.warn()
