@@ -94,8 +94,6 @@ def half_band(
 ) -> tuple[float, float]:
     """Return the largest offset of an emitted frequency from the carrier, Hz, and the signal's share beyond it, dB.
 
-    Shapes: spectrum (F,) Hz.
-
     An emitted frequency f is received within ``f (1 +- max_rate)``: all are within ``bandwidth / 2`` of the carrier if
     ``|f - carrier| (1 + max_rate) <= bandwidth / 2 - carrier max_rate``.
     """
@@ -129,10 +127,7 @@ def half_band(
 
 
 def blocks_of(sampling_rate: float, carrier: float, max_rate: float) -> tuple[int, ...]:
-    """Return the lengths of blocks, in samples, from the longest: as long as motion and 50 ms allow.
-
-    Each is twice or three times a power of two of samples, so that they go down by a quarter or a third.
-    """
+    """Return the lengths of blocks, samples, from the longest that motion allows: powers of two, and thrice those."""
     longest = max(SUBBLOCK, sampling_rate * min(_LONGEST, _DRIFT / (carrier * max(max_rate, 1e-12))))
     shortest = max(SUBBLOCK, min(_SHORTEST * sampling_rate, longest))
     powers = [WIDEST_SUBBLOCK * 2**k for k in range(24)]

@@ -30,10 +30,7 @@ _STEP = 16  # points that the grid's length is a multiple of, over 5
 
 
 def window_at(place: Floats) -> Floats:
-    """Return the Kaiser-Bessel window at distances from a path, points; 0 beyond `TAPS` / 2.
-
-    J. A. Fessler, B. P. Sutton, IEEE Trans. Signal Processing 51(2), 2003; see `numerics/convolution.py`.
-    """
+    """Return the Kaiser-Bessel window (Fessler and Sutton 2003) at distances from a path, points; 0 beyond half."""
     from scipy.special import i0e
 
     across = np.sqrt(np.maximum(1.0 - np.square(place / (0.5 * TAPS)), 0.0))
@@ -56,10 +53,7 @@ def window_table() -> Floats:
 
 
 def spread(places: Floats, gains: NDArray[Any], points: int) -> NDArray[Any]:
-    """Return grids (K, points) of paths at places (P,), points, with gains (K, P): twin of ``scatter.cl``.
-
-    The gridding step of a nonuniform Fourier transform (Fessler and Sutton, 2003, section III).
-    """
+    """Return grids (K, points) of paths at places (P,), with gains (K, P): twin of ``scatter.cl`` (ibid., III)."""
     near = np.floor(places).astype(np.int64)[:, None] + np.arange(1 - TAPS // 2, TAPS // 2 + 1)
     window = window_at(near - places[:, None])
     parts = (gains,) if np.isrealobj(gains) else (gains.real, gains.imag)

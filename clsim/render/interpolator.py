@@ -49,18 +49,10 @@ class Interpolator(ABC):
     error_db: float = -90.0  # Bound on the error that is asked of all that is rendered with it, dB
 
     def bank(self, edge: float, max_rate: float, importance: tuple[float, ...] = (1.0,), oversampling: int = 1) -> Bank:
-        """Return the bank for a signal's band and how fast its delays change.
+        """Return the bank up to an `edge`, rad per sample, for delays that change by up to `max_rate`, s/s.
 
-        Parameters
-        ----------
-        edge : float
-            End of the band, rad per sample.
-        max_rate : float
-            Bound on the change of any delay, s/s.
-        importance : tuple of float
-            Weights of errors in equal bands from 0 to the edge: errors may be larger where the weight is less.
-        oversampling : int
-            Samples of the signal in one of the recording.
+        Errors may be larger where the `importance` of equal bands from 0 to the edge is less. The signal has so many
+        samples in one of the recording (`oversampling`).
         """
         return self._bank(edge, oversampling * max_rate, importance)
 

@@ -93,11 +93,6 @@ class RenderOptions:
     tail_scattering : {"size", "material"}
         Whether walls scatter by their limited size as well, beyond images, or by their materials alone.
 
-    Raises
-    ------
-    InputError
-        If an option breaks a rule; the message names option, rule and value.
-
     Examples
     --------
     >>> RenderOptions(192e3, engine="reference").transition
@@ -182,11 +177,6 @@ class RenderOptions:
             Sampling rate of the recording, Hz.
         **options
             See the class.
-
-        Raises
-        ------
-        InputError
-            If an option breaks a rule, or is one by which tracks are made.
         """
         for name in (f.name for f in fields(cls) if f.metadata.get("of_tracks") and f.name in options):
             raise InputError(name, f"must be left out, for the tracks have it already, but is {options[name]!r:.80}")

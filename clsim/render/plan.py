@@ -401,10 +401,7 @@ def node_times(start: int, block: int, blocks: int, sampling_rate: float) -> Flo
 def chunk_of(
     options: RenderOptions, samples: int, rate: float, segment: int, rows: int, longest: Callable[[float, float], float]
 ) -> int:
-    """Return the chunk's length in whole segments: as requested, or long against the delays and small in memory.
-
-    The longest delay, s, is that between two times of reception, s.
-    """
+    """Return the chunk in whole segments: as requested, or long against the longest delay, s, and small in memory."""
     whole = math.ceil(samples / segment)
     if options.chunk is not None:
         return segment * min(whole, math.ceil(options.chunk / segment))

@@ -49,8 +49,6 @@ def render(paths: PathSet, options: RenderOptions) -> Recording:
 
     Raises
     ------
-    InputError
-        If an argument breaks a rule.
     DeviceError
         If there is no OpenCL device, or it fails.
 
@@ -118,8 +116,6 @@ def render_tracks(
 
     Raises
     ------
-    InputError
-        If an argument breaks a rule.
     DeviceError
         If there is no OpenCL device, or it fails.
 
@@ -171,8 +167,6 @@ def render_chunks(
 
     Raises
     ------
-    InputError
-        If `first` is no whole number of chunks, or lies beyond the end.
     DeviceError
         If there is no OpenCL device, or it fails.
     """
@@ -251,10 +245,7 @@ class PressureSum:
         self._adding = tuple(contribution.begin() for contribution in plan.contributions)
 
     def __call__(self, start: int, into: NDArray[Any] | None = None) -> NDArray[Any]:
-        """Return the pressure (rows, n) of the chunk that begins with sample `start`, Pa.
-
-        It is a part of the zeros `into` (rows, samples) if these have its type.
-        """
+        """Return the pressure (rows, n), Pa, of the chunk from `start` on, in the zeros `into` if they have its type."""
         plan = self._plan
         stop = min(start + plan.chunk, plan.samples)
         if into is None or into.dtype != plan.pressure_type:

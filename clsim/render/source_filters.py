@@ -278,10 +278,7 @@ class SourceFilters:
         return out
 
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
-        """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n).
-
-        What no sound reaches is silent, without the rounding of transforms; pauses cost nothing.
-        """
+        """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n)."""
         return filtered(self._read, self.filters, first, last)
 
     def emitted_samples(self, first: int, last: int) -> Floats:
@@ -362,10 +359,7 @@ def _doubling(rate: float) -> Floats:
 
 
 def _band_limit(main: float, stop: float, rate: float) -> Floats:
-    """Return a low-pass without delay that stops at `stop` Hz and leaves what lies below `main` Hz, if there is room.
-
-    By the window method (Kaiser): wide where there is room, so that it rings shortly.
-    """
+    """Return Kaiser's low-pass that stops at `stop` Hz, and leaves what lies below `main` Hz if there is room."""
     width = 0.5 * rate * float(np.clip((stop - main) / (0.5 * rate), _LEAST_LIMIT_WIDTH, _LIMIT_WIDTH))
     return low_pass_between(stop - width, stop, rate, _LIMIT_DB)
 

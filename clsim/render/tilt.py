@@ -57,10 +57,7 @@ class Stretches:
         return math.floor(self.still)
 
     def filters(self, taps: Complexes, rate: float, carrier: float, half: float, every: int) -> Complexes:
-        """Return filters (K, L) about the carrier for each stretch, (count K, M), at a sampling rate, Hz.
-
-        They act within half a width, Hz, and `every` samples are one of the envelope.
-        """
+        """Return filters (count K, M) of all stretches from those (K, L) about the carrier, within a `half`, Hz."""
         from scipy.fft import fft, ifft, next_fast_len
 
         if self.per_sample == 0.0:

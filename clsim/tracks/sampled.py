@@ -90,10 +90,7 @@ class Draw:
 
     @classmethod
     def of(cls, tracks: Tracks, source: int, until: float, costly: bool = False, *, times: int = TIMES) -> Draw:
-        """Draw paths of a source of a scene for a run that ends at `until`, s: fewer, if responses are costly.
-
-        times: instants of a pair at most whose ends receive alike in all directions, and have the same paths always.
-        """
+        """Draw paths of a source for a run `until`, s, at `times` instants if little changes; few of costly ones."""
         counts, grids = (_COSTLY, (_FEWER, *GRIDS)) if costly else ((_ROWS, _HELD_OUT), GRIDS)
         of_scene, rng = tracks.of_scene, np.random.default_rng(SEED)
         assert of_scene is not None
@@ -147,10 +144,7 @@ class Draw:
         return Sample(band, np.concatenate(made), first, np.concatenate(beyond))
 
     def common_delay(self, band: Band, sampling_rate: float) -> float:
-        """Middle of the time in which complex responses have nearly all their energy, s, in whole samples.
-
-        It is 0 where that is little, and for real responses, which have no delay.
-        """
+        """Middle time of nearly all energy of complex responses, s, in whole samples; 0 if little or real."""
         if not self.tracks.paths.is_complex:
             return 0.0
         width = band.high - band.low
@@ -286,10 +280,7 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
 
 
 def continued(tracks: SceneTracks, seconds: float) -> SceneTracks:
-    """Return the same tracks between ends that move on for so many seconds at either side.
-
-    Ends are copied without their checks: where nothing sounds they may be outside of the room.
-    """
+    """Return the same tracks between ends that move on at either side, s: silent, they may leave the room."""
     ends: dict[str, Any] = {"sources": tracks.scene.sources, "receivers": tracks.scene.receivers}
     return tracks.with_ends(**{name: [_end(end, seconds) for end in some] for name, some in ends.items()})
 

@@ -81,14 +81,10 @@ def as_transition(value: object) -> float:
 
 
 def audible(times: Floats, start: Floats, end: Floats, transition: float) -> Floats:
-    """Return the weight (paths, times) of paths that are active from `start` to `end` (paths,).
-
-    Shapes: times (T,) s; start, end (P,) s.
-
-    transition: length of the raised cosine, s; 0 for none: 1 from `start` on and 0 from `end` on.
+    """Return the weight (P, T) at times (T,) of paths active from `start` to `end` (P,), s: raised cosines.
 
     A gate splatters: a 40 kHz tone that is switched leaves -49 dB at 5 kHz off, over 1 ms -90 dB. Weights of paths that
-    follow each other add up to 1, however short each is.
+    follow each other add up to 1, however short each is. Without a transition it is 1 from `start` on, 0 from `end` on.
     """
     if transition == 0.0:
         return ((times >= start[:, None]) & (times < end[:, None])).astype(np.float64)

@@ -187,12 +187,6 @@ class Tracks(ABC):
             C2 splines through the samples. A path that is silent in between is heard from its first to its last
             sample of every stretch.
 
-        Raises
-        ------
-        InputError
-            If shapes differ, a time does not increase, a delay is negative or grows as fast as time, or a stretch has
-            one sample only.
-
         Examples
         --------
         >>> import clsim
@@ -438,11 +432,6 @@ def track(
         Exponent 1, 0 or 2 of ``1 / (1 - M)``.
     transition : float
         Over which paths begin and end, s; 0 for at once.
-
-    Raises
-    ------
-    InputError
-        If paths are no PathSet, motion or amplitude are no known words, or the transition is out of bounds.
     """
     if not isinstance(paths, PathSet):
         raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")

@@ -160,11 +160,7 @@ def _received(tracks: SceneTracks, paths: PairPaths, emitted: float) -> Floats:
 def node_error_db(
     tracks: SceneTracks, emission: Emission, filters: SourceFilters, pairs: tuple[int, ...], spacing: int
 ) -> float:
-    """Measure the error of responses between nodes at the end of the band, relative to them, dB, from a sample.
-
-    The sample is the first and some other paths of some pairs at some instants, the first and the last among them; of
-    paths with tapers those at which they are active.
-    """
+    """Measure the error between nodes at the end of the band, relative to responses, dB, by a few active paths."""
     rate = filters.rate
     rng, window = np.random.default_rng(emission.source), node_window(spacing)
     count = _EVALUATED_AT[2]

@@ -78,10 +78,7 @@ def passes(
 def passing_times(
     ends: tuple[Trajectory, Trajectory], until: float, needed: float, most: float, radius: float
 ) -> Floats:
-    """Return times (n,) at which ends are within `radius` m plus what they cover in `needed` s at up to `most` m/s.
-
-    Sound that is heard until the end was emitted before. Ends that are carried together do not pass each other.
-    """
+    """Return times (n,) at which ends are within `radius` m plus what they cover in `needed` s at up to `most` m/s."""
 
     def apart(times: Floats) -> Floats:
         return np.asarray(ends[0].position(times) - ends[1].position(times))

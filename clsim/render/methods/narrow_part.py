@@ -101,13 +101,7 @@ class _Adding(Stateless):
 
 
 class _Upsampled:
-    """Envelopes of one narrow part, chunk by chunk of their own, and the sound that is made of them.
-
-    Attributes
-    ----------
-    found : callable
-        Returns a chunk of envelopes by its number.
-    """
+    """Envelopes of one narrow part, chunk by chunk of their own, and the sound that is made of them."""
 
     def __init__(self, part: NarrowPart) -> None:
         self.found: Callable[[int], Complexes] = self.rendered
@@ -176,10 +170,7 @@ class NarrowOffer:
 
 
 def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = None) -> tuple[Split | None, str]:
-    """Return the cheapest split into narrow bands and a rest, None for the whole signal; and why it cannot be used.
-
-    A split that is `known` is that of other paths of the source, which has been paid for.
-    """
+    """Return the cheapest split into narrow bands and a rest, or a `known` one, or None; and why there is none."""
     if known is not None and can(emission, pairs, known) is None:
         return known, ""
     best = min(offers(emission, pairs), key=lambda offer: offer.cost, default=None)
@@ -192,11 +183,7 @@ def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = N
 
 
 def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
-    """Return splits of a source's signal into narrow bands and a rest, for pairs of this source, by index.
-
-    None where the sum of the costs that every split has exceeds the cost of rendering the whole, unless they are
-    requested. Splits are looked at from the lowest cost of their envelopes on, until none can be cheaper any more.
-    """
+    """Return splits of a source's signal into narrow bands and a rest, for some of its pairs: none if none can pay."""
     signal, sound, options, tracks = emission.signal, emission.sound, emission.options, emission.tracks
     usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
     if not (usable and isinstance(options.interpolator, Bandlimited) and pairs and len(sound.energy)):

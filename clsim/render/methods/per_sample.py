@@ -43,10 +43,7 @@ class PathSum:
         return lines
 
     def promised_db(self, source: int) -> float:
-        """Return the bound on the error of paths rendered per sample, relative to the received level over 40 ms, dB.
-
-        Errors of delay filters, of responses and of motion between nodes are independent: their squares add up.
-        """
+        """Return the bound of a source's error re the level over 40 ms, dB: independent errors add up squared."""
         filters = self.plan.source_filters[source]
         parts_db = [filters.bank.error_db, filters.basis.error_db, self.plan.motion_error_db]
         return 10.0 * math.log10(sum(10.0 ** (part / 10.0) for part in parts_db))
@@ -180,10 +177,7 @@ def path_pressures(plan: Plan, pair: int, first: int, last: int) -> Iterator[tup
 def delayed_streams(
     plan: Plan, filters: SourceFilters, emitted: NDArray[np.int64], mu: Floats, active: NDArray[np.bool_]
 ) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Yield active paths (P,), and the streams of all functions as they arrive on each, (K, n); nothing in silence.
-
-    Shapes: emitted, mu (P, n), samples.
-    """
+    """Yield active paths and the streams (K, n) of functions on each, by `emitted` and `mu` (P, n), samples."""
     length, centre = filters.bank.taps.shape[1], filters.bank.centre
     first = int(emitted.min()) + centre - length + 1
     streams = filters.streams(first, int(emitted.max()) + centre + 1)

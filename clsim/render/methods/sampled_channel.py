@@ -111,10 +111,7 @@ def _spacing(emission: Emission, filters: SourceFilters, margin: float) -> int:
 
 
 def _cheaper(splitter: Splitter, times: float, filters: SourceFilters, longest: float) -> list[tuple[float, int]]:
-    """Return margins, Hz, and spacings of nodes cheaper than the sum over paths, cheapest first; all if requested.
-
-    times: as many paths as the splitter has.
-    """
+    """Return margins, Hz, and spacings cheaper than the sum over `times` as many paths, or all if requested."""
     emission, known, found = splitter.emission, measured_costs(), []
     costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
     rate = filters.rate

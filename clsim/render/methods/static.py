@@ -32,11 +32,7 @@ def pairs_at_rest(tracks: Tracks, options: RenderOptions) -> frozenset[int]:
 
 
 def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
-    """Return the reason against convolving a pair, by its index; None if there is none.
-
-    A delay filter that is requested by name (Lagrange) is used for all paths, and the reference engine renders all of
-    them one by one.
-    """
+    """Return the reason against convolving a pair, by its index; None if there is none."""
     of_scene = tracks.of_scene
     if of_scene is None:
         return "tracks without a scene"

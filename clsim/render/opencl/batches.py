@@ -281,11 +281,7 @@ class Activity:
 
 
 def find_activity(active: NDArray[np.int64], count: int, before: int, after: int) -> Activity:
-    """Find the active cells of branch signals; active (n,).
-
-    active: samples that are not zero of what the branch filters filter; the first sample of the branches is at
-    `before`.
-    """
+    """Find active cells of branch signals, whose first sample is `before`, by the `active` (n,) samples."""
     cells = -(-count // CELL)
     # A sample at i is heard by branches from i - after - before to i.
     begun = np.bincount(np.clip((active - before - after) // CELL, 0, cells), minlength=cells + 1)

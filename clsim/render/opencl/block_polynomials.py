@@ -25,17 +25,11 @@ def block_polynomials(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:  # fmt: skip
     """Return whole delays, and polynomials on [-1, 1] of the rest and of the gain.
 
-    Shapes: delay, rate (paths, blocks + 3); gain (K, paths, blocks + 3); result (blocks, paths), (blocks, terms + 4 K,
-    paths).
-
-    delay, rate: at the nodes: one before the first block, its start, ..., two after the last block's start.
-
-    oversampling: samples of the branch signals, in which delays are told, in one of the block.
-
-    terms: coefficients of the delay: of Hermite's cubic through the block's ends, or his septic through all four nodes.
-    Gains are Catmull-Rom's cubic, or the one through all four nodes.
-
-    polynomials: lowest power first: `terms` for the delay in samples, then four for the gains, K at a time.
+    Shapes: delay, rate (paths, blocks + 3); gain (K, paths, blocks + 3), at the nodes: one before the first block, its
+    start, ..., two after the last block's start; result (blocks, paths), (blocks, terms + 4 K, paths), lowest power
+    first. Delays are told in samples of the branch signals, `oversampling` to one of the block, by Hermite's cubic
+    through the block's ends, or of 8 `terms` his septic through all four nodes. Gains are Catmull-Rom's cubic, or the
+    one through all four nodes.
     """
     if terms == 8:
         delay_terms = _septic(delay * sampling_rate + delay_samples, rate * (0.5 * block))
@@ -113,10 +107,7 @@ def cell_polynomials(gain: Floats, cell: int, blocks: int) -> tuple[Floats, Floa
 
 
 def between(gain: Floats, every: int) -> tuple[Floats, Floats]:
-    """Return gains at all nodes, from those at every so many, and a bound of their error; gain (..., n).
-
-    Between two nodes the polynomial of degree 4 through the five about them is taken.
-    """
+    """Return gains (..., n) at all nodes by degree 4 from those at every so many, and a bound of their error."""
     weights = _between(gain.shape[-1], every)
     return gain @ weights, SMOOTH_ERROR * np.abs(np.diff(gain, 4, axis=-1)).max(axis=-1)
 
@@ -229,11 +220,7 @@ def block_errors(
 ) -> tuple[Floats, Floats]:
     """Errors (segments,) of paths, of the receiver where they are most, and levels (segments, receivers) about them.
 
-    Errors of paths add up like the paths themselves: as the root of the sum of squares.
-
-    squares: (2 or more, segments, slots), of errors and of levels; those of each receiver from its first slot on.
-
-    before: squared levels (segments, receivers) of what was rendered before.
+    Squares (2 or more, segments, slots) of errors and levels add up, with squared levels of what was rendered `before`.
     """
     wrong, own, *_ = np.add.reduceat(squares, first_slot[:-1], axis=2)
     received = np.maximum(np.sqrt(own + before, dtype=np.float64), least)
@@ -241,10 +228,7 @@ def block_errors(
 
 
 def few_paths(squares: Floats, first_slot: NDArray[np.int32], allowed: Floats) -> NDArray[np.bool_]:
-    """Return the mask of the fewest slots without which squared errors (slots,) of each receiver are allowed ones.
-
-    allowed: (receivers,), sums of squares.
-    """
+    """Return the mask of the fewest slots without which squared errors (slots,) add up to what is `allowed`."""
     mask = np.zeros(len(squares), dtype=np.bool_)
     for most, (first, last) in zip(allowed, pairwise(first_slot.tolist()), strict=True):
         order = first + np.argsort(squares[first:last], kind="stable")

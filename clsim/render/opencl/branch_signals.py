@@ -45,18 +45,12 @@ class Limits:
 
     @property
     def paths_in_launch(self) -> int:
-        """Number of paths in one launch, of which a segment takes at most `LONGEST_LAUNCH`.
-
-        By estimate, in the shortest blocks for which room is made beforehand; at least a batch of 64.
-        """
+        """Number of paths in one launch, of which a segment takes about `LONGEST_LAUNCH` at most; at least a batch."""
         paths = operations_in_launch(self._info) / self._operations(self._plan.shortest_block)
         return max(1, int(min(paths, MOST_INDEX)) // BATCH) * BATCH
 
     def segments_in_launch(self, paths: int, block: int) -> int:
-        """Return the number of segments of some paths in one launch.
-
-        result: so many that GPUs are estimated to need `LONGEST_LAUNCH` at most; at least one.
-        """
+        """Return the number of segments of some paths in one launch, about `LONGEST_LAUNCH` on GPUs; at least one."""
         segments = operations_in_launch(self._info) / (paths * self._operations(block))
         return max(1, int(min(segments, MOST_INDEX)))
 

@@ -45,12 +45,7 @@ def directivity_kind(directivities: Sequence[Directivity]) -> int:
 def directivity_table(
     directivity: Directivity, kind: int, frequencies: Floats, speed_of_sound: float, parts: int
 ) -> NDArray[np.float32]:
-    """Return the table of a directivity, flat; see ``response.h`` for its layout.
-
-    Shapes: frequencies (M,) Hz.
-
-    kind: `OMNI`, `AXIAL` or `SPHERICAL`; axial directivities have tables of either kind.
-    """
+    """Return the flat table (see ``response.h``) of a directivity of a kind at frequencies (M,), Hz."""
     if kind == OMNI:
         return np.zeros(0, dtype=np.float32)
     if kind == SPHERICAL:
@@ -80,10 +75,7 @@ def wall_table(material: Material, frequencies: Floats, speed_of_sound: float, p
 
 
 def transition_table(waves: Floats, parts: int) -> tuple[NDArray[np.float32], float]:
-    """Return the table of the transition function at waves in a metre (F,), flat, and its middle, m^(1/2).
-
-    See ``transition_table.h``.
-    """
+    """Return the table of the transition function at waves in a metre (F,), flat, and its middle, m^(1/2)."""
     number = 2.0 * np.pi * waves
     middle = float(np.sqrt(_MIDDLE_PHASE / np.sqrt(number.min() * number.max())))
     place = np.linspace(0.0, 1.0, CELLS + 1)
@@ -274,10 +266,7 @@ def _flat(parts: Iterable[Floats]) -> NDArray[np.float32]:
 
 
 def air_polynomials(at: SceneResponse, mach: float) -> tuple[Floats, Floats]:
-    """Return absorption, 1/m, and lead, rad/m, as polynomials of what motion adds to frequencies; result (terms, F).
-
-    absorption, lead: coefficients of powers of the ratio of the frequency on the way to that emitted, less 1.
-    """
+    """Return absorption, 1/m, and lead, rad/m, (terms, F) in powers of how much motion changes frequencies, a ratio."""
     low, high = -mach / (1.0 + mach), mach / (1.0 - mach)
     for terms in range(1, _MOST_TERMS + 1):
         places, between = (

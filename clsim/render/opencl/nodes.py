@@ -109,10 +109,7 @@ class NodeMaker:
         self, source: int, batch: PathBatch, bounds: Boundaries, start: int, length: int, activity: Activity | None,
         first: int,
     ) -> DeviceChunk:  # fmt: skip
-        """Upload images and motion for one source and a batch of receivers over a stretch of samples.
-
-        Where `activity` is given, what is silent is left out; `first` is the sample at which branch signals begin.
-        """
+        """Upload paths for a stretch of samples; `first` is that of branch signals, whose `activity` skips silence."""
         plan, scene = self._plan, self._tracks.paths.scene
         env, pairs = self._environments[source], self._tracks.pair_paths
         rows = np.concatenate([pairs[g].index[batch.path[batch.of_pair(i)]] for i, g in enumerate(batch.pairs)])
@@ -322,10 +319,7 @@ class NodeMaker:
         )
 
     def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:
-        """Return position, velocity, axes and clock of the batch's receivers at the nodes, (receivers, nodes).
-
-        Where all receivers are at rest, a single node is enough.
-        """
+        """Return motion and clock of a batch's receivers, (receivers, nodes), with one node if all are at rest."""
         times = times[:1] if self._all_static else times
         out = np.empty((len(batch.pairs), len(times)), dtype=RECEIVER_NODE)
         for i, r in enumerate(batch.receiver):

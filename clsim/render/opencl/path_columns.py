@@ -146,10 +146,7 @@ class StaticColumns:
 
 
 class VertexColumns(StaticColumns):
-    """Columns of paths by one vertex between static legs.
-
-    Those of all paths of a source are made once, since every chunk takes some of them.
-    """
+    """Columns of paths by one vertex between static legs, made once for a source: every chunk takes some of them."""
 
     def __init__(self, of: Rendered) -> None:
         super().__init__(of)
@@ -352,10 +349,7 @@ class MirrorColumns(StaticColumns):
         return self._of.uploaded(image_matrix=matrix.reshape(-1, 9).T, image_offset=offset.T, views=views)
 
     def _seen(self, surfaces: NDArray[np.int32]) -> tuple[Floats, Floats, NDArray[Any], Floats]:
-        """View the receiver and the mirrors of paths (P, N) from the source's own room.
-
-        Shapes: result (P, 3, 3), (P, 3), (P, MIRRORS), (P, N, 3).
-        """
+        """View receiver (P, 3, 3), (P, 3), mirrors (P, MIRRORS) and normals (P, N, 3) from the source's own room."""
         count, every = len(surfaces), np.arange(len(surfaces))
         matrix, offset = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
         views, filled = np.zeros((count, self.mirrors), dtype=MIRROR_VIEW), np.zeros(count, dtype=np.int64)
