@@ -245,7 +245,7 @@ class PressureSum:
         self._adding = tuple(contribution.begin() for contribution in plan.contributions)
 
     def __call__(self, start: int, into: NDArray[Any] | None = None) -> NDArray[Any]:
-        """Return the pressure (rows, n), Pa, of the chunk from `start` on, in the zeros `into` if they have its type."""
+        """Return the pressure (rows, n), Pa, of the chunk from `start` on, in zeros `into` if they have its type."""
         plan = self._plan
         stop = min(start + plan.chunk, plan.samples)
         if into is None or into.dtype != plan.pressure_type:
