@@ -132,9 +132,7 @@ def nodes_of(start: int, stop: int, spacing: int) -> range:
 
 
 _LEFT_OUT_DB = -100.0  # of all functions at any frequency: ends of their filters that are left out
-_HELD = (
-    0.43  # of an envelope's rate: what a signal leaves of itself beside its band is held as far as filters are short
-)
+_HELD = 0.43  # of an envelope's rate: what a signal leaves beside its band is held as far as filters are short
 _STOPPED_DB = 100.0  # by which responses fall from the band's end to half the sampling rate: without it they ring long
 
 

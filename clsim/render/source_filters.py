@@ -188,9 +188,7 @@ class Emission:
     def banks(self, taps: Floats, loudness: Floats, high: float, rate: float, times: int) -> tuple[Bank, ...]:
         """Delay filters for each function of frequency, with its taps (K, L), by what it carries of the sound."""
         interpolator, max_rate = self.options.interpolator, self.max_rate
-        edge = min(
-            math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi
-        )  # rounded up: designs are found again
+        edge = min(math.ceil(2.0 * math.pi * high / rate * 64) / 64, 0.97 * math.pi)  # so that designs are found again
         importance = self.sound.importance(edge * rate / (2.0 * math.pi), loudness)
         fine = edge * (np.arange(8 * CELLS) + 0.5) / (8 * CELLS)
         carried = magnitudes(taps, fine).reshape(len(taps), CELLS, 8).max(axis=2)
@@ -329,7 +327,7 @@ class SourceFilters:
         basis = self.basis
         if not math.isfinite(basis.requested_db):
             return f"air, walls and directivities are those at {basis.nodes[0]:.6g} Hz"
-        if len(basis) == 1 and basis.at_one_frequency:
+        if len(basis) == len(basis.nodes) == 1:
             return f"air, walls and directivities hardly change over the signal's band ({basis.error_db:.1f} dB)"
         rows, most = int(self.rows[-1]), len(self.bank.taps)
         return (

@@ -25,9 +25,7 @@ _LEAST_TILT = 1.0  # the same over all delays, below which functions of frequenc
 _ROUNDING_DB = 2.0, -1.0  # steps of what functions add, so that designs are found again, and the error of a weak one
 _NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
 _FITTED = 33  # frequencies, through whose absorption the tilt goes
-_FLAT = (
-    1e-3  # change of a wall's factor over the band, beyond which paths of equal length differ: no tilt is looked for
-)
+_FLAT = 1e-3  # change of a wall's factor over the band, beyond which paths of equal length differ: without a tilt
 _LEAST_WORK = 5e7  # paths times samples of the envelope, below which designing costs more than is gained
 _FEW = 3  # functions, up to which no others are looked at
 _LEAST_PATHS = 100  # for each stretch beyond the first one, from which on their branch signals pay

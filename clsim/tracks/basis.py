@@ -76,11 +76,6 @@ class Basis:
         """Taps on either side of the filters' middle."""
         return int(self.filters.shape[1] // 2)
 
-    @property
-    def at_one_frequency(self) -> bool:
-        """Whether responses are taken at one frequency for all."""
-        return len(self.nodes) == 1
-
     def gains(self, responses: Floats | Complexes) -> Floats:
         """Return the gains (..., K) of responses (..., M) at the nodes."""
         return np.asarray(in_parts(responses, self.parts) @ self.projection.T)
@@ -97,6 +92,11 @@ def flat_basis(frequency: float) -> Basis:
 def in_parts(values: Floats | Complexes, parts: int) -> Floats:
     """Return real parts (..., M), followed by the imaginary ones for two parts."""
     return np.asarray(values.real if parts == 1 else np.concatenate([values.real, values.imag], axis=-1))
+
+
+def parts_of(values: Floats | Complexes) -> int:
+    """Return 2 for complex values (...), 1 for real ones."""
+    return 1 + int(np.iscomplexobj(values))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

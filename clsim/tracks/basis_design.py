@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import LONGEST, BandFilters, band_filters
-from clsim.tracks.basis import Band, Basis, Sample, in_parts
+from clsim.tracks.basis import Band, Basis, Sample, flat_basis, in_parts, parts_of
 from clsim.tracks.sampled import Draw
 
 MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 samples at 44.1 kHz that turn take 240
@@ -38,10 +38,8 @@ def turning_basis(source: int, frequency: float, band: Band, sampling_rate: floa
         10 ** (error_db / 20),
     )  # fmt: skip
     Held(source, band.low, band.high, sampling_rate, at_centre=True).within(max(error_db, _TURNED_DB), filters)
-    return Basis(
-        np.array([frequency]), np.eye(2), np.eye(2), np.ones(1), filters.taps, np.ones(2), np.ones(2), np.ones(1),
-        -math.inf, -math.inf,
-    )  # fmt: skip
+    flat, both, ones = flat_basis(frequency), np.eye(2), np.ones(2)
+    return replace(flat, projection=both, functions=both, filters=filters.taps, sizes=ones, strengths=ones)
 
 
 def scene_basis(
@@ -119,13 +117,10 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, pa
     """Return functions as filters, scaled so that at no instant the gains of all paths add up to more than 1."""
     band, loudness = sample.band, sample.loudness()
     flat = np.ptp(found.shapes.real) <= 10 ** (error_db / 20) * np.abs(found.shapes).max()
-    if found.parts == len(found.shapes) == 1 and flat:
+    if parts_of(found.shapes) == len(found.shapes) == 1 and flat:
         loudest = band.frequencies[int(np.argmax(band.energy.max(axis=0)))]
-        one, reached = np.ones((1, 1)), held.functions_db
-        return Basis(
-            np.array([loudest]), one, one, np.ones(1), one, np.ones(1), np.ones(1), loudness, error_db, reached,
-            tilt=band.tilt,
-        )  # fmt: skip
+        flat_one = replace(flat_basis(loudest), loudness=loudness, tilt=band.tilt)
+        return replace(flat_one, requested_db=error_db, error_db=held.functions_db)
     together = sample.by_frame(found.gains(sample.responses))
     if paired:
         together = np.maximum(together[:, ::2], together[:, 1::2]).repeat(2, axis=1)
@@ -142,7 +137,7 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, pa
         shapes = shapes * band.turn
     projection = _projection(shapes, nodes, importance)
     weight = importance[nodes] / math.sqrt(float(np.mean(importance[nodes] ** 2)))
-    functions = in_parts(shapes[:, nodes] * weight, found.parts)
+    functions = in_parts(shapes[:, nodes] * weight, parts_of(found.shapes))
     strengths = np.sqrt(np.sum(functions**2, axis=1) / len(nodes))
     requested_db = max(error_db, reached)  # what is told already needs no other warning
     return Basis(
@@ -153,7 +148,7 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, pa
 
 def _projection(shapes: Floats | Complexes, nodes: NDArray[np.int64], weight: Floats) -> Floats:
     """Return the matrix from responses at nodes to gains (K, parts M), by weighted least squares."""
-    parts = 1 + int(np.iscomplexobj(shapes))
+    parts = parts_of(shapes)
     weighted = in_parts(shapes[:, nodes] * weight[nodes], parts).T
     return np.asarray(np.linalg.pinv(weighted) * np.tile(weight[nodes], parts))
 
@@ -177,15 +172,10 @@ class _Rows:
         weight = sample.importance
         weighted: Any = sample.responses * weight
         if not paired:
-            weighted = in_parts(weighted, 1 + int(np.iscomplexobj(sample.responses)))
+            weighted = in_parts(weighted, parts_of(sample.responses))
         sizes, axes = _axes(_square(weighted))
         axes = axes[: max(int(np.count_nonzero(sizes > _ROUNDING * sizes[0])), 1)]
         return _Rows(sample, weight, weighted @ axes.conj().T, axes, paired)
-
-    @property
-    def parts(self) -> int:
-        """Return 2 if responses are complex, else 1."""
-        return 1 + int(np.iscomplexobj(self.sample.responses))
 
     def shapes(self, vectors: Floats | Complexes, count: int) -> Floats | Complexes:
         """Return functions (K, F) by the first vectors along the axes: one for each, or two that are paired."""
@@ -195,7 +185,8 @@ class _Rows:
             return np.stack([one, 1j * one], axis=1).reshape(-1, frequencies)
         found = vectors[:count] @ self.axes
         shapes: Any = found[:, :frequencies] / self.weight
-        return np.asarray(shapes + 1j * (found[:, frequencies:] / self.weight) if self.parts == 2 else shapes)
+        turned = found[:, frequencies:]
+        return np.asarray(shapes + 1j * (turned / self.weight) if turned.size else shapes)
 
     def least(self, allowed: float) -> int:
         """Return a number of functions below which the mean error of all rows is above what is allowed, at least 1."""
@@ -238,14 +229,9 @@ class _Functions:
             emphasis *= 1.0 + 3.0 * wrong / worst
         return replace(functions, worst=worst)
 
-    @property
-    def parts(self) -> int:
-        """Return 2 if functions are complex, else 1."""
-        return 1 + int(np.iscomplexobj(self.shapes))
-
     def gains(self, rows: Floats | Complexes) -> Floats:
         """Return the gains (n, K) of responses (n, F)."""
-        return np.asarray(in_parts(rows[:, self.nodes], self.parts) @ self.projection.T)
+        return np.asarray(in_parts(rows[:, self.nodes], parts_of(self.shapes)) @ self.projection.T)
 
     def left(self, responses: Floats | Complexes) -> Floats | Complexes:
         """Errors (n, F) of responses (n, F) as sums of the functions."""

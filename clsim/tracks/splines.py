@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,15 +127,11 @@ def in_batches(items: Sequence[int], counts: Sequence[int]) -> Iterator[list[int
         yield batch
 
 
-class FittedTracks(NamedTuple):
-    """Splines through sampled delays and gains, by source and receiver, and bounds of what they do."""
-
-    pairs: list[tuple[int, int, Floats, Floats]]  # source, receiver, and when each path begins and ends, s
-    splines: tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...]
-    source_count: int
-    receiver_names: tuple[str, ...]
-    largest_rate: float  # s/s
-    end: float  # s
+# Source, receiver, and when each path begins and ends, s; splines by pair; sources; receivers; largest rate; end, s.
+FittedTracks = tuple[
+    list[tuple[int, int, Floats, Floats]], tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...], int, tuple[str, ...],
+    float, float,
+]  # fmt: skip
 
 
 def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: Any) -> FittedTracks:
@@ -157,7 +153,7 @@ def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: 
     names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
     # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
     bound = min(1.05 * largest, 0.99)
-    return FittedTracks(pairs, tuple(splines), int(s.max()) + 1, names, bound, float(times[-1]))
+    return pairs, tuple(splines), int(s.max()) + 1, names, bound, float(times[-1])
 
 
 TAPER_TERMS = 11  # of the odd polynomial of a taper

@@ -196,7 +196,7 @@ class Tracks(ABC):
         (1, 48000)
         """
         fitted = fitted_tracks(times, delays, gains, sources, receivers)
-        return SampledTracks(tuple(PairTracks(*pair) for pair in fitted.pairs), *fitted[1:], as_transition(transition))
+        return SampledTracks(tuple(PairTracks(*pair) for pair in fitted[0]), *fitted[1:], as_transition(transition))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

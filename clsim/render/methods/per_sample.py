@@ -137,19 +137,12 @@ class ReferenceEngine:
             step = min(max(_NUMBERS // (len(pair) * functions * (rows.stop - rows.start)), 256), 4096)
             for first in range(start, stop, step):
                 last = min(first + step, stop)
-                pressure[rows, first - start : last - start] += _render_paths(plan, i, first, last)
+                found = (heard for _, heard in path_pressures(plan, i, first, last))
+                pressure[rows, first - start : last - start] += sum(found, np.zeros((1, last - first)))
         return pressure
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
         pressure += self.render(start, start + pressure.shape[1])
-
-
-def _render_paths(plan: Plan, pair: int, first: int, last: int) -> Floats | Complexes:
-    """Return the sum of a pair's paths over samples `first` to `last` by channel, shape (C, n)."""
-    total: Any = np.zeros((1, last - first))
-    for _, pressure in path_pressures(plan, pair, first, last):
-        total = total + pressure
-    return np.asarray(total)
 
 
 def path_pressures(plan: Plan, pair: int, first: int, last: int) -> Iterator[tuple[int, Floats | Complexes]]:

@@ -134,9 +134,7 @@ class PathBatch:
             high = np.clip((place + half - start) / block, -1.0, blocks)
             low, high = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
             if bounds.ramp == 0.0:
-                high = np.where(
-                    place - start == high * block, low - 1, high
-                )  # at once and between blocks: nothing to do
+                high = np.where(place - start == high * block, low - 1, high)  # between blocks: nothing to do
             high = np.minimum(high, blocks - 1)
             low = np.maximum(low, 0)
             count = np.where(self.padding, 0, np.maximum(high - low + 1, 0))

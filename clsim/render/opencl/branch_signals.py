@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -151,6 +152,7 @@ class BranchSignals:
     ) -> None:
         self._plan, self._queue, self._compiler, self._scratch = plan, queue, compiler, scratch
         self._lanes, self._parts, self._chunk = lanes, parts, chunk
+        self._upload = partial(upload, queue.context)
         self.last = plan.samples  # from which on nothing is prepared
         self.of_few = False  # whether so few paths are active at a time that their activity always pays
         self._emitted: tuple[tuple[int, int], int, Any] | None = None  # rows and samples, and where they are not zero
@@ -290,6 +292,3 @@ class BranchSignals:
             write = found | self._written[1]
         self._written = shape, found
         return out, self._upload(write.following)
-
-    def _upload(self, array: NDArray[Any]) -> Any:
-        return upload(self._queue.context, array)

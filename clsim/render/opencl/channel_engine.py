@@ -73,7 +73,7 @@ class _TaperedRun(Run):
 
     def _leave(self, nodes: Any, fades: Fades, slot: Any, at: Any, block: int) -> None:
         """Leave what is active without a transition of the blocks in which paths begin or end, where that is known."""
-        if not self._is_sparse(nodes):
+        if nodes.activity is None:
             return super()._leave(nodes, fades, slot, at, block)
         ramp, subblock = self._bounds.ramp, self._plan.subblock(self._source, block)
         self._engine._compiler.kernel("trim_activity", {})(

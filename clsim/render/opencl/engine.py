@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -89,7 +90,8 @@ class Run:
             if is_last:
                 for i in np.flatnonzero(wanted > level).tolist():
                     middle = self._start + (at + i + 0.5) * segment
-                    self._engine.note_coarse(self._source, float(error[i]), middle / plan.sampling_rate)
+                    coarse, here = self._engine.coarse, (float(error[i]), middle / plan.sampling_rate)
+                    coarse[self._source] = max(coarse[self._source], here)
                 wanted[:] = level
             for a, b in equal_runs(wanted):
                 if wanted[a] > level:
@@ -182,7 +184,7 @@ class Run:
         filters = self._plan.source_filters[self._source]
         slot, at = engine._upload(fades.slot), engine._upload(fades.block + np.int32(first_block))
         constants = {"OVERSAMPLING": filters.oversampling, **self._polynomial_constants(nodes)}
-        kernel = engine._compiler.kernel("fades", constants | {"TRIMMED": int(self._trims and self._is_sparse(nodes))})
+        kernel = engine._compiler.kernel("fades", constants | {"TRIMMED": self._trims * constants["SPARSE"]})
         kernel(
             engine._queue, self._fade_work(fades, block), **self._branch_arguments(begin),
             **self._block_arguments(nodes, first_block), **self._fade_arguments(fades, slot, block, end - begin),
@@ -196,17 +198,13 @@ class Run:
         """Leave nothing of the blocks in which paths begin or end, by slot and block."""
         self._clear_gains(nodes, slot, at, len(fades.slot))
 
-    @staticmethod
-    def _is_sparse(nodes: Any) -> bool:
-        return nodes.activity is not None
-
     def _fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths within some blocks from a sample on."""
         return self._batch.fades(start, block, blocks)
 
     def _polynomial_constants(self, nodes: Any) -> dict[str, int]:
         """Return the constants of the layout of block polynomials."""
-        return {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(self._is_sparse(nodes))}
+        return {"DELAY_TERMS": self._plan.delay_terms, "SPARSE": int(nodes.activity is not None)}
 
     def _branch_arguments(self, begin: int) -> dict[str, Any]:
         """Return the branch signals for samples of the chunk from `begin` on, as kernels take them."""
@@ -258,15 +256,15 @@ class OpenclEngine:
         check_group(self._info, 32)
         self.limits = Limits(plan, self._info, self.parts)
         self._compiler = compiler_of(device)
-        self._context = self._compiler.context
-        self._queue = cl.CommandQueue(self._context)
-        self._scratch = Scratch(self._context)
+        context = self._compiler.context
+        self._queue, self._scratch = cl.CommandQueue(context), Scratch(context)
+        self._upload = partial(upload, context)
         self.branch_signals = BranchSignals(
             plan, self._queue, self._compiler, self._scratch, self._layout.lanes, self.parts, self.limits.most_samples
         )
         self.skips_silence = True
         self.residuals = [Residual(plan.receiver_count) for _ in plan.source_filters]
-        self._coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
+        self.coarse = [(0.0, 0.0)] * len(plan.source_filters)  # largest error of the shortest blocks, and when, s
         self._makers: dict[PathFamily | None, Maker] = {}  # None: the host, whatever the kind of paths
 
     def render(self, start: int, stop: int) -> NDArray[Any]:
@@ -302,7 +300,7 @@ class OpenclEngine:
                     f"source {i}: air, walls and directivities are approximated to {reached:.1f} dB, not the "
                     f"{filters.basis.requested_db:g} dB asked for; ask for a smaller {filters.basis.option}"
                 )
-            wrong, time = self._coarse[i]
+            wrong, time = self.coarse[i]
             wrong_db = 20.0 * math.log10(max(wrong, 1e-15))
             if wrong_db > self._plan.motion_error_db + 6.0:  # that of the delay filters
                 warn(
@@ -313,11 +311,7 @@ class OpenclEngine:
 
     def shares(self, other: OpenclEngine) -> None:
         """Have `warn` report this engine and another, which renders other paths of the same plan."""
-        self.residuals, self._coarse = other.residuals, other._coarse
-
-    def note_coarse(self, source: int, wrong: float, time: float) -> None:
-        """Remember the largest error that the shortest blocks leave of a source, and when."""
-        self._coarse[source] = max(self._coarse[source], (wrong, time))
+        self.residuals, self.coarse = other.residuals, other.coarse
 
     def kind(self, pair: int) -> PathFamily | None:
         """Return the kind of paths of a pair for which the device has a program of nodes; None for the host.
@@ -375,6 +369,3 @@ class OpenclEngine:
     def put(self, rows: NDArray[np.float32], pressure: NDArray[Any]) -> None:
         """Add the rows of all receivers, `parts` of each, to the pressure."""
         pressure += rows
-
-    def _upload(self, array: NDArray[Any]) -> Any:
-        return upload(self._context, array)

@@ -31,8 +31,8 @@ _MIDDLE_PHASE = 4.0  # rad, of the middle of the table of the transition functio
 # Kinds of tables of directivities: none, by angle to an axis, by direction, and norms of spherical harmonics.
 OMNI, AXIAL, SPHERICAL, HARMONIC = range(4)
 # As programs take them.
-DIRECTIVITIES = {"OMNI": OMNI, "AXIAL": AXIAL, "SPHERICAL": SPHERICAL, "HARMONIC": HARMONIC}
-TABLE_SIZES = {"CELLS": CELLS, "SIDE": SIDE, "FACE_CELLS": FACE_CELLS}
+TABLES = {"OMNI": OMNI, "AXIAL": AXIAL, "SPHERICAL": SPHERICAL, "HARMONIC": HARMONIC}
+TABLES |= {"CELLS": CELLS, "SIDE": SIDE, "FACE_CELLS": FACE_CELLS}
 
 
 def directivity_kind(directivities: Sequence[Directivity]) -> int:

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -38,7 +39,7 @@ class HostNodeMaker:
     """Makes block polynomials in NumPy, in threads, and uploads them."""
 
     def __init__(self, plan: Plan, queue: Any) -> None:
-        self._plan, self._queue = plan, queue
+        self._plan, self._upload = plan, partial(upload, queue.context)
 
     def prepare(
         self, source: int, batch: PathBatch, bounds: Boundaries, start: int, length: int, activity: Activity | None,
@@ -137,9 +138,6 @@ class HostNodeMaker:
             (delay[:, :count], rate[:, :count], gain[..., :count])
             for (delay, rate, _), gain in zip(found, gains, strict=True)
         ]
-
-    def _upload(self, array: NDArray[Any]) -> Any:
-        return upload(self._queue.context, array)
 
 
 def _side_by_side(gain: Floats) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,16 +16,7 @@ from clsim.opencl.launch import Compiler, Scratch, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.batches import CELL, Activity, Boundaries, PathBatch
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
-from clsim.render.opencl.environment import (
-    DIRECTIVITIES,
-    OMNI,
-    RECEIVER_NODE,
-    SPHERICAL,
-    TABLE_SIZES,
-    VECTOR,
-    Environment,
-    receiver_at,
-)
+from clsim.render.opencl.environment import OMNI, RECEIVER_NODE, SPHERICAL, TABLES, VECTOR, Environment, receiver_at
 from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rendered
 from clsim.render.plan import Plan, node_times
 from clsim.tracks.tracks import SceneTracks
@@ -74,7 +66,7 @@ class NodeMaker:
         self._plan, self._tracks, self._queue, self._compiler = plan, tracks, queue, compiler
         self._family = family
         self._together = together  # nodes of a path that are solved side by side
-        self._scratch = Scratch(queue.context)
+        self._scratch, self._upload = Scratch(queue.context), partial(upload, queue.context)
         scene = tracks.paths.scene
         wind = np.zeros(3) if scene.air.wind is None else np.array(scene.air.wind)
         media = (family.medium(source) for source in range(len(scene.sources)))
@@ -82,12 +74,9 @@ class NodeMaker:
         self._knot_rates = []
         for source, filters in zip(scene.sources, plan.source_filters, strict=True):
             # A position wrong by this much is wrong in phase by half the asked error at the band's end.
-            tolerance = (
-                10 ** (plan.motion_error_db / 20) * scene.air.speed_of_sound / (2.0 * math.pi * filters.swiftness)
-            )
-            self._knot_rates.append(
-                knot_rate(source, min(filters.signal.duration + source.start, plan.duration), tolerance)
-            )
+            allowed, turns = 10 ** (plan.motion_error_db / 20), 2.0 * math.pi * filters.swiftness
+            end = min(filters.signal.duration + source.start, plan.duration)
+            self._knot_rates.append(knot_rate(source, end, allowed * scene.air.speed_of_sound / turns))
         self._environments = [
             Environment(scene, i, self._mach(i), filters.basis, self._upload)
             for i, filters in enumerate(plan.source_filters)
@@ -300,8 +289,7 @@ class NodeMaker:
         functions = len(self._plan.source_filters[source].basis) * reception.channels
         return (
             self._motion_constants(source)
-            | DIRECTIVITIES
-            | TABLE_SIZES
+            | TABLES
             | {
                 "CELL": CELL,
                 "DELAY_TERMS": self._plan.delay_terms,
@@ -325,9 +313,6 @@ class NodeMaker:
         for i, r in enumerate(batch.receiver):
             out[i] = self._static[r] if r in self._static else receiver_at(self._tracks.paths.scene.receivers[r], times)
         return out
-
-    def _upload(self, array: NDArray[Any]) -> Any:
-        return upload(self._queue.context, array)
 
     def _uploaded(self, **columns: NDArray[Any]) -> dict[str, Any]:
         return {name: self._upload(column) for name, column in columns.items()}
