@@ -101,7 +101,6 @@ class ChannelGrid:
 
     @property
     def points(self) -> int:
-        """Points of the grid."""
         return self.size // COARSER * FINER
 
     def places(self, delays: Floats) -> Floats:
@@ -146,7 +145,6 @@ class ChannelFilters:
 
     @classmethod
     def of(cls, source: SourceFilters) -> ChannelFilters:
-        """Return the filters of a source."""
         rate, own = source.rate, source.filters
         passed = source.band
         if isinstance(source, EnvelopeFilters):

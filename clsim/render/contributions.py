@@ -69,11 +69,9 @@ class WithoutTables:
     """Base class of contributions whose chunks share no arrays."""
 
     def shared(self, first: int, last: int) -> list[str]:
-        """Return no names."""
         return []
 
     def made(self, name: str) -> NDArray[Any]:
-        """Make nothing: there are no names."""
         raise KeyError(name)
 
     def look_up(self, find: Callable[[str], NDArray[Any]]) -> None:
@@ -89,7 +87,6 @@ class Stateless(WithoutTables):
         """Prepare nothing anyway."""
 
     def state(self) -> State:
-        """Return nothing."""
         return {}
 
     def restore(self, state: State) -> None:

@@ -102,7 +102,6 @@ class _ZoneTail:
         self._blocks: dict[int, Blocks] = {}
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        """Add it from sample `start` on to the pressure (receivers, n)."""
         still = self._alone or self._combined
         if still:
             received = self._of(waves=False).read(start, start + pressure.shape[1])

@@ -380,7 +380,6 @@ class Allocation:
 
     @property
     def plans(self) -> list[Plan]:
-        """Plans of the parts that have one of their own."""
         return [part.plan for name in WITH_PLANS for part in getattr(self, name)]
 
     @property

@@ -180,7 +180,6 @@ class Request:
     samples: int = 0  # of the recording; set by `plan`
 
     def plan(self) -> Plan:
-        """Return the plan of rendering the signals along the tracks."""
         tracks, options = self.tracks, self.options
         if options.tail != "off" and tracks.of_scene is None:
             raise InputError("tail", f"must be 'off' for tracks without a room, but is {options.tail!r}")

@@ -336,7 +336,6 @@ class ReceiverChain:
         ]
 
     def warn(self) -> None:
-        """Warn of samples that were clipped."""
         for i, end in self._ends.items():
             if end.clipped:
                 receiver = int(np.searchsorted(self._plan.first_rows, i, side="right")) - 1
@@ -395,14 +394,12 @@ class ReceiverEnd:
         return self._converted(samples) if self.electronics.step else samples
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Return the state after the samples so far."""
         state: dict[str, NDArray[Any]] = {f"cut{i}": cut.state for i, cut in enumerate(self._cuts)}
         if self._transducer is not None:
             state["ringing"] = self._transducer.ringing
         return state | {"clipped": np.array(self.clipped)}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Remember what another one remembered."""
         for i, cut in enumerate(self._cuts):
             cut.state = state[f"cut{i}"]
         if self._transducer is not None:
@@ -426,7 +423,6 @@ class _Noise:
         self._rms, self._stream = rms, int.from_bytes(digest[:8], "little")
 
     def added(self, start: int, samples: Floats) -> Floats:
-        """Return samples with the noise added."""
         if self._rms == 0.0 or not len(samples):
             return samples
         return samples + self._rms * white_noise(self._stream, start, start + len(samples))
@@ -442,7 +438,6 @@ class _Cut:
         self.state = np.zeros((len(self._sections), 2))
 
     def __call__(self, samples: Floats) -> Floats:
-        """Return filtered samples (n,)."""
         from scipy.signal import sosfilt
 
         out, self.state = sosfilt(self._sections, samples, zi=self.state)

@@ -81,7 +81,6 @@ class Emission:
 
     @property
     def field(self) -> str:
-        """Its name in messages."""
         return f"signals[{self.source}]"
 
     def basis(self, band: tuple[float, float], rate: float, envelope: bool = False, tilt: Tilt = NO_TILT) -> Basis:
@@ -223,7 +222,6 @@ class SourceFilters:
 
     @property
     def bank(self) -> Bank:
-        """The branch filters of the strongest function."""
         return self.banks[0]
 
     @property
@@ -265,7 +263,6 @@ class SourceFilters:
         return np.append(0, np.cumsum(counts))
 
     def digest(self) -> str:
-        """Return a text that changes with any tap."""
         return digest_of(self.basis.projection, self.filters, *(bank.taps for bank in self.banks), self.band_limit)
 
     def streams(self, first: int, last: int) -> NDArray[Any]:

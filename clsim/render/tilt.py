@@ -51,7 +51,6 @@ class Stretches:
 
     @property
     def origin(self) -> int:
-        """Beginning of the first stretch, samples."""
         return math.floor(self.still)
 
     def filters(self, taps: Complexes, rate: float, carrier: float, half: float, every: int) -> Complexes:

@@ -73,7 +73,6 @@ class Basis:
 
     @property
     def half(self) -> int:
-        """Taps on either side of the filters' middle."""
         return int(self.filters.shape[1] // 2)
 
     def gains(self, responses: Floats | Complexes) -> Floats:
@@ -200,7 +199,6 @@ class Sample:
         return np.asarray(np.maximum(weight, _QUIETEST))
 
     def frames(self, which: slice) -> Sample:
-        """Return some of the frames."""
         ends = np.append(self.first, len(self.responses))[1:]
         chosen = list(zip(self.first[which].tolist(), ends[which].tolist(), strict=True))
         firsts = np.cumsum([0, *(end - begin for begin, end in chosen)])[:-1]
@@ -208,7 +206,6 @@ class Sample:
         return Sample(self.band, self.responses[rows], firsts, self.beyond[rows])
 
     def with_frames(self, other: Sample, which: NDArray[np.int64]) -> Sample:
-        """Return the sample with some frames of another one."""
         rows, first, ends = [self.responses], [self.first], [*other.first[1:].tolist(), len(other.responses)]
         count, beyond = len(self.responses), [self.beyond]
         for frame in which.tolist():

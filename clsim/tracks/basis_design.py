@@ -207,7 +207,6 @@ class _Functions:
 
     @staticmethod
     def of(rows: _Rows, count: int, allowed: float) -> _Functions:
-        """Return the functions that hold responses best."""
         frequencies, weight, first = len(rows.weight), rows.weight, rows.sample.first
         # Devices take them eight at a time. Of paired functions, complex responses at as many determine both.
         own = count // (1 + int(rows.paired))

@@ -61,7 +61,6 @@ class Picked:
     whole: bool = False  # all paths of each instant, whose level is that of the responses
 
     def thinned(self, every: int) -> Picked:
-        """Return some of the instants."""
         spans = list(pairwise(self.first))[::every]
         rows = np.concatenate([np.arange(begin, end) for begin, end in spans])
         first = tuple(np.cumsum([0, *(end - begin for begin, end in spans)]).tolist())

@@ -224,7 +224,6 @@ class SceneTracks(Tracks):
 
     @property
     def scene(self) -> Scene:
-        """The scene."""
         return self.paths.scene
 
     @property

@@ -79,7 +79,6 @@ class Splitter:
 
     @classmethod
     def of(cls, emission: Emission, tracks: SceneTracks, pairs: list[int]) -> Splitter:
-        """Return that of some pairs of a source."""
         pieces = {}
         for i in pairs:
             member, cuts = tracks.pairs[i], _cuts(tracks, i)

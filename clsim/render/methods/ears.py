@@ -233,9 +233,11 @@ def centre_tracks(tracks: SceneTracks, pairs: Sequence[int]) -> SceneTracks:
     for i in {tracks.pairs[pair].receiver for pair in pairs}:
         object.__setattr__(receivers[i], "directivity", Omni())
     once = {tracks.paths_of(pair): pair for pair in reversed(pairs)}  # both ears have the same paths
-    made = tracks.with_ends(receivers=receivers).among(sorted(once.values()))
-    paths = tuple(replace(own, channels=range(1)) for own in made.pair_paths)
-    return replace(made, pairs=tuple(replace(own, channels=range(1)) for own in made.pairs), pair_paths=paths)
+    centred = tracks.with_ends(receivers=receivers)
+    made = centred.among(sorted(once.values()))
+    members = tuple(replace(own, channels=range(1)) for own in made.pairs)
+    pair_paths = tuple(replace(own, channels=range(1)) for own in made.pair_paths)
+    return replace(made, paths=centred.paths, pairs=members, pair_paths=pair_paths)  # rates are those of all kinds
 
 
 def parts_of(
@@ -265,7 +267,6 @@ class Ears:
 
     @property
     def scene(self) -> Scene:
-        """The scene."""
         assert self.plan.tracks.of_scene is not None, "ears are those of scenes"
         return self.plan.tracks.of_scene.paths.scene
 
@@ -371,6 +372,5 @@ class EarEngine(OpenclEngine):
     frames: EarFrames
 
     def filter(self, frames: EarFrames, begin: int, end: int) -> None:
-        """Add paths that arrive at centres from a sample to another to frames."""
         self.frames = frames
         self.add(np.zeros((self._plan.row_count, end - begin), np.float32), begin)

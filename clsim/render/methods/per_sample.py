@@ -137,7 +137,7 @@ class ReferenceEngine:
             step = min(max(_NUMBERS // (len(pair) * functions * (rows.stop - rows.start)), 256), 4096)
             for first in range(start, stop, step):
                 last = min(first + step, stop)
-                found = (heard for _, heard in path_pressures(plan, i, first, last))
+                found = (own for _, own in path_pressures(plan, i, first, last))
                 pressure[rows, first - start : last - start] += sum(found, np.zeros((1, last - first)))
         return pressure
 

@@ -99,7 +99,6 @@ class _BasebandRun(Run):
         self._clear_gains(nodes, slot, fades.block + np.int32(first_block), len(fades.slot))
 
     def _constants(self, nodes: Any) -> dict[str, int]:
-        """Return the constants of programs that sum envelopes."""
         of_functions = {"FUNCTIONS": self._functions, "PAIRED": int(self._filters.basis.paired)}
         return self._polynomial_constants(nodes) | of_functions | {"CHANNELS": self._channels}
 

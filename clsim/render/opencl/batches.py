@@ -103,7 +103,6 @@ class PathBatch:
 
     @property
     def count(self) -> int:
-        """Number of slots."""
         return len(self.path)
 
     def of_pair(self, i: int) -> slice:
@@ -256,7 +255,6 @@ class Activity:
     cells: NDArray[np.bool_]  # (cells,) whether they are active
 
     def __or__(self, other: Activity) -> Activity:
-        """Return the union of both."""
         return Activity(self.cells | other.cells)
 
     @property

@@ -206,7 +206,6 @@ class Residual:
         return 10.0 * math.log10(max(self._worst, self._largest(list(self._squares)), 1e-30))
 
     def _largest(self, segments: list[int]) -> float:
-        """Return the largest squared residual of some segments."""
         largest = 0.0
         for s in segments:
             about = [self._squares[n][1] for n in (s - 1, s, s + 1) if n in self._squares]

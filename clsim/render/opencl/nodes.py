@@ -139,7 +139,6 @@ class NodeMaker:
         return self._columns.views(source, rows)
 
     def _trajectory(self, knots: Floats) -> dict[str, Any]:
-        """Knots of motion as the program takes them."""
         return self._uploaded(knots=knots)
 
     def _coarse_delays(
@@ -219,7 +218,6 @@ class NodeMaker:
     def _launch(
         self, chunk: DeviceChunk, start: int, segments: int, receivers: NDArray[Any], more: dict[str, Any]
     ) -> None:
-        """Make the nodes of some segments from a sample on."""
         rate, source, segment = self._plan.sampling_rate, chunk.source, self._plan.segment
         filters = self._plan.source_filters[source]
         first, last = filters.emitted_between(rate)
@@ -236,7 +234,6 @@ class NodeMaker:
         )  # fmt: skip
 
     def _exact_constants(self, source: int) -> dict[str, Any]:
-        """Constants of the program in float64."""
         wind = int(self._tracks.paths.scene.air.wind is not None)
         smooth = np.float32(SMOOTH_ERROR)
         return OF_DELAYS | self._columns.constants | {

@@ -91,7 +91,6 @@ class Rendered:
     put: Callable[[NDArray[Any]], Any]
 
     def uploaded(self, **columns: NDArray[Any]) -> dict[str, Any]:
-        """Upload arrays by name."""
         return {name: self.put(column) for name, column in columns.items()}
 
     def tolerance(self, speed: float) -> float:
@@ -112,7 +111,6 @@ class StaticColumns:
 
     @property
     def constants(self) -> dict[str, int]:
-        """Leg, vertex and most moving mirrors of the program."""
         return {"LEG": self.leg, "VERTEX": self.vertex, "MIRRORS": self.mirrors}
 
     def met(self, rows: Rows) -> Walls:
