@@ -33,11 +33,7 @@ FACE_COLUMNS = 16  # coefficients of a normal between two knots, [power][xyz], a
 
 
 def knot_rate(source: Source, end: float, tolerance: float) -> float:
-    """Return knots per second such that positions, and the axis of a directivity, are right between them.
-
-    Orientations between waypoints turn at constant rates that jump; there the largest rate is taken, and what remains
-    is an error of the axis over one knot.
-    """
+    """Return knots per second such that positions, and the axis of a directivity, are right between them."""
     if math.isinf(source.trajectory.end):
         return 1.0
     good = (rate for rate in KNOT_RATES if _knot_error(source, end, rate, tolerance) <= tolerance)
@@ -47,12 +43,7 @@ def knot_rate(source: Source, end: float, tolerance: float) -> float:
 def motion_knots(
     source: Source, start: float, end: float, rate: float, *, sideways: bool = False
 ) -> tuple[Floats, float]:
-    """Return cubics of position and axis from `start` to `end`, and the time of the first knot.
-
-    Shapes: result (knots, 24 or 36).
-
-    knots: for position and axis, and second axis: coefficients [power][xyz] in units of the knot's length.
-    """
+    """Cubics (knots, 24 or 36) of position and axes from `start` on, [power][xyz] in knots' lengths, and the first's time."""
     first = math.floor(start * rate)
     times = np.arange(first, math.ceil(end * rate) + 2, dtype=np.float64) / rate
     columns = cubics_between(source.trajectory.position(times), source.trajectory.velocity(times) / rate)
@@ -129,7 +120,6 @@ def pose_knots(
     """Return cubics of positions and axes of things from `start` to `end`, and where to find them.
 
     Shapes: result (knots, 38) s, (things, cells + 1).
-
     knots: at the beginning of every cell and wherever the motion has a corner: time, s, and knots per second until the
     next one, and for the position, m, and the first two axes of the thing in the room coefficients [power][xyz] in
     units of the piece's length.
@@ -216,7 +206,6 @@ def face_knots(
     """Return cubics of mirrors from `start` to `end`, and the time of the first knot.
 
     Shapes: faces (n,); result (n, knots, 16) m.
-
     knots: of the plane ``normal @ x = offset``, m: coefficients [power][xyz] of the normal in units of the knot's
     length, and [power] of the offset.
     """

@@ -204,10 +204,7 @@ def _direct_sound(pair: PairPaths, received: Floats, kinematics: Kinematics) -> 
 
 
 def reception_times(pair: PairPaths, emitted: Floats, kinematics: Kinematics) -> Floats:
-    """Return the times of reception (T,) of what is emitted at times (T,), s, by Newton's method.
-
-    The delay changes by less than a second per second below the speed of sound: there is one solution.
-    """
+    """Return the times of reception (T,) of what is emitted at times (T,), s, by Newton's method."""
     received = emitted
     for _ in range(_NEWTON_LIMIT):
         arrivals = pair.arrivals(received, kinematics)
@@ -279,13 +276,7 @@ class EchoTruth:
 
 
 def echo_fields(scene: Scene, times: Floats, delay: Floats, rate: Floats, away: Floats, bearing: Floats) -> Any:
-    """Return the fields of `EchoTruth` by their names.
-
-    Shapes: times (T,) s; delay, rate, away (things, sources, receivers, T) s; bearing (things, sources, receivers, T,
-    3).
-
-    delay, rate, away: delay, s, its change by time of reception, s/s, and the way from the thing to the receiver, m.
-    """
+    """Return the fields of `EchoTruth` by their names."""
     speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
     return {
         "times": times,

@@ -236,10 +236,8 @@ def viewed(
     """Return the room, the trajectories and the paths of a `PathSet` over time, as `page_text` draws them.
 
     Edges are those that diffract, where paths over edges were looked for.
-
     frames: instants between 0 and `duration` to choose from; of those between which nothing moves only the first is
     kept.
-
     limit: paths that are drawn at a time, the strongest; levels are told against the strongest of them.
     """
     scene = paths.scene

@@ -134,10 +134,7 @@ class SceneResponse:
         return material.reflection_at(covered(self.frequencies, material), angle, self._scene.air.speed_of_sound)
 
     def angular_bounces(self, walls: Walls) -> list[tuple[int, Floats]]:
-        """Return the bounces at which some path meets a wall whose factor depends on the angle, with normals (P, 3).
-
-        The normals are those of the unfolded path: the angle is that between them and the departure.
-        """
+        """Return the bounces at which some path meets a wall whose factor depends on the angle, with normals (P, 3)."""
         met = self.angular[walls]
         if not met.any():
             return []
@@ -147,10 +144,7 @@ class SceneResponse:
         return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
 
     def apply_angular_walls(self, response: Floats | Complexes, walls: Walls, directions: Floats) -> None:
-        """Multiply responses (P, T, F) by the factors of walls (P, N) that depend on the angle, in place.
-
-        The directions (P, T, 3) are those in which paths leave the end from whose side the walls are.
-        """
+        """Multiply responses (P, T, F) by the factors of walls (P, N) that depend on the angle, in place."""
         for bounce, normals in self.angular_bounces(walls):
             met = walls[:, bounce]
             for wall in np.unique(met[self.angular[met]]):
@@ -159,10 +153,7 @@ class SceneResponse:
                 response[here] *= self.reflection_at(wall, cosine)
 
     def apply_angles(self, response: Floats | Complexes, surfaces: Walls, cosine: Floats) -> None:
-        """Multiply responses (P, T, F) by the factors of surfaces (P, N) that depend on the angle, in place.
-
-        The cosines (P, T, N) are those of the angles of incidence.
-        """
+        """Multiply responses (P, T, F) by the factors of surfaces (P, N) that depend on the angle, in place."""
         for bounce, met in enumerate(surfaces.T):
             for wall in np.unique(met[self.angular[met]]).tolist():
                 here = np.flatnonzero(met == wall)
@@ -171,10 +162,7 @@ class SceneResponse:
     def apply_directivities(
         self, response: Floats | Complexes, ends: tuple[Source, Receiver], found: Arrivals, times: Floats
     ) -> None:
-        """Multiply responses (P, T, F) by the directivities of both ends, in place.
-
-        A receiver of several channels is left out: `of_channels` multiplies by theirs.
-        """
+        """Multiply responses (P, T, F) by the directivities of both ends, in place."""
         (source, receiver), frequencies, c = ends, self.frequencies, self._scene.air.speed_of_sound
         if not isinstance(source.directivity, Omni):
             towards = to_transducer_frame(source.orientation, found.emission_time, found.departure)
@@ -186,10 +174,7 @@ class SceneResponse:
     def of_channels(
         self, response: Floats | Complexes, receiver: Receiver, channels: range | None, found: Arrivals, times: Floats
     ) -> Floats | Complexes:
-        """Multiply responses (P, T, F) by the gains of channels of a receiver, (C, P, T, F).
-
-        Gains of some channels are without the phase of their lateness; those of all, where none are named, have it.
-        """
+        """Multiply responses (P, T, F) by the gains of channels of a receiver, (C, P, T, F)."""
         directivity, c = receiver.directivity, self._scene.air.speed_of_sound
         if not isinstance(directivity, ChannelDirectivity):
             return response[None]
@@ -211,14 +196,7 @@ def is_complex(scene: Scene) -> bool:
 
 
 def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]], through: NDArray[np.bool_]) -> Floats:
-    """Return the normals of a path's walls as seen from the source's own room.
-
-    Shapes: normals (W, 3); walls, through (P, N).
-
-    through: walls that mirror nothing, as paths pass straight through them.
-
-    result: each mirrored by the walls before it, the last of them first; zero where there is no wall.
-    """
+    """Return the normals of a path's walls as seen from the source's own room."""
     met = np.concatenate([normals, np.zeros((1, 3))])[walls]
     mirrors = np.where(through[..., None], 0.0, met)
     unfolded = met.copy()

@@ -85,11 +85,7 @@ def _warn_of_small_faces(paths: PathSet) -> bool:
 
 
 def neglected_db(scene: Scene, bodies: list[Body], max_order: int, find: Callable[..., PathSet]) -> float | None:
-    """Find the largest level of the sum of a pair's edge paths at a few instants, dB re the pair's strongest path.
-
-    Edges are those of the room and of some bodies. Paths have one edge and one reflection at most, at the centre
-    frequency of the signal. None stands for less than -30 dB, which edges far from every Fresnel zone reach.
-    """
+    """Find the largest level of a pair's edge paths together, dB re its strongest path; None below -30 dB."""
     if not (bodies or len(scene.room.edges())):
         return None
     until = known_until([*scene.named_ends(), *scene.named_bodies()])
@@ -168,11 +164,7 @@ def _edges_db(paths: PathSet) -> float:
 
 
 def largest_jump_db(paths: PathSet, most: int | None = None) -> float | None:
-    """Find the largest jump of the pressure where paths to the first receivers begin and end, dB re the strongest.
-
-    Paths that take over from each other, such as by the same walls in another order, cancel. None stands for less than
-    -60 dB.
-    """
+    """Find the largest jump of pressure as paths begin and end, dB re the strongest; None below -60 dB."""
     jumps = [
         jump for receiver in range(len(paths.scene.receivers))[:most] for jump in _jumps(paths.at_receiver(receiver))
     ]
@@ -270,10 +262,7 @@ def _jumps(paths: PathSet) -> Iterator[float]:
 
 
 def warn_without_shadows(paths: PathSet, scattering_order: int) -> None:
-    """Warn of the first scatterer with a shadow that stands in an echo of more than `scattering_order` walls.
-
-    It stands there if the path passes its centre within the least of its semi-axes.
-    """
+    """Warn of the first scatterer with a shadow that stands in an echo of more than `scattering_order` walls."""
     scene = paths.scene
     casting = [scatterer for scatterer in scene.scatterers if scatterer.shape.shadows]
     echoes = next((family for family in paths.families if family.is_specular), None)

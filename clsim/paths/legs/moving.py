@@ -113,14 +113,10 @@ def _columns(kinematics: Kinematics, links: Any, times: Floats) -> Columns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingLeg(ByRow):
-    """Legs of P paths of which some surfaces belong to bodies.
+    """Legs of P paths of which some surfaces belong to bodies."""
 
-    Attributes
-    ----------
-    surfaces : ndarray (P, N) int
-        Mirrors from the source's side, -1 behind the last: walls of the room, and behind them the faces of bodies.
-    """
-
+    # (P, N) mirrors from the source's side, -1 behind the last: walls of the room, and behind them the faces of
+    # bodies.
     surfaces: NDArray[np.int32]
     mirrors: Mirrors  # of the scene
 

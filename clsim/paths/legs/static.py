@@ -93,17 +93,12 @@ class StaticLinks(Links):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticLeg(ByRow):
-    """Legs of P paths whose surfaces rest.
+    """Legs of P paths whose surfaces rest."""
 
-    Attributes
-    ----------
-    matrix, offset : ndarray (P, 3, 3), (P, 3)
-        The image of the leg's endpoint, which is the source, or the receiver of a leg after a vertex, is at
-        ``matrix @ x + offset`` as seen from the other end; the matrix is orthogonal.
-    """
-
+    # (P, 3, 3) the image of the leg's endpoint, which is the source, or the receiver of a leg after a vertex,
+    # is at ``matrix @ x + offset`` as seen from the other end; the matrix is orthogonal.
     matrix: Floats
-    offset: Floats
+    offset: Floats  # (P, 3)
 
     kind: ClassVar[str] = "static"
     moving: ClassVar[bool] = False
@@ -175,10 +170,7 @@ class _Images:
 
 
 def image_columns(walls: NDArray[Any], matrix: Floats, offset: Floats) -> dict[str, Any]:
-    """Columns of a `Chain` of one static leg: images of the source, each an isometry of its trajectory.
-
-    Shapes: walls (P, N), -1 behind the last; matrix (P, 3, 3); offset (P, 3) m.
-    """
+    """Columns of a `Chain` of one static leg: images of the source, each an isometry of its trajectory."""
     kinds = read_only(np.where(walls >= 0, np.int8(SPECULAR), np.int8(NONE)))
     return {"interactions": kinds, "objects": walls, "legs": (StaticLeg(matrix, offset),)}
 
@@ -203,12 +195,9 @@ def path_vertices(
     """Return the corners of paths from their sources by their walls to a receiver.
 
     Shapes: walls, through (P, N); source, receiver (P, 3) m.
-
     through: which walls paths pass straight through; all are then in the order in which they are met.
-
     walls: walls of each path from the source's side, filled up with -1; those at right angles to each other, as in a
     shoebox, may stand in another order than they are met in.
-
     result: source, points of reflection, receiver, and NaN where a path has fewer walls.
     """
     normal, offset = planes

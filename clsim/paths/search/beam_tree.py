@@ -166,10 +166,7 @@ class BeamTree:
                 stack.append((children.part(slice(i * _BEAMS, (i + 1) * _BEAMS)), share / count))
 
     def estimate(self, max_order: int) -> float:
-        """Return about how many beams the tree up to an order has, from samples of its first levels.
-
-        Those of the last order are left out: only the few that may reach a receiver are made.
-        """
+        """Return about how many beams the tree up to an order has, from samples of its first levels."""
         total, growth, beams = 1.0, 1.0, self._first()
         count = float(len(beams.corners))
         for level in range(1, max_order):

@@ -226,10 +226,7 @@ class BodySearch:
         return found
 
     def cells(self, last: float, find: Callable[[Span], Found]) -> list[tuple[Span, Found]]:
-        """Return stretches of time until a last one, s, and what is found in each, in order.
-
-        In each bodies are about one pose; they are halved where there are more beams than can be looked at.
-        """
+        """Return stretches of time until a last one, s, and what is found in each, in order."""
         waiting, found, probed = self._spans(last)[::-1], [], False
         while waiting:
             begin, end = waiting.pop()
@@ -287,11 +284,7 @@ class BodySearch:
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     def moved(self, time: float, others: Floats) -> float:
-        """Largest distance of images by bodies from those at a time, from the first to the last of others, m.
-
-        That is half of it: by how much a corner goes, and how far the way to the body turns, on the mean of all ways to
-        reflections, each no longer than the room for every leg.
-        """
+        """Bound by half the distance of images by bodies from those at a time, from the first to the last of others, m."""
         most, between = 0.0, 0.5 * float(np.diff(others).max(initial=0.0))
         length = 0.5 * (self.order + 1) * self.room.walls.size
         for body in self.scene.bodies:

@@ -46,10 +46,7 @@ _ON_FACE = 1e-6  # m by which ends may be off the faces that they end at
 
 
 def moving_end_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
-    """Find every path over an edge and an end of another one of which an edge or a mirror belongs to a body.
-
-    others: all other paths: where one of these is taken over from, its time is taken.
-    """
+    """Find every path over an edge and an end of another one of which an edge or a mirror belongs to a body."""
     return moving_pairs(_EndFinder(search), EdgeEndVertex, search, others)
 
 

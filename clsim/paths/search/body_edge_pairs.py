@@ -40,10 +40,7 @@ _IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in
 
 
 def moving_edge_pair_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
-    """Find every path over two edges of one face of which the edges or a mirror belong to a body.
-
-    others: paths over fewer edges, and over two of the room: where one of these is taken over from, its time is taken.
-    """
+    """Find every path over two edges of one face of which the edges or a mirror belong to a body."""
     return moving_pairs(EdgePairFinder(search), EdgePairVertex, search, others)
 
 
@@ -194,10 +191,7 @@ def on_edges(solver: EdgePairSolver, pairs: EdgePairs, events: EdgePairEvents) -
 
 
 def moving_gap_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
-    """Find every path over two edges with air between of which an edge or a mirror belongs to a body.
-
-    others: paths over fewer edges, and over two of the room: where one of these is taken over from, its time is taken.
-    """
+    """Find every path over two edges with air between of which an edge or a mirror belongs to a body."""
     return moving_pairs(GapFinder(search), GapPairVertex, search, others)
 
 
@@ -324,10 +318,7 @@ class GapEvaluation(PairEvaluation):
     def alike(
         self, edge: Rows, times: Floats, own: Floats, seen: tuple[Floats, Floats], slack: Floats
     ) -> NDArray[np.bool_]:
-        """Mask (P, T) of paths with an end and the other edge in the air of an edge, at angles that may agree.
-
-        Shapes: slack (P, T) m, by which they may be elsewhere.
-        """
+        """Mask (P, T) of paths with an end and the other edge in the air of an edge, at angles that may agree."""
         lines, possible, bounds = self.faces.lines, np.ones(times.shape, dtype=bool), []
         axes, n, length = lines.axes(edge, times), lines.n[edge][:, None, None], lines.length[edge][:, None]
         for places, sign in zip(seen, (-1.0, 1.0), strict=True):

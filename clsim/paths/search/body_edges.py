@@ -150,11 +150,7 @@ class EdgeFinder:
     def _met(
         self, sides: tuple[Any, Any], edges: tuple[int, int], most: int, at_rest: bool | None = None
     ) -> tuple[Any, Any]:
-        """Mirrors (n, order) before the first and after the last of some edges, not more than `most` together.
-
-        Where the edges, and all between them, are `at_rest` a mirror must belong to a body: other paths are those of a
-        room without any.
-        """
+        """Mirrors (n, order) before the first and after the last of some edges, not more than `most` together."""
         before, after = sides[0][edges[0]], sides[1][edges[1]]
         i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
         both = np.concatenate([before[i], after[j]], axis=1)
@@ -179,11 +175,7 @@ class EdgeFinder:
     def _beams(
         self, source: int, ball: tuple[Floats, float], span: tuple[float, float]
     ) -> list[list[NDArray[np.int32]]]:
-        """Return for each edge the mirrors (n, N) by which it may be reached from a ball, by their number.
-
-        Beams run from the ball to balls that hold the edges, about one pose of the bodies, with the slack of
-        `BodySearch` for what moves off it.
-        """
+        """Return for each edge the mirrors (n, N) by which it may be reached from a ball, by their number."""
         (_, longest), (begin, end) = self._search.queries[source], span
         times = np.linspace(begin - longest, end, 9)
         middle = 0.5 * (begin - longest + end)
@@ -262,11 +254,7 @@ def _joined(chains: Chains, begin: Floats, end: Floats, code: Codes) -> tuple[Ch
 
 
 def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
-    """Return the paths with the times at which others begin or end where that is the same event.
-
-    Where sound goes over from one path to another both take the same time: an edge path and the one that passes its
-    edge, or is reflected at it, and a path over an edge and that over the end of it.
-    """
+    """Return the paths with the times at which others begin or end where that is the same event."""
     start, end = np.array(family.start), np.array(family.end)
     known: dict[tuple[int, int], list[PairPaths]] = {}
     for other in others:

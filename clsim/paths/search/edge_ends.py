@@ -213,10 +213,7 @@ def _ended(routes: EdgeCandidates) -> tuple[tuple[Rows, Rows], tuple[Rows, Rows]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """When an endpoint is seen, by number of walls: sequences of these (n, N), from and up to when (n,), s.
-
-    Those of request q are from `first[q]` to `first[q + 1]`.
-    """
+    """When an endpoint is seen, by number of walls; rows of request q are from `first[q]` to `first[q + 1]`."""
 
     first: Rows
     sequence: NDArray[np.int32]
@@ -225,10 +222,7 @@ class _Seen:
 
 
 class _Sight:
-    """When the source, row 0, or a receiver sees the ends and edges of routes by up to `most` (n,) walls.
-
-    What is beyond an end or an edge is a place at rest in its air: as far from the edge, and along it, as the end.
-    """
+    """When the source, row 0, or a receiver sees the ends and edges of routes by up to `most` (n,) walls."""
 
     def __init__(self, reach: EdgeReach, row: int, routes: EdgeCandidates, most: Rows) -> None:
         finder, sides = reach.finder, [reach.from_source, *reach.to_receivers][row]

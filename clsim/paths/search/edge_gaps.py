@@ -196,10 +196,7 @@ class Fans(ByRow):
         return Fans(self.free, -self.high, -self.low)
 
     def meet(self, ends: Fans, edge: int) -> Floats:
-        """Mask (..., parts, parts) of ways between edges that go on as ways (..., parts) of ends, as numbers.
-
-        edge: 0 for the first one of both, 1 for the last one.
-        """
+        """Mask (..., parts, parts) of ways between edges that go on as ways (..., parts) of ends, as numbers."""
         free, low, high = (np.expand_dims(getattr(ends, name), -2 if edge else -1) for name in _NAMES)
         return np.asarray(self.free & free & (low <= self.high) & (high >= self.low), dtype=np.float32)
 

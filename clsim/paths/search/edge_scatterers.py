@@ -28,11 +28,7 @@ _TOGETHER = 16  # paths at as many times of which the diagonal is used
 def edge_scatterer_paths(
     scene: Scene, sides: tuple[Side, Side], over_edges: tuple[Chain, Chain], both: bool, limit: int
 ) -> list[Chain]:
-    """Find the paths that meet the edge first, those that meet the scatterer first, and those between two edges.
-
-    `sides` and `over_edges` are the paths by walls, and over edges, from sources to scatterers and from there to
-    receivers. The last kind is found with `both` alone.
-    """
+    """Find the paths that meet the edge first, those that meet the scatterer first, and those between two edges."""
     check_support("static edge scatterer", scene.air)
     plain = _Half.straight(sides[0], True), _Half.straight(sides[1], False)
     bent = _Half.over(over_edges[0], True), _Half.over(over_edges[1], False)

@@ -354,10 +354,7 @@ def _with_ends(family: Chain, within: float) -> tuple[Floats, Floats]:
 def _same_events(
     family: Chain, one: tuple[Rows, Floats], other: tuple[Rows, Floats], within: float
 ) -> tuple[Rows, Rows]:
-    """Find the rows of `one` and of `other` (n,) at whose times, s, both paths between two ends are as long.
-
-    Each is given as rows and their times; times are at most `within` apart.
-    """
+    """Find the rows of `one` and of `other` (n,) at whose times, s, both paths between two ends are as long."""
     pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
     found = [np.empty((2, 0), dtype=np.int64)]
     for each in np.intersect1d(pair[one[0]], pair[other[0]]):

@@ -73,12 +73,7 @@ class Side:
 
 
 def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: int) -> Chain:
-    """Find every path by one scatterer with up to `order` reflections before it and as many after it.
-
-    Both sides are paths with the scatterer's centre as an end: what is in the way, and when, is asked of the centre. A
-    side that comes or goes when sound meets the scatterer is heard to come or go when that sound is received. Where the
-    sides have no images, one of them meets a body.
-    """
+    """Find every path by one scatterer with up to `order` reflections before it and as many after it."""
     found: list[dict[str, Any]] = []
     count, most = 0, len(before) * len(after) // max(len(scene.scatterers), 1)
     for source, receiver, which in product(
@@ -199,10 +194,7 @@ def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, tim
 
 
 def _nearest_static(family: Chain) -> Floats:
-    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m.
-
-    They hold for all that is emitted: motions that go on for days after the sound ended take no time.
-    """
+    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m."""
     found, scene = np.empty(len(family)), family.scene
     for pair in family.pairs():
         source, receiver = scene.sources[pair.source], scene.receivers[pair.receiver]
@@ -218,10 +210,7 @@ def _nearest_static(family: Chain) -> Floats:
 
 
 def _apart(family: Chain, leg: StaticLeg, ends: tuple[Source | Receiver, int], until: float) -> tuple[Floats, float]:
-    """Return bounds (P,) from below of the distances of images of an end from a scatterer at any two near times, m.
-
-    They hold for sound that sets out until a time, s; the time by which the last of it has arrived is returned as well.
-    """
+    """Bound distances (P,) of images of an end from a scatterer from below, m, and the last sound's time of arrival, s."""
     end, scatterer, c = ends[0], family.scene.scatterers[ends[1]], family.speed_range.slowest
     moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
     last = max((t.end for t in moving), default=0.0)
@@ -239,10 +228,7 @@ def _apart(family: Chain, leg: StaticLeg, ends: tuple[Source | Receiver, int], u
 
 
 def _nearest_moving(family: Chain) -> Floats:
-    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the lengths of both legs, m.
-
-    They are looked at now and then: meanwhile, and while sound is on its way, all moves on.
-    """
+    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the lengths of both legs, m."""
     scene, c = family.scene, family.speed_range.slowest
     speed = 2.0 * family.speeds + _fastest(scene.sources) + _fastest(scene.receivers)
     ends: list[End | Body | Scatterer] = [*scene.sources, *scene.receivers, *scene.bodies, *scene.scatterers]

@@ -44,29 +44,20 @@ class EdgeVertex(ByRow):
     """Edges or ends of edges that P paths pass; each row of a path is a segment between two boundaries of its terms.
 
     Shortly beyond its own interval a row goes on smoothly: what it takes over there is its adjacent path's.
-
-    Attributes
-    ----------
-    over_end : ndarray (P,) int8
-        0 for paths over the start of the edge, 1 over its end, -1 over the edge itself.
-    lit : ndarray (P, 4) int8
-        1 for terms whose adjacent path is seen, -1 for those whose is not, 0 for terms that are left out. Over ends of
-        edges, as the end changes sides, and 2 or -2 where both do at once, see `joined_over_ends`.
-    end_side : ndarray (P,) int8
-        1 while the shortest path over the line of the edge meets the edge, -1 while it passes the end; 0 for paths over
-        the edge itself.
-    beside : ndarray (P, 2) int8
-        -1 where source or receiver goes on beyond the 0-face, 1 where beyond the n-face, 0 where as far beyond both.
-    corner : ndarray (P,)
-        Angle at which paths over ends come to the corner itself, see `end_transition`, rad.
     """
 
     edge: NDArray[np.int64]  # (P,) which of the lines
-    over_end: NDArray[np.int8]
+    over_end: NDArray[np.int8]  # (P,) 0 for paths over the start of the edge, 1 over its end, -1 over the edge itself
+    # (P, 4) 1 for terms whose adjacent path is seen, -1 for those whose is not, 0 for terms that are left out.
+    # Over ends of edges, as the end changes sides, and 2 or -2 where both do at once, see `joined_over_ends`.
     lit: NDArray[np.int8]
+    # (P,) 1 while the shortest path over the line of the edge meets the edge, -1 while it passes the end; 0 for
+    # paths over the edge itself.
     end_side: NDArray[np.int8]
+    # (P, 2) -1 where source or receiver goes on beyond the 0-face, 1 where beyond the n-face, 0 where as far
+    # beyond both.
     beside: NDArray[np.int8]
-    corner: Floats
+    corner: Floats  # (P,) angle at which paths over ends come to the corner itself, see `end_transition`, rad
     lines: EdgeLines  # edges of the room, on moving legs also of bodies
     model: str  # of the field: "utd" or "btm"
 

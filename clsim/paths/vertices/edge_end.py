@@ -127,10 +127,7 @@ class EdgeEndVertex(GapPairVertex):
         return self.met(source, receiver, (frames[0][:, 0], frames[1][:, 0]))[1]
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
-        """Field (P, T, F) beyond the edge and the end, without its phase, of endpoints at r, θ, z about both.
-
-        end: of moving legs `GapEvents.middle`, as of `GapPairVertex`.
-        """
+        """Field (P, T, F) beyond the edge and the end, without its phase, of endpoints at r, θ, z about both."""
         middle = end if end.ndim == 3 else None
         field, count = np.zeros(wave.shape, dtype=np.complex128), max(1, wave.size // AT_ONCE)
         kinds = np.where(self.meeting, 4, 2 * (self.shared[:, 0] == ACROSS) + self.of_last)
@@ -177,10 +174,7 @@ def _swapped(of_last: Any, source: Any, receiver: Any) -> tuple[Any, Any]:
 
 
 def _bend_at_rest(pair: EdgeEndVertex, near: Pair, ended: int) -> tuple[Floats, ...]:
-    """Place ends along their edges (P, 1), with lengths and angles of paths from them over the other edges.
-
-    Angles are those of `EdgeGap.angles`, slopes the cosines between the ways from ends and their edges.
-    """
+    """Place ends along their edges (P, 1), with lengths and angles of paths from them over the other edges."""
     (along, corner, r_c, z_c), (mine, theirs), (r_n, z_n) = pair.ended_at(), pair._frames(), near
     route = path_over_edge(r_c, z_c, r_n, z_n)
     between, behind = np.hypot(r_c, route.apex - z_c), np.maximum(np.hypot(r_n, route.apex - z_n), ON_LINE)

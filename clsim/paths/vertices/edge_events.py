@@ -47,21 +47,16 @@ class Chains(ByRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeEvents:
-    """How sound goes over edges on P paths at T times of reception.
-
-    Attributes
-    ----------
-    source, receiver : tuple of ndarray (P, T)
-        r, θ and z about the edge of the images of emission and reception, from the point on it, as the edge sees
-        them.
-    """
+    """How sound goes over edges on P paths at T times of reception."""
 
     along: Floats  # (P, T) where on the edge it is diffracted, m from its start
     time: Floats  # (P, T) when, s
     first: Events  # of the way from the source to that point, and of the one from it to the receiver
     last: Events  # likewise
+    # (P, T) r, θ and z about the edge of the images of emission and reception, from the point on it, as the
+    # edge sees them.
     source: tuple[Floats, Floats, Floats]
-    receiver: tuple[Floats, Floats, Floats]
+    receiver: tuple[Floats, Floats, Floats]  # likewise
     doppler: Floats  # (P, T) frequency at the edge, as it sees it, over that emitted
     carried: Floats  # (P, T) what the wind makes of that where all rests in the room
 
@@ -206,10 +201,7 @@ class EdgeSolver:
 def _from_moving(
     velocity: Floats, axes: tuple[Floats, Floats, Floats], direction: Floats, distance: Floats, sign: float
 ) -> Floats:
-    """Return coordinates (3, P, T) that edges see of what is ``sign * distance`` off in directions (P, T, 3).
-
-    It is as much later, over the speed of sound, and the velocity (P, T, 3) is over that too.
-    """
+    """Return coordinates (3, P, T) that edges see of what is ``sign * distance`` off in directions (P, T, 3)."""
     across, out, along = axes
     slip = velocity - dot(velocity, along)[..., None] * along
     gamma = 1.0 / np.sqrt(1.0 - dot(slip, slip))
@@ -368,23 +360,14 @@ class GapPairs(EdgePairs):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapEvents(EdgePairEvents):
-    """How sound goes over two edges with air between.
+    """How sound goes over two edges with air between."""
 
-    Attributes
-    ----------
-    between : Events
-        Leg from the first edge to the second, received when it leaves that, at `leaving`.
-    middle : ndarray (P, T, 6)
-        Angles of that way about both edges, rad, its length, m, the cosine between the directions of the angles, and
-        those between either edge and the way from it to the other one.
-    gap : ndarray (P, T, 2, 4, 3)
-        Frames of both edges as the first one sees them, see `EdgeGap`.
-    """
-
-    between: Events
+    between: Events  # leg from the first edge to the second, received when it leaves that, at `leaving`
     leaving: Floats
+    # (P, T, 6) angles of that way about both edges, rad, its length, m, the cosine between the directions of
+    # the angles, and those between either edge and the way from it to the other one.
     middle: Floats
-    gap: Floats
+    gap: Floats  # (P, T, 2, 4, 3) frames of both edges as the first one sees them, see `EdgeGap`
 
     def part(self, rows: NDArray[np.int64]) -> GapEvents:
         """Places, ends, slopes and frames of some of the paths."""

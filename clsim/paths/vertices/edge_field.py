@@ -82,10 +82,7 @@ class RolledOut:
 
     @staticmethod
     def between(frames: tuple[Floats, Floats], n: tuple[Floats, Floats], face: Any) -> tuple[RolledOut, RolledOut]:
-        """Make the views from both edges of pairs beyond each other.
-
-        Shapes: frames (P, 4, 3) of the first and of the second edges; n (P,); face (P, 2) which face of each is shared.
-        """
+        """Make the views from both edges of pairs beyond each other."""
         angles = np.pi * np.where(face == 1, np.stack(n, axis=1), 0.0)
         inward = [
             np.cos(angle)[:, None] * frame[:, 1] + np.sin(angle)[:, None] * frame[:, 2]
@@ -102,16 +99,11 @@ class RolledOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeLengths:
-    """P paths at T times, as each edge sees them.
-
-    Attributes
-    ----------
-    places : tuple of ndarray (P, T)
-        Points of each path on the first edge and the last, which may be the same, m from its start.
-    """
+    """P paths at T times, as each edge sees them."""
 
     source: Floats  # (3, P, T) coordinates of both images, that of the source at emission, m
     receiver: Floats  # likewise
+    # (P, T) points of each path on the first edge and the last, which may be the same, m from its start.
     places: tuple[Floats, Floats]
     emission_time: Floats  # (P, T) s
     delay: Floats  # (P, T) s, and m
@@ -134,14 +126,10 @@ def edge_lengths(
     """Return the ways of P paths between a source and a receiver.
 
     Shapes: end_place (P,) m; receiver (T, 3) m; times (T,) s.
-
     met: takes r and z (P, T) of both images about the first and the last edge; returns where the shortest paths meet
     these, and their lengths, each (P, T) m.
-
     end_place: of the ends that paths run over, m; NaN for paths over the edge itself, by the shortest way.
-
     retarded: whether the source is where it was when the sound was emitted, or where it is at reception.
-
     As the way over the edge itself is the shortest, the change of its apex does not change it: Newton's steps for the
     time of emission take the source's speed along the first part.
     """
@@ -253,15 +241,10 @@ BOTH = 2  # times a term's side: both paths round its boundary count as much bey
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndsOfEdges:
-    """Ends of edges that P paths run over, at T times.
+    """Ends of edges that P paths run over, at T times."""
 
-    Attributes
-    ----------
-    side : ndarray (P,) int8
-        1 where the shortest way is taken to meet the edge, -1 where it passes the end; 0 of paths over the edge
-        itself.
-    """
-
+    # (P,) 1 where the shortest way is taken to meet the edge, -1 where it passes the end; 0 of paths over the
+    # edge itself.
     side: NDArray[np.int8]
     root: Floats  # (P, T) root of the detour by the end, √m; negative where the shortest way is on the other side
     corner: Floats  # (P,) angle at which the way comes to the corner itself, see `end_transition`
@@ -271,10 +254,7 @@ class EndsOfEdges:
         side: NDArray[np.int8], edge_path: EdgePath, ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
         end: Floats, inside: Floats, corner: Floats,
     ) -> EndsOfEdges:  # fmt: skip
-        """Make it from r and z of source and receiver (P, T), m.
-
-        `end` (P, 1) are the places of the ends, `inside` (P, T) how far inside the edges the shortest ways meet them.
-        """
+        """Make it from r and z of source and receiver (P, T), m."""
         signed, root = np.where(inside < 0.0, -1.0, 1.0) * side[:, None], np.zeros(edge_path.length.shape)
         over = np.flatnonzero(side)
         if len(over):
@@ -285,11 +265,7 @@ class EndsOfEdges:
         return EndsOfEdges(side, root, corner)
 
     def transition(self, rows: NDArray[np.int64], lit: NDArray[np.int8], wave: Floats, root: Floats) -> Complexes:
-        """Compute the transition function of some rows' edges or ends (n, T, F), without the phase of the detour.
-
-        By the sides of one term of the edge (n,), wave numbers (n, T, F), and roots of the phases of the term
-        (n, T, F).
-        """
+        """Compute the transition function of some rows' edges or ends (n, T, F), without the phase of the detour."""
         over = self.side[rows] != 0
         if not over.any():
             return transition(root)
@@ -308,11 +284,7 @@ def utd_field(
     n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], edge_path: EdgePath,
     wave: Floats, factors: list[Any], ends: EndsOfEdges,
 ) -> Any:  # fmt: skip
-    """Compute the field (P, T, F) of edges (P,) and of their ends over that of the shortest ways, see `Edges`.
-
-    By the angles (P, T, 4) of the partners, the distances from the edges (P, T), wave numbers (P, T, F) and the faces'
-    factors.
-    """
+    """Compute the field (P, T, F) of edges (P,) and of their ends over that of the shortest ways, see `Edges`."""
     weight, root = wedge_terms(n[:, None], angles, np.sign(lit)[:, None])
     scale, field = np.sqrt(wave * edge_path.breadth[..., None]), np.zeros(wave.shape, dtype=np.complex128)
     for term in range(lit.shape[1]):
@@ -327,10 +299,7 @@ def exact_field(
     n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], edge_path: EdgePath,
     wave: Floats, factors: list[Any], ends: EndsOfEdges,
 ) -> Any:  # fmt: skip
-    """Compute the exact field (P, T, F) of edges over that of the shortest ways, from what `utd_field` takes.
-
-    Over an end each term is less by as much as it is in the uniform theory.
-    """
+    """Compute the exact field (P, T, F) of edges over that of the shortest ways, from what `utd_field` takes."""
     field = np.zeros(wave.shape, dtype=np.complex128)
     within = ((ends.side != 0)[:, None] & (ends.root >= 0.0))[..., None]
     sides = np.where(within, np.where(angles >= 0.0, 1, -1), np.where(lit < 0, -1, 1)[:, None])
@@ -353,11 +322,7 @@ def cylindrical(n: Floats, seen: Floats, beside: NDArray[np.int8]) -> tuple[Floa
 
 
 def least_angle(n: Floats, beside: NDArray[np.int8]) -> Floats:
-    """Origin of the angles about edges (P,).
-
-    In the middle of the wedge; of ends that go on beyond the 0-face, -1, or beyond the n-face, 1, a quarter of the air
-    before or after that: in the middle of a sheet they would jump at its very plane.
-    """
+    """Origin of the angles about edges (P,)."""
     return np.asarray(0.5 * np.pi * (n - 2.0) + 0.25 * np.pi * n * beside)
 
 
@@ -367,7 +332,6 @@ def adjacent_factors(
     """Multiply the reflection factors (P, T, F) of each term's partner; None for terms whose partners have none.
 
     Shapes: n (P,); faces (P, 2); slope (P, T).
-
     Our own derivation: on the boundary of a partner the angle from a face of one leg to the edge gives all angles of
     incidence, in steps of nπ; elsewhere both ends share what is left to the boundary. Behind a sheet that
     lets the share T of the pressure pass there is a path of T: the term past its edge stands for the rest, 1 - T.

@@ -227,10 +227,7 @@ _WIDE = 0.5  # of the least distance from scatterers: half the harmonic mean of 
 def scatterer_pair_paths(
     scene: Scene, sides: tuple[Side, Side], straight_on: Callable[[Scene], Side], limit: int
 ) -> Chain:
-    """Find every path by two scatterers, with the walls that sides have before the first and after the second.
-
-    What is in the way, and when, is asked of the centres. `straight_on` finds the paths by nothing of a scene.
-    """
+    """Find every path by two scatterers, with the walls that sides have before the first and after the second."""
     check_support("static scatterer pair", scene.air)
     found: list[dict[str, Any]] = []
     between = [straight_on(_others(scene, which)) for which in range(len(scene.scatterers))]

@@ -138,9 +138,7 @@ def path_status(
     """Mask of valid paths, and their clearances.
 
     Shapes: result (n,), (n,) m.
-
     at_edge: whether the last legs end on edges of the room: walls that hold these places hide nothing of them.
-
     clear: if it exceeds the most of `reach`, that stays so while neither end moves farther than `reach`; else while
     both move by less than its share ``clear / most`` of their reach, m.
     """

@@ -219,11 +219,7 @@ class EndVisibility(GapVisibility):
         return np.where(np.isnan(across), 0.0, np.where(across > 0.0, sliding, FAR * size))
 
     def sides(self, which: Rows, time: Floats, half: Floats) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
-        """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`.
-
-        Of the edge that ends the terms are 1; the side of the end is that of the path over both edges, and where both
-        end that of the path over one end.
-        """
+        """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`."""
         stance, (one, other) = self.stance(which, time, half), self.candidates.edge[which].T
         crossing, last, reach = stance.course.crossing, self.last[which], stance.reach
         assert crossing is not None
@@ -279,10 +275,7 @@ class EndVisibility(GapVisibility):
 
 
 def end_levels(seen: EdgeVisibility, which: Rows, time: Floats, wave: float, direct: bool) -> Floats:
-    """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m.
-
-    It is over that in free air: of the `direct` sound, or else as far away as the path is long.
-    """
+    """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m."""
     still, longer = np.zeros(len(which)), np.full(len(which), np.nan)
     if isinstance(seen, EndVisibility):  # over ends of both edges a share of what is over one
         whole = seen.stance(which, time, still).course.edge_paths[0].length
@@ -311,14 +304,10 @@ def levels_over_ends(
     """Estimate the pressure (n,) of paths over ends at a wave number, 1/m, over that in free air.
 
     Magnitudes of all terms add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
-
     ends: r and z of both endpoints from the places on the edges, m.
-
     middle: length of the way between both edges, m, and the cosine between the edge that ends and that way; None of
     corners at which both edges end.
-
     lengths: of the shortest paths over both edges of corners, and of paths over ends of both edges, m; NaN of others.
-
     apart: distance in free air, m; None: as far as the path is long.
     """
     legs, (between, slope), (shortest, longer) = [np.hypot(*end) for end in zip(*ends, strict=True)], middle, lengths

@@ -98,11 +98,7 @@ class EdgeSearch:
         return EdgeVisibility(self.edges, candidates, self.query)
 
     def _there(self, candidates: EdgeCandidates) -> Intervals:
-        """Return the intervals in which candidates are there within the tolerances of outlines.
-
-        The side of the receiver is looked at while that of the source is there: most candidates are gone by then. The
-        way between two edges comes last, on the host: mostly nothing stands there.
-        """
+        """Return the intervals in which candidates are there within the tolerances of outlines."""
         receiver, evaluations = candidates.receiver, 0
         always = np.arange(len(candidates.edge)), self.query.first[receiver], self.query.last[receiver]
         row, begin, end = candidates.spans or always
@@ -169,12 +165,7 @@ class Pieces:
 
 
 def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, notify: Callable[[], None]) -> Pieces:
-    """Find the intervals in which candidates are active, and cut them at the boundaries of their terms.
-
-    Certified subdivision, as of `find_intervals`. While a path runs along a boundary, as where source, receiver and
-    edge are in a plane of symmetry, no clearance is enough: an interval of `GRAZE_TIME` is one piece there if its sides
-    are the same at both ends and in the middle, and it comes off the boundary by little of what the ends move.
-    """
+    """Find the intervals in which candidates are active, and cut them at the boundaries of their terms."""
     there, visibility = finder.find(candidates), finder.visibility(candidates)
     near = GRAZE * finder.query.walls.size
     met = sum(np.sum(x >= 0, axis=1) for x in (candidates.before, candidates.after, candidates.between))[:, None]
@@ -229,10 +220,7 @@ def _refuse_endless(evaluations: NDArray[np.int64], name: Callable[[int], str]) 
 
 
 def _joined_pieces(over: Bools, row: Rows, begin: Floats, end: Floats, sides: Sides) -> tuple[Any, Any, Any, Any]:
-    """Sort intervals by path and time, and join those that touch and have the same sides.
-
-    Those of candidates that run over the end of one edge, masked by `over`, are joined by `joined_over_ends`.
-    """
+    """Sort intervals by path and time, and join those that touch and have the same sides."""
     first, last = joined([row], begin, end, sides)
     row, begin, end, sides = row[first], begin[first], end[last], sides[first]
     some, others = np.flatnonzero(over[row]), np.flatnonzero(~over[row])
@@ -252,9 +240,7 @@ def joined_over_ends(
     """Join the pieces of paths over ends of edges between two changes of side of the end.
 
     Shapes: path (n,); begin, end (n,) s; lit (n, 4); side (n,); beside (n, 2); result (m,), (m,) s, (m, 4).
-
     path: which path each piece belongs to; pieces are in the order of paths and times.
-
     lit: sides of the terms as the end changes sides: beyond that the field depends on them, elsewhere not. Times `BOTH`
     where the term passes its own boundary at the same time: the line of sight passes the corner itself, and the paths
     over both edges there cancel in what each would add by going round its boundary on one side.
@@ -286,9 +272,6 @@ def joined_over_ends(
 
 
 def indistinct(moved: Floats, resolution: float, size: float) -> Floats:
-    """Compute by how much times (n,) of the same event may differ, s, where ends go (n,) m within `STEP`.
-
-    Different tests find them, each to the resolution, s, and with tolerances of outlines in a room of a size, m.
-    """
+    """Compute by how much times (n,) of the same event may differ, s, where ends go (n,) m within `STEP`."""
     slowest = NEAR * size / LONGEST * STEP
     return np.asarray(APART * resolution + NEAR * size * STEP / np.maximum(moved, slowest))

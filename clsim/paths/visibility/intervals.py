@@ -283,12 +283,9 @@ def find_intervals(
     """Return the intervals in which paths are valid.
 
     Shapes: sequence (n, N); receiver (n,).
-
     evaluation: what says whether other paths than those by walls are valid, and how far their ends may move; as
     `evaluate` of the query.
-
     spans: times from and up to which each path is looked at, s; those of its receiver when left out.
-
     parts: into how many what is left of an interval is cut at most, see `divided`.
     """
     evaluate_at = evaluation or partial(evaluate, query)
@@ -356,10 +353,7 @@ def merged(path: NDArray[np.int64], begin: Floats, end: Floats, evaluations: int
 
 
 def joined(keys: Sequence[Any], begin: Any, end: Any, state: Any = None) -> tuple[Any, Any]:
-    """Find the first and the last rows (m,) of intervals (n,) that touch, sorted by keys (n,) and beginnings.
-
-    They have the same keys and, row by row, the same state (n,) or (n, k).
-    """
+    """Find the first and the last rows (m,) of intervals (n,) that touch, sorted by keys (n,) and beginnings."""
     rows = np.lexsort([begin, *keys[::-1]])
     cut = begin[rows[1:]] > end[rows[:-1]]
     for column in keys if state is None else (*keys, *np.atleast_2d(state.T)):

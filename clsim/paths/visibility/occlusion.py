@@ -30,11 +30,8 @@ def beam_planes(
     """Return half-spaces whose intersection holds all that a ball's rays reach behind an aperture.
 
     Shapes: centre (n, 3) m; ring (n, m, 3); corners (n,); normal (n, 3).
-
     ring: corners of convex apertures, counterclockwise about `normal`; those beyond `corners` repeat the last one.
-
     size: of the room, m; edges too short against it to have a direction give no plane.
-
     A ray from the ball through the aperture stays, behind it, on the inner side of the plane that holds an edge and
     touches the ball from the inner side. A ball that reaches through the aperture's plane has rays to both sides, and
     one that reaches an edge's line has rays in all directions through it: these give no plane.
@@ -177,10 +174,7 @@ class WallLookup:
         return beam[leads], wall[leads]
 
     def _leads(self, beams: Beams, beam: Ints, wall: Ints, ears: Ears) -> NDArray[np.bool_]:
-        """Mask of beams that may reach a receiver by a wall.
-
-        They touch the receiver's sphere mirrored by the wall, and what the receiver sees in it touches their ball.
-        """
+        """Mask of beams that may reach a receiver by a wall."""
         walls, found, seen = self.walls, np.zeros(len(beam), dtype=bool), ears.seen
         some = np.flatnonzero(np.any(seen[:, wall], axis=0))
         step = max(1, _PAIRS // max(len(ears.radius), 1))
@@ -225,7 +219,6 @@ def air_sides(walls: Walls, place: Floats) -> Ints:
     """Return on which side of each wall a path from a place can be: 1 that of its normal, -1 the other, 0 both.
 
     Shapes: place (3,) m.
-
     A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
     there cross the shell an even number of times, or an odd one.
     """
@@ -282,9 +275,7 @@ def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats
     """Return the apertures without what walls surely hide of them.
 
     Shapes: result (n, k', 3), (n,).
-
     crossings: tells walls that segments cross: `crossed_pieces` of the room, or what is told in its place.
-
     What is taken away cannot be reached from anywhere in the ball, through the window, but through a wall, in neither
     of their planes, by clearly more than validity tolerates. Walls that are crossed on the way to the middle of an
     aperture are looked at. Of what lies beyond such a wall, the ball being before it, a convex piece of it hides what

@@ -176,9 +176,7 @@ def sampled(
     """Return when paths are there: places among `rows` (n,) in order, begins and ends (n,), s.
 
     Shapes: rows (P,); times (T,) s.
-
     status: takes rows (P,) and times (P, T), s; returns whether each path is there at each of its times.
-
     nearby: takes rows (P,) and some of the times; returns what takes places among these rows (n,) and times (n, T)
     within these for about `status`. Where that finds a change, two looks say whether it is one; else it is found by
     looks.
@@ -259,10 +257,8 @@ def coded(
     """Return rows (n,), when each begins and ends to be as a code says (n,), s, and the codes (n,), 0 or more.
 
     Shapes: looks (rows, times) s.
-
     codes: takes rows (P,) and times (P, T), s; returns how each path is at each of its times, below 0 where it is not
     there.
-
     looks: rows (P,) with the times (T,) at which to look at them, s; each row once. What comes and goes between two of
     the times is missed unless something else changes there, too.
     """
