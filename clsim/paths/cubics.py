@@ -43,7 +43,7 @@ def knot_rate(source: Source, end: float, tolerance: float) -> float:
 def motion_knots(
     source: Source, start: float, end: float, rate: float, *, sideways: bool = False
 ) -> tuple[Floats, float]:
-    """Cubics (knots, 24 or 36) of position and axes from `start` on, [power][xyz] in knots' lengths, and the first's time."""
+    """Cubics (knots, 24 or 36) of position and axes, [power][xyz] in knots' lengths, and the first knot's time."""
     first = math.floor(start * rate)
     times = np.arange(first, math.ceil(end * rate) + 2, dtype=np.float64) / rate
     columns = cubics_between(source.trajectory.position(times), source.trajectory.velocity(times) / rate)
