@@ -284,7 +284,7 @@ class BodySearch:
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     def moved(self, time: float, others: Floats) -> float:
-        """Half the largest distance of images by bodies from those at a time, from the first to the last of others, m."""
+        """Half the largest distance of images by bodies from those at a time, over times from first to last, m."""
         most, between = 0.0, 0.5 * float(np.diff(others).max(initial=0.0))
         length = 0.5 * (self.order + 1) * self.room.walls.size
         for body in self.scene.bodies:

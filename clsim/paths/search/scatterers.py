@@ -210,7 +210,7 @@ def _nearest_static(family: Chain) -> Floats:
 
 
 def _apart(family: Chain, leg: StaticLeg, ends: tuple[Source | Receiver, int], until: float) -> tuple[Floats, float]:
-    """Bound distances (P,) of an end's images from a scatterer from below, m, and the last sound's time of arrival, s."""
+    """Lower bounds of distances (P,) of an end's images from a scatterer, m, and when the last sound arrives, s."""
     end, scatterer, c = ends[0], family.scene.scatterers[ends[1]], family.speed_range.slowest
     moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
     last = max((t.end for t in moving), default=0.0)
