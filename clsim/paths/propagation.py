@@ -245,13 +245,9 @@ def medium_of(air: Air, frequency: float) -> UniformAir | LayeredAir:
     fastest = max(layer.speed_at(frequency) for layer in air.layers)
     fastest += 0.0 if air.wind is None else math.hypot(*air.wind)
     return LayeredAir(
-        tuple(slowness.tolist()),
-        air.extent,
-        (1.0 - _BEYOND_NODES) * air.slowest,
-        (1.0 + _BEYOND_NODES) * fastest,
-        air.wind,
-        air.fluctuation,
-    )
+        tuple(slowness.tolist()), air.extent, (1.0 - _BEYOND_NODES) * air.slowest, (1.0 + _BEYOND_NODES) * fastest,
+        air.wind, air.fluctuation,
+    )  # fmt: skip
 
 
 def mean_medium_of(air: Air, frequency: float) -> UniformAir:

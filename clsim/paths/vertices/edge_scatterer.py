@@ -346,12 +346,10 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _SolvedPath:
         mach, coming, leaving, receding = (
             np.sum(n * v, axis=-1) / speed
             for n, v in (
-                (coming_to, source.by_end),
-                (coming_to, velocity - source.by_scatterer),
-                (onwards, velocity - receiver.by_scatterer),
-                (onwards, receiver.by_end),
+                (coming_to, source.by_end), (coming_to, velocity - source.by_scatterer),
+                (onwards, velocity - receiver.by_scatterer), (onwards, receiver.by_end),
             )
-        )
+        )  # fmt: skip
         change = np.stack([first, second]) / speed - delays
         if retarded:
             weight = (1.0 - coming) / (1.0 - leaving)

@@ -264,11 +264,8 @@ def joined_over_ends(
             found += [(one, begin[one], middle, at_start), (one, middle, end[other], at_end)]
     kept, starts, ends, sides = ([row[i] for row in found] for i in range(4))
     return (
-        np.array(kept, np.int64),
-        np.array(starts),
-        np.array(ends),
-        np.array(sides, np.int8).reshape(-1, lit.shape[1]),
-    )
+        np.array(kept, np.int64), np.array(starts), np.array(ends), np.array(sides, np.int8).reshape(-1, lit.shape[1]),
+    )  # fmt: skip
 
 
 def indistinct(moved: Floats, resolution: float, size: float) -> Floats:

@@ -258,10 +258,8 @@ class VisibilityQuery:
         late = self.time_dilation[receiver]
         reach = Reach(
             half * late * ends.speed_over(source, emission_time - late * half, emission_time + late * half),
-            half * ends.speed_over(row, time - half, time + half),
-            ends.mounts[source, :3],
-            ends.mounts[row, :3],
-        )
+            half * ends.speed_over(row, time - half, time + half), ends.mounts[source, :3], ends.mounts[row, :3],
+        )  # fmt: skip
         origin = ends.lifted(source, ends.position(source, emission_time) + PERTURBATIONS[0])
         return origin, ends.lifted(row, at + PERTURBATIONS[1]), reach
 

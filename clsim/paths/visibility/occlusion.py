@@ -261,14 +261,9 @@ class Views:
     def part(self, rows: Ints, ring: Floats, corners: Ints) -> Views:
         """Return some of them with other apertures."""
         return Views(
-            self.centre[rows],
-            self.radius,
-            self.window[rows],
-            self.last[rows],
-            ring[rows],
-            corners[rows],
+            self.centre[rows], self.radius, self.window[rows], self.last[rows], ring[rows], corners[rows],
             self.wall[rows],
-        )
+        )  # fmt: skip
 
 
 def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats, Ints]:
