@@ -9,18 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import ByRow, Floats, firsts
+from clsim.paths.visibility import occlusion
 from clsim.paths.visibility.intervals import BoundingSpheres, joined
-from clsim.paths.visibility.occlusion import (
-    BEHIND,
-    Beams,
-    Ears,
-    Lookup,
-    Views,
-    WallLookup,
-    beam_planes,
-    clip_rings,
-    open_parts,
-)
 from clsim.scene.room.walls import Walls
 
 _BEAMS = 2_000  # looked at at a time
@@ -125,11 +115,11 @@ class BeamTree:
     """
 
     def __init__(
-        self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres | Ears, limit: int,
-        sides: NDArray[np.int64] | None = None, lookup: Lookup | None = None, hides: bool = True,
+        self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres | occlusion.Ears, limit: int,
+        sides: NDArray[np.int64] | None = None, lookup: occlusion.Lookup | None = None, hides: bool = True,
     ) -> None:  # fmt: skip
         self._walls, self._limit, self._hides = walls, limit, hides
-        self._lookup = lookup or WallLookup(walls)
+        self._lookup = lookup or occlusion.WallLookup(walls)
         self._centre, self._radius = centre, radius + _SLACK * walls.size
         self._sides = np.zeros(len(walls), dtype=np.int64) if sides is None else sides
         widths = np.diff(walls.first_hull)
@@ -137,7 +127,7 @@ class BeamTree:
         self._hulls, self._widths = walls.hull[walls.first_hull[:-1, None] + fill], widths
         self.beams = 0
         self.share = 0.0
-        self.ears = receivers if isinstance(receivers, Ears) else self._listening(receivers)
+        self.ears = receivers if isinstance(receivers, occlusion.Ears) else self._listening(receivers)
 
     def candidates(self, max_order: int) -> Iterator[Candidates]:
         """Yield candidates batch by batch; depth first, so that little is held at a time."""
@@ -185,7 +175,7 @@ class BeamTree:
         centre = self._mirrored(np.broadcast_to(self._centre, (len(wall), 3)), wall)
         return _Beams(centre, ring[wall], corners[wall], wall[:, None])
 
-    def _listening(self, receivers: BoundingSpheres) -> Ears:
+    def _listening(self, receivers: BoundingSpheres) -> occlusion.Ears:
         """View of the receivers."""
         walls, planes = self._walls, [np.empty((0, 4))]
         radii = receivers.radius + _SLACK * walls.size
@@ -194,12 +184,12 @@ class BeamTree:
             ring, corners = self._open(centre, radius)
             wall = np.flatnonzero(corners)
             centres = np.broadcast_to(centre, (len(wall), 3))
-            some = beam_planes(centres, radius, ring[wall], corners[wall], walls.normal[wall], walls.size)
+            some = occlusion.beam_planes(centres, radius, ring[wall], corners[wall], walls.normal[wall], walls.size)
             real = np.arange(ring.shape[1] + 1) < corners[wall, None]
             real[:, -1] = True  # the half-space behind the wall
             planes.append(some[real])
             row[wall] = corners[wall] + 1
-        return Ears(receivers.centre, radii, count > 0, np.concatenate(planes), firsts(count.ravel()))
+        return occlusion.Ears(receivers.centre, radii, count > 0, np.concatenate(planes), firsts(count.ravel()))
 
     def _open(self, centre: Floats, radius: float) -> tuple[Floats, NDArray[np.int64]]:
         """Return the parts of all walls that no other one hides from a ball; see `open_parts`."""
@@ -209,8 +199,8 @@ class BeamTree:
             corners[some] = self._widths[some]
             return ring, corners
         centres, none = np.broadcast_to(centre, (len(some), 3)), np.full(len(some), -1)
-        views = Views(centres, radius, centres[:, None], none, self._hulls[some], self._widths[some], some)
-        left, corners[some] = open_parts(self._walls, views, self._lookup.crossings)
+        views = occlusion.Views(centres, radius, centres[:, None], none, self._hulls[some], self._widths[some], some)
+        left, corners[some] = occlusion.open_parts(self._walls, views, self._lookup.crossings)
         ring = ring[:, np.minimum(np.arange(left.shape[1]), ring.shape[1] - 1)]
         ring[some] = left
         return ring, corners
@@ -227,7 +217,7 @@ class BeamTree:
 
     def _planes(self, beams: _Beams) -> Floats:
         normal = self._walls.normal[beams.sequence[:, -1]]
-        return beam_planes(beams.centre, self._radius, beams.ring, beams.corners, normal, self._walls.size)
+        return occlusion.beam_planes(beams.centre, self._radius, beams.ring, beams.corners, normal, self._walls.size)
 
     def _reached(self, beams: _Beams, planes: Floats) -> Candidates:
         """Return the beams as candidates for receivers whose spheres they touch, and that see their last walls."""
@@ -242,7 +232,7 @@ class BeamTree:
 
         Before the last reflection but one, what walls hide is left out. Later it costs more than it saves.
         """
-        cones = Beams(planes, beams.centre, self._radius, beams.sequence[:, -1], _SLACK * self._walls.size)
+        cones = occlusion.Beams(planes, beams.centre, self._radius, beams.sequence[:, -1], _SLACK * self._walls.size)
         beam, wall = self._lookup.meetings(cones, self._sides, self.ears if more == 1 else None)
         pieces = [slice(i, i + _PAIRS) for i in range(0, max(len(beam), 1), _PAIRS)]
         return _Beams.joined([self._clipped(beams, planes, beam[piece], wall[piece], more > 2) for piece in pieces])
@@ -253,17 +243,17 @@ class BeamTree:
         """Return the parts of beams that walls (n,) reflect, all or what others do not hide."""
         walls = self._walls
         least = np.zeros(planes.shape[1])
-        least[-1] = 2.0 * BEHIND * walls.size  # walls that touch the last one from its other side
+        least[-1] = 2.0 * occlusion.BEHIND * walls.size  # walls that touch the last one from its other side
         height = np.einsum("npi,nmi->npm", planes[beam, :, :3], self._hulls[wall]) - planes[beam, :, 3:]
         meets = np.all(height.max(axis=2) > least, axis=1)  # all corners outside one plane: none
         beam, wall = beam[meets], wall[meets]
-        ring, corners = clip_rings(self._hulls[wall], self._widths[wall], planes[beam])
+        ring, corners = occlusion.clip_rings(self._hulls[wall], self._widths[wall], planes[beam])
         left = np.flatnonzero(corners >= 3)
         ring, corners, beam, wall = ring[left, : int(corners.max(initial=1))], corners[left], beam[left], wall[left]
         if open_only and self._hides:
             before = beams.sequence[beam, -1]
-            views = Views(beams.centre[beam], self._radius, beams.ring[beam], before, ring, corners, wall)
-            ring, corners = open_parts(walls, views, self._lookup.crossings)
+            views = occlusion.Views(beams.centre[beam], self._radius, beams.ring[beam], before, ring, corners, wall)
+            ring, corners = occlusion.open_parts(walls, views, self._lookup.crossings)
         left = np.flatnonzero(corners)
         next_wall = wall[left].astype(np.int32)
         sequence = np.concatenate([beams.sequence[beam[left]], next_wall[:, None]], axis=1)

@@ -18,25 +18,14 @@ from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir, arrivals_by
 from clsim.paths.response import SceneResponse
+from clsim.paths.vertices import edge_field
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
-from clsim.paths.vertices.edge_field import (
-    EdgeView,
-    EndsOfEdges,
-    LayeredLengths,
-    adjacent_factors,
-    cylindrical,
-    edge_lengths,
-    exact_field,
-    least_angle,
-    polar,
-    utd_field,
-)
 from clsim.scene.scene import Scene
 
 Triple = tuple[Floats, Floats, Floats]
 
 COLUMNS = ("edge", "over_end", "lit", "end_side", "beside", "corner")
-LAWS = {"utd": utd_field, "btm": exact_field}
+LAWS = {"utd": edge_field.utd_field, "btm": edge_field.exact_field}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,9 +132,9 @@ class EdgeVertex(ByRow):
         """Vertices that are solved together: all."""
         return [np.arange(len(self))]
 
-    def views(self, links: Links) -> tuple[EdgeView, EdgeView]:
+    def views(self, links: Links) -> tuple[edge_field.EdgeView, edge_field.EdgeView]:
         """Take the views of the endpoints from the first and the last edge of each path."""
-        first, last = (EdgeView.of(leg.matrix, leg.offset, self.frame) for leg in links.legs)
+        first, last = (edge_field.EdgeView.of(leg.matrix, leg.offset, self.frame) for leg in links.legs)
         return first, last
 
     def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
@@ -161,9 +150,9 @@ class EdgeVertex(ByRow):
         """
         (source, receiver), medium = links.motions, links.medium
         if links.chain.scene.air.layers or medium.fluctuation is not None:
-            return arrivals_by(partial(LayeredLengths, links), medium, (source, receiver), times, kinematics)
+            return arrivals_by(partial(edge_field.LayeredLengths, links), medium, (source, receiver), times, kinematics)
         views = self.views(links)
-        found = edge_lengths(
+        found = edge_field.edge_lengths(
             views, self.met, self.end_place, source, receiver.position(times), times, medium, kinematics.retarded
         )
         leaving, back = found.parts
@@ -188,7 +177,7 @@ class EdgeVertex(ByRow):
         found, (source, receiver), views = self.on_static_legs(links, times, RETARDED), links.motions, self.views(links)
         emitted_at = source.position(found.emission_time.ravel()).reshape(*found.delay.shape, 3)
         seen = views[0].places(emitted_at), views[1].places(receiver.position(times))
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = map(cylindrical, self.wedges, seen, self.beside.T)
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = map(edge_field.cylindrical, self.wedges, seen, self.beside.T)
         angles = lit_angles(self.n[:, None], t_s, t_r)
         (_, root), edge_path = wedge_terms(self.n[:, None], angles), path_over_edge(r_s, z_s, r_r, z_r)
         end = end_detour(
@@ -282,7 +271,7 @@ class EdgeVertex(ByRow):
     def static_field(self, emitted_at: Floats, receiver_at: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) of endpoints seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
         seen = zip(self.wedges, (emitted_at, receiver_at), self.beside.T, strict=True)
-        source, receiver = (cylindrical(n, x, side) for n, x, side in seen)
+        source, receiver = (edge_field.cylindrical(n, x, side) for n, x, side in seen)
         return self._field(source, receiver, self.end_place[:, None], wave, at)
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
@@ -291,8 +280,8 @@ class EdgeVertex(ByRow):
         edge_path, n = path_over_edge(r_s, z_s, r_r, z_r), self.n
         # Towards the start or the stop of the edge its inside is on another side of the end.
         inside = np.where(self.over_end[:, None] == 1, end - edge_path.apex, edge_path.apex)
-        ends = EndsOfEdges.of(self.end_side, edge_path, ((r_s, z_s), (r_r, z_r)), end, inside, self.corner)
-        factors = adjacent_factors(n, self.faces, (t_s, t_r), (r_s + r_r) / edge_path.length, at)
+        ends = edge_field.EndsOfEdges.of(self.end_side, edge_path, ((r_s, z_s), (r_r, z_r)), end, inside, self.corner)
+        factors = edge_field.adjacent_factors(n, self.faces, (t_s, t_r), (r_s + r_r) / edge_path.length, at)
         angles = lit_angles(n[:, None], t_s, t_r)
         field = LAWS[self.model](n, self.lit, angles, (r_s, r_r), edge_path, wave, factors, ends)
         return field / edge_path.length[..., None]
@@ -308,7 +297,7 @@ class EdgeVertex(ByRow):
 
     def _met_by(self, links: Links, ends: Pair) -> Pair:
         """Places (P,) on the first and last edges, m, of shortest paths between endpoints (P, 3) on static legs."""
-        seen = (polar(view.places(x[:, None])) for view, x in zip(self.views(links), ends, strict=True))
+        seen = (edge_field.polar(view.places(x[:, None])) for view, x in zip(self.views(links), ends, strict=True))
         first, last = self.met(*seen)[0]
         return first[:, 0], last[:, 0]
 
@@ -318,5 +307,5 @@ class EdgeVertex(ByRow):
 
 def _turned(n: Floats, side: NDArray[np.int8], angle: Floats) -> Floats:
     """Angles (P, T) about edges as they go on beyond a face, see `least_angle`."""
-    turns = np.floor((angle - least_angle(n, side)[:, None]) / (2.0 * np.pi))
+    turns = np.floor((angle - edge_field.least_angle(n, side)[:, None]) / (2.0 * np.pi))
     return np.asarray(angle - 2.0 * np.pi * turns)

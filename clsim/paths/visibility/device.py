@@ -20,20 +20,8 @@ from clsim.opencl.device import (
 )
 from clsim.opencl.launch import compiler_of, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
+from clsim.paths.visibility import intervals
 from clsim.paths.visibility.clearance import EVER, PARALLEL, TOUCHING
-from clsim.paths.visibility.intervals import (
-    ALONG,
-    CERTAIN,
-    GRAZE,
-    GRAZE_TIME,
-    LEAST_SHARE,
-    MOST_EVALUATIONS,
-    PERTURBATIONS,
-    SMALLEST_MOVE,
-    Intervals,
-    VisibilityQuery,
-    merged,
-)
 from clsim.paths.visibility.occlusion import INNER, Beams, Ears
 from clsim.scene.room.walls import INSIDE, Walls
 
@@ -62,7 +50,7 @@ def progress(depth: int) -> np.dtype[np.void]:
 class DeviceSearch:
     """Answers one query on a device (DeviceInfo, pyopencl.Device) with float64."""
 
-    def __init__(self, query: VisibilityQuery, device: tuple[DeviceInfo, Any] | None = None) -> None:
+    def __init__(self, query: intervals.VisibilityQuery, device: tuple[DeviceInfo, Any] | None = None) -> None:
         import pyopencl as cl
 
         self._query = query
@@ -79,17 +67,18 @@ class DeviceSearch:
         )
         self._arguments |= {name: self._upload(getattr(ends, name)) for name in tables}
         self._arguments |= {
-            "smallest_move": SMALLEST_MOVE * walls.size, "graze": GRAZE * walls.size, "resolution": query.resolution,
+            "smallest_move": intervals.SMALLEST_MOVE * walls.size, "graze": intervals.GRAZE * walls.size,
+            "resolution": query.resolution,
             "speed_of_sound": query.medium.speed_of_sound, "slowest": query.medium.slowest, "wind": None,
         }  # fmt: skip
         if query.medium.wind is not None:
             self._arguments["wind"] = self._upload(np.array(query.medium.wind))
 
-    def for_query(self, query: VisibilityQuery) -> DeviceSearch:
+    def for_query(self, query: intervals.VisibilityQuery) -> DeviceSearch:
         """Make the search of another query on the same device."""
         return DeviceSearch(query, self._device)
 
-    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
+    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> intervals.Intervals:
         """Return the intervals in which paths are valid; arguments as in `find_intervals`."""
         spans = self._query.first[receiver], self._query.last[receiver]
         columns = {"sequences": sequence, "receiver_of": receiver.astype(np.int32)}
@@ -98,7 +87,7 @@ class DeviceSearch:
     def settle(
         self, program: str, constants: dict[str, Any], columns: dict[str, NDArray[Any]], spans: tuple[Floats, Floats],
         others: dict[str, Any],
-    ) -> Intervals:  # fmt: skip
+    ) -> intervals.Intervals:  # fmt: skip
         """Return the intervals that a program finds."""
         import pyopencl as cl
 
@@ -116,7 +105,7 @@ class DeviceSearch:
         no = np.empty(0, dtype=INTERVAL)
         path = np.concatenate([no["path"], *(p["path"].astype(np.int64) + first for first, p, _ in parts)])
         begin, end = (np.concatenate([no[name], *(p[name] for _, p, _ in parts)]) for name in ("begin", "end"))
-        return merged(path.astype(np.int64), begin, end, sum(evaluations for _, _, evaluations in parts))
+        return intervals.merged(path.astype(np.int64), begin, end, sum(evaluations for _, _, evaluations in parts))
 
     def _evaluations(self, order: int) -> int:
         """Largest number of evaluations of paths of an order in a launch: legs are near all boxes, twice."""
@@ -139,10 +128,10 @@ class DeviceSearch:
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
             "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(self._query.medium.wind is not None),
-            "GROUPED": int(self._query.walls.tree.has_groups), "GRAZE_TIME": GRAZE_TIME, "ALONG": ALONG,
-            "CERTAIN": CERTAIN, "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
-            "TOUCHING": TOUCHING, "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
-            "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),
+            "GROUPED": int(self._query.walls.tree.has_groups), "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
+            **{name: getattr(intervals, name) for name in ("GRAZE_TIME", "ALONG", "CERTAIN", "LEAST_SHARE")},
+            "TOUCHING": TOUCHING, "SOURCE_PERTURBATION": _triple(intervals.PERTURBATIONS[0]),
+            "RECEIVER_PERTURBATION": _triple(intervals.PERTURBATIONS[1]),
         }  # fmt: skip
         kernel = self._compiler.kernel(program, constants | own)
         # No buffer is empty, also of paths without walls.
@@ -171,11 +160,11 @@ class DeviceSearch:
 
     def _refuse_endless(self, evaluations: NDArray[np.int32], sequence: NDArray[np.int32]) -> None:
         worst = int(np.argmax(evaluations))
-        if evaluations[worst] > MOST_EVALUATIONS:
+        if evaluations[worst] > intervals.MOST_EVALUATIONS:
             raise InputError(
                 "resolution",
-                f"must let every path be settled within {MOST_EVALUATIONS} evaluations, but the path by the walls "
-                f"{sequence[worst].tolist()} needs more; it runs along an edge: move an end, or ask less finely",
+                f"must let every path be settled within {intervals.MOST_EVALUATIONS} evaluations, but the path by the "
+                f"walls {sequence[worst].tolist()} needs more; it runs along an edge: move an end, or ask less finely",
             )
 
     def _upload(self, array: NDArray[Any]) -> Any:
@@ -218,7 +207,7 @@ def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, An
     return {name: upload(context, column) for name, column in columns.items()} | {
         "box_count": len(boxes.wall),
         "tolerance": INSIDE * walls.size,
-        "thickness": float(np.abs(away).max(initial=0.0)) + SMALLEST_MOVE * walls.size,
+        "thickness": float(np.abs(away).max(initial=0.0)) + intervals.SMALLEST_MOVE * walls.size,
     }
 
 
