@@ -74,29 +74,20 @@ def _axis_cubics(source: Source, times: Floats, axis: Floats, step: float) -> li
 
 def _knot_error(source: Source, end: float, rate: float, tolerance: float) -> float:
     """Return the largest error of the cubics between knots, m; that of the axis on the same scale."""
-    largest = 0.0
-    trajectory = source.trajectory
+    largest, trajectory, step = 0.0, source.trajectory, 1.0 / rate
     for first in range(0, math.ceil(end * rate) + 1, _KNOTS_AT_A_TIME):
         times = np.arange(first, min(first + _KNOTS_AT_A_TIME, math.ceil(end * rate)) + 1, dtype=np.float64) / rate
         if len(times) < 2:
             break
         cubic = cubics_between(trajectory.position(times), trajectory.velocity(times) / rate)
+        axis = [] if isinstance(source.directivity, Omni) else _axis_cubics(source, times, _AXIS, step)
         for share in EVALUATED_AT:
-            there = sum(c * share**power for power, c in enumerate(cubic))
+            there, aimed = (sum(c * share**power for power, c in enumerate(cubics)) for cubics in (cubic, axis))
             error = np.linalg.norm(there - trajectory.position(times[:-1] + share / rate), axis=1)
             largest = max(largest, float(error.max()))
-        if not isinstance(source.directivity, Omni):
-            largest = max(largest, _axis_error(source, times, 1.0 / rate) * tolerance / _AXIS_TOLERANCE)
-    return largest
-
-
-def _axis_error(source: Source, times: Floats, step: float) -> float:
-    """Return the largest error of the axis between knots, rad."""
-    cubic, largest = _axis_cubics(source, times, _AXIS, step), 0.0
-    for share in EVALUATED_AT:
-        there = sum(c * share**power for power, c in enumerate(cubic))
-        error = np.linalg.norm(there - rotate(source.orientation(times[:-1] + share * step), _AXIS), axis=1)
-        largest = max(largest, float(error.max()))
+            if axis:
+                off = np.linalg.norm(aimed - rotate(source.orientation(times[:-1] + share * step), _AXIS), axis=1)
+                largest = max(largest, float(off.max()) * tolerance / _AXIS_TOLERANCE)
     return largest
 
 

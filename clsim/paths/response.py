@@ -140,8 +140,13 @@ class SceneResponse:
             return []
         through = walls >= self.surfaces
         own = np.where(through, walls - self.surfaces, walls)
-        normals = unfolded_normals(self._scene.room.faces.normals, own, through)
-        return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
+        normals = np.concatenate([self._scene.room.faces.normals, np.zeros((1, 3))])[own]
+        mirrors, unfolded = np.where(through[..., None], 0.0, normals), normals.copy()
+        for bounce in range(walls.shape[1]):  # each is mirrored by the walls before it, the last of them first
+            for before in range(bounce - 1, -1, -1):
+                along = np.sum(unfolded[:, bounce] * mirrors[:, before], axis=1, keepdims=True)
+                unfolded[:, bounce] -= 2.0 * along * mirrors[:, before]
+        return [(bounce, unfolded[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
 
     def apply_angular_walls(self, response: Floats | Complexes, walls: Walls, directions: Floats) -> None:
         """Multiply responses (P, T, F) by the factors of walls (P, N) that depend on the angle, in place."""
@@ -193,18 +198,6 @@ def is_complex(scene: Scene) -> bool:
         *(receiver.directivity for receiver in scene.receivers),
     ]
     return any(m.is_complex for m in scene.materials) or any(d.is_complex for d in directivities)
-
-
-def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]], through: NDArray[np.bool_]) -> Floats:
-    """Return the normals of a path's walls as seen from the source's own room."""
-    met = np.concatenate([normals, np.zeros((1, 3))])[walls]
-    mirrors = np.where(through[..., None], 0.0, met)
-    unfolded = met.copy()
-    for bounce in range(walls.shape[1]):
-        for before in range(bounce - 1, -1, -1):
-            along = np.sum(unfolded[:, bounce] * mirrors[:, before], axis=1, keepdims=True)
-            unfolded[:, bounce] -= 2.0 * along * mirrors[:, before]
-    return np.asarray(unfolded)
 
 
 def to_transducer_frame(orientation: Callable[[Floats], Floats], times: Floats, directions: Floats) -> Floats:

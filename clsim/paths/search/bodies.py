@@ -202,7 +202,9 @@ class BodySearch:
         )
         for ear, pair in enumerate(pairs):
             mine = np.flatnonzero(receiver[path] == ear)
-            yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
+            sequence, (start, stop) = surfaces[path[mine]], pair.bounded(begin[mine], end[mine])
+            one, other = joined([np.sum(sequence >= 0, axis=1), *sequence.T], start, stop)
+            yield sequence[one], start[one], stop[other]
 
     def mirror_evaluation(self, source: int) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorEvaluation]:
         """Return a function that makes the evaluation of paths by mirrors (P, N) from a source to receivers (P,)."""
@@ -337,9 +339,3 @@ def _runs(
     begin, end = bounds[cell[first]], bounds[cell[last] + 1]
     real = end > begin
     return first[real], begin[real], end[real]
-
-
-def _merged(sequence: NDArray[np.int32], begin: Floats, end: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
-    """Sort paths by order, mirrors and time, and join their intervals that touch."""
-    first, last = joined([np.sum(sequence >= 0, axis=1), *sequence.T], begin, end)
-    return sequence[first], begin[first], end[last]

@@ -59,7 +59,8 @@ class EdgePairFinder(EdgeFinder):
         none = np.empty((0, self.width), np.int32)
         parts: list[Any] = [(none, none, *(np.empty(0, np.int64),) * 3, np.empty((0, 2), np.int64), none)]
         for one, other, walls, end, face in self._routes(source, span):
-            met, at_rest = int(np.sum(walls >= 0)), self._all_rest(one, other, walls)
+            owners = np.concatenate([self.lines.owner[[one, other]], np.append(self._mirrors.owner, ROOM)[walls]])
+            met, at_rest = int(np.sum(walls >= 0)), bool(np.all(owners == ROOM))
             before, after = self._met(sides, (one, other), self._order - met, at_rest)
             edges = (np.full(len(before), x) for x in (one, end, other))
             shared = np.tile(face, (len(before), 1))
@@ -71,11 +72,6 @@ class EdgePairFinder(EdgeFinder):
         none = np.full(self.width, -1, np.int32)
         for (one, other), face in zip(*self.lines.pairs(), strict=True):
             yield int(one), int(other), none, -1, face
-
-    def _all_rest(self, one: int, other: int, walls: NDArray[np.int32]) -> bool:
-        """Whether two edges and the mirrors between them belong to the room."""
-        owners = np.append(self._mirrors.owner, ROOM)[walls]
-        return bool(np.all(self.lines.owner[[one, other]] == ROOM) and np.all(owners == ROOM))
 
     def _columns(
         self, ends: tuple[int, int], chains: GapPairs, received: tuple[Floats, Floats], code: Codes

@@ -113,7 +113,9 @@ class _Match:
         most = min(_MOST_CELLS, max(1, _MOST_FANS // max(sequences, 1)))
         self._cuts = np.linspace(0.0, last, int(np.clip(math.ceil(travel / (_CELL * query.walls.size)), 1, most)) + 1)
         self._balls = [self._balls_of(row, reach.longest if row == 0 else 0.0) for row in range(len(self._sides))]
-        self._every = cache(self._fans)
+        self._every = cache(
+            lambda row, edge, count: fans_of_ends(self._finder, edge, self._sides[row][edge][count], *self._balls[row])
+        )
         self._open = cache(self._unhidden)
 
     def _balls_of(self, row: int, early: float) -> tuple[Floats, Floats]:
@@ -122,10 +124,6 @@ class _Match:
         spans = [(cuts[0], cuts[-1])] if tables.scales[row, 2] == 0.0 else pairwise(cuts)
         balls = [tables.sphere(row, begin - early, end) for begin, end in spans]
         return np.array([centre for centre, _ in balls]), np.array([radius for _, radius in balls])
-
-    def _fans(self, row: int, edge: int, count: int) -> Fans:
-        """Ways of an end to an edge by a number of walls, hidden ones as well."""
-        return fans_of_ends(self._finder, edge, self._sides[row][edge][count], *self._balls[row])
 
     def _unhidden(self, row: int, edge: int, count: int) -> Fans:
         sequence, fans = self._sides[row][edge][count], self._every(row, edge, count)

@@ -198,7 +198,14 @@ def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
     pair, times = events.pair, events.time
     gap = np.where(pair[1:] == pair[:-1], times[1:] - times[:-1], np.inf)
     near = gap <= LONGEST
-    near[near] = gap[near] <= _explained(events.scene, pair[1:][near], times[1:][near], resolution)
+    scene, late, moved = events.scene, times[1:][near], np.zeros(int(near.sum()))
+    source, receiver = np.divmod(pair[1:][near], len(scene.receivers))
+    for ends, which in ((scene.sources, source), (scene.receivers, receiver)):
+        for each in np.unique(which).tolist():
+            mine = which == each
+            place = ends[each].trajectory.position(late[mine][:, None] + np.array([0.0, STEP]))
+            moved[mine] += np.linalg.norm(place[:, 1] - place[:, 0], axis=-1)
+    near[near] = gap[near] <= indistinct(moved, resolution, scene.room.as_mesh().walls.size)
     for first, after in pairwise([0, *(np.flatnonzero(~near) + 1).tolist(), len(times)]):
         if after - first < 2 or times[after - 1] == times[first]:
             continue
@@ -294,18 +301,6 @@ def _beside_turns(events: _Events) -> Iterator[tuple[Rows, Rows, Rows]]:
         kept = events.time[near[first[1:] - 1]] > events.time[near[first[:-1]]]
         if kept.any():
             yield turns[kept], np.cumsum(np.diff(first)[kept]) - np.diff(first)[kept], near[kept[turn]]
-
-
-def _explained(scene: Scene, pair: Rows, times: Floats, resolution: float) -> Floats:
-    """Compute by how much times (n,) of the same event of pairs (n,) may differ, s."""
-    source, receiver = np.divmod(pair, len(scene.receivers))
-    moved = np.zeros(len(pair))
-    for ends, which in ((scene.sources, source), (scene.receivers, receiver)):
-        for each in np.unique(which).tolist():
-            mine = which == each
-            place = ends[each].trajectory.position(times[mine][:, None] + np.array([0.0, STEP]))
-            moved[mine] += np.linalg.norm(place[:, 1] - place[:, 0], axis=-1)
-    return indistinct(moved, resolution, scene.room.as_mesh().walls.size)
 
 
 def with_swaps(family: Chain, within: float) -> Chain:

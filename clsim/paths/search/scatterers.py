@@ -21,7 +21,7 @@ from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.legs.moving import moving_paths
 from clsim.paths.legs.static import StaticLeg, direct_paths
 from clsim.paths.links import met_in_order
-from clsim.paths.propagation import Medium, mean_medium_of, medium_of, straight
+from clsim.paths.propagation import mean_medium_of, medium_of, straight
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.body import Body
 from clsim.scene.ends import End, Receiver, Source
@@ -168,7 +168,14 @@ def received_after(
     if after.leg is not None:
         sent, leg = motions[0].position(events[known]), after.leg.part(rows[known])
         images = np.einsum("pij,pj->pi", leg.matrix, sent) + leg.offset
-        received[known] += _flight(medium_of(scene.air, frequency), (sent, images), motions[1], events[known])
+        air, flight = medium_of(scene.air, frequency), np.zeros(len(known))
+        for _ in range(_STEPS):  # each by the Mach number of the receiver
+            at = motions[1].position(events[known] + flight)
+            step = air.passage(straight(images, at)[0], at - sent).time - flight
+            flight = flight + step
+            if np.abs(step).max() <= _FOUND:
+                break
+        received[known] += flight
         return received
     mirrors, medium, times = Mirrors.of(scene), mean_medium_of(scene.air, frequency), received[known, None]
     for _ in range(_MOVING_STEPS):
@@ -179,18 +186,6 @@ def received_after(
             break
     received[known] = times[:, 0]
     return received
-
-
-def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
-    """Travel times (n,) from places (n, 3), seen at images (n, 3), to a receiver that moves on meanwhile, s."""
-    flight = np.zeros(len(times))
-    for _ in range(_STEPS):  # each by the Mach number of the receiver
-        at = receiver.position(times + flight)
-        step = medium.passage(straight(places[1], at)[0], at - places[0]).time - flight
-        flight = flight + step
-        if np.abs(step).max() <= _FOUND:
-            break
-    return flight
 
 
 def _nearest_static(family: Chain) -> Floats:

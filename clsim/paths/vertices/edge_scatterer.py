@@ -131,7 +131,8 @@ class EdgeScattererVertex(ScattererVertex):
             if beside is None:
                 found += np.linalg.norm(image - centre, axis=1)
             else:
-                beyond, seen = _from_edges(beside.edge).places(image[:, None]), beside.view.places(centre[:, None])
+                room = EdgeView.of(np.eye(3)[None], np.zeros((1, 3)), beside.edge.frame)
+                beyond, seen = room.places(image[:, None]), beside.view.places(centre[:, None])
                 found += _Over.of(beside.edge, beyond, seen).length[:, 0]
         return found
 
@@ -256,11 +257,6 @@ class _Over:
     @staticmethod
     def _at_edge(along: Floats) -> Floats:
         return np.stack([np.zeros_like(along), np.zeros_like(along), along])
-
-
-def _from_edges(edge: EdgeVertex) -> EdgeView:
-    """Take the view of the room from edges (P,)."""
-    return EdgeView.of(np.eye(3)[None], np.zeros((1, 3)), edge.frame)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -98,7 +98,10 @@ class DeviceSearch:
             for first in range(0, len(spans[0]), paths):
                 here = slice(first, first + paths)
                 some = {name: column[here] for name, column in columns.items()}
-                states = _beginning(spans[0][here], spans[1][here])
+                begin, end = spans[0][here], spans[1][here]
+                states = np.zeros(len(end), dtype=progress(_DEPTH))
+                states["begin"], states["end"], states["depth"] = 1.0, -1.0, begin < end  # nothing yet; all is left
+                states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = begin, end
                 parts.append((first, *self._search(program, constants, some, states, others)))
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(f"the device failed while paths were validated: {error}") from error
@@ -169,15 +172,6 @@ class DeviceSearch:
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
-
-
-def _beginning(first: Floats, last: Floats) -> NDArray[Any]:
-    """Return the initial interval of each path: the whole time."""
-    states = np.zeros(len(last), dtype=progress(_DEPTH))
-    states["begin"], states["end"] = 1.0, -1.0
-    states["depth"] = first < last
-    states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = first, last
-    return states
 
 
 def _triple(vector: Floats) -> str:

@@ -97,12 +97,8 @@ class TrajectoryTables:
             if np.linalg.norm(hull - better, axis=1).max() >= distance[i]:
                 break
             centre = better
-        return centre, float(np.linalg.norm(hull - centre, axis=1).max()) + self._lift(row, hull)
-
-    def _lift(self, row: int, hull: Floats) -> float:
-        """Largest distance by which an endpoint may be lifted off its wall, m."""
-        normal, offset = self.mounts[row, :3], self.mounts[row, 3]
-        return float(np.abs(offset - hull @ normal).max())
+        lift = float(np.abs(self.mounts[row, 3] - hull @ self.mounts[row, :3]).max())  # of an end off its wall
+        return centre, float(np.linalg.norm(hull - centre, axis=1).max()) + lift
 
     def receiver_spheres(self, begin: float = 0.0, end: float = math.inf) -> BoundingSpheres:
         """Return spheres that hold the receivers, one for each."""

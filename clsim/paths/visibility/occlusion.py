@@ -303,7 +303,11 @@ def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats
 def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Floats, Ints]:
     """Occlusion of apertures by walls: view, the outer half-space of a plane that cuts, and number of cuts, (n,)."""
     middle = views.ring.mean(axis=1)
-    row, other, piece = crossings(_seen_from(walls, views, middle), middle)
+    last, window = walls.normal[views.last], views.window[:, 0]
+    high, low = (np.einsum("ni,ni->n", x - window, last) for x in (views.centre, middle))
+    passes = (views.last >= 0) & (high * low < 0.0)
+    share = np.where(passes, high / np.where(passes, high - low, 1.0), 0.0)  # at which the window is passed
+    row, other, piece = crossings(np.asarray(views.centre + share[:, None] * (middle - views.centre)), middle)
     clearly = CLEARLY * walls.size
     normal, offset = walls.normal[other], walls.offset[other]
     side = np.where(np.einsum("ni,ni->n", middle[row], normal) < offset, -1.0, 1.0)
@@ -332,12 +336,3 @@ def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Fl
     outer = np.zeros((len(piece), 4))
     outer[of[visible]] = -plane[visible]
     return row, outer, cuts
-
-
-def _seen_from(walls: Walls, views: Views, middle: Floats) -> Floats:
-    """Points (n, 3) where the lines from the balls' centres to the apertures' middles pass the windows."""
-    normal = walls.normal[views.last]
-    high, low = (np.einsum("ni,ni->n", x - views.window[:, 0], normal) for x in (views.centre, middle))
-    passes = (views.last >= 0) & (high * low < 0.0)
-    share = np.where(passes, high / np.where(passes, high - low, 1.0), 0.0)
-    return np.asarray(views.centre + share[:, None] * (middle - views.centre))

@@ -59,17 +59,12 @@ def certified(
     found: list[tuple[Any, Any, Any]] = [(which[:0], begin[:0], end[:0])]
     for part in parts:
         share = float(np.sum(end[part] - begin[part])) / whole
-        notify = partial(_report, progress, done, share)
+        notify = partial(lambda first, all_of, left: progress(first + all_of * (1.0 - left)), done, share)
         found.append(_of_part(evaluate, status, (which[part], begin[part], end[part]), resolution, notify))
         done += share
     progress(1.0)
     path, first, last = (np.concatenate([each[i] for each in found]) for i in range(3))
     return path, first, last
-
-
-def _report(progress: Callable[[float], None], first: float, share: float, left: float) -> None:
-    """Tell the share of the work that is done, where of one share of it, behind a first one, some is left."""
-    progress(first + share * (1.0 - left))
 
 
 def _of_part(
