@@ -180,10 +180,7 @@ def in_chunks(
     links: Links, times: Floats, nodes: int, solve: Callable[[Links, Floats], Columns],
     groups: list[NDArray[np.int64]] | None = None,
 ) -> Arrivals:  # fmt: skip
-    """Solve paths at times (T,), so many nodes at a time that what is worked on stays in the cache.
-
-    groups: paths that are solved together; those of the vertex where left out.
-    """
+    """Solve paths at times (T,), so many nodes at a time that what is worked on stays in the cache."""
     if groups is None:
         groups = [np.arange(len(links))] if links.vertex is None else links.vertex.groups()
     columns: Columns = {}

@@ -38,29 +38,24 @@ BEYOND_LEG = 0.5  # of a leg, by which events of paths that are not there may li
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Events:
-    """P paths of N mirrors at T times of reception, from which all times are counted.
-
-    Attributes
-    ----------
-    stretch, carried : ndarray (P, T)
-        By how much the time of reception grows with that of emission for a receiver that rests in the air; what the
-        wind makes of it where all rests in the room.
-    place, time : ndarray (P, T, N + 2, 3), (P, T, N + 2)
-        Emission, reflections and reception in the room, m and s; those of no mirror at that before.
-    share : ndarray (P, T, N)
-        Where the line from the receiver's side to the image meets each mirror: between 0 and 1 if it does.
-    """
+    """P paths of N mirrors at T times of reception, from which all times are counted."""
 
     delay: Floats  # (P, T) s, and its derivative by the time of reception
     rate: Floats  # likewise
     distance: Floats  # (P, T) from the image of the emission to the receiver in the air's frame, m
+    # (P, T) by how much the time of reception grows with that of emission for a receiver that rests in the air;
+    # what the wind makes of it where all rests in the room.
     stretch: Floats
-    carried: Floats
+    carried: Floats  # likewise
     mach: Floats  # (P, T) of the source along its way
     departure: Floats  # (P, T, 3) normals of the wavefront: as it leaves, and back from the receiver
     arrival: Floats  # likewise
+    # (P, T, N + 2, 3) emission, reflections and reception in the room, m and s; those of no mirror at that
+    # before.
     place: Floats
-    time: Floats
+    time: Floats  # likewise
+    # (P, T, N) where the line from the receiver's side to the image meets each mirror: between 0 and 1 if it
+    # does.
     share: Floats
     cosine: Floats  # (P, T, N) of the angle of incidence
 

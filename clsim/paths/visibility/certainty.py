@@ -99,11 +99,8 @@ def straightened(mirrors: Mirrors, walls: NDArray[Any], events: Events, now: Flo
     share = np.clip(share, -FAR, FAR)
     place, time = np.empty((count, order + 2, 3)), np.empty((count, order + 2))
     place[:, 0], place[:, -1], time[:, 0], time[:, -1] = (
-        events.place[:, 0, 0],
-        events.place[:, 0, -1],
-        start[:, 0, 0],
-        0.0,
-    )
+        events.place[:, 0, 0], events.place[:, 0, -1], start[:, 0, 0], 0.0,
+    )  # fmt: skip
     met = start[:, 1:] + np.clip(share, -1e3, 1e3)[..., None] * (stop[:, 1:] - start[:, 1:])
     time[:, 1:-1] = met[..., 0]
     place[:, 1:-1] = met[..., 1:] + met[..., :1] * wind
@@ -213,16 +210,9 @@ def _motions(
     moved = speed + turn * arm
     away = np.where(line.tame, 0.0, off + limit)
     return _Mirrored(
-        moved,
-        turn,
-        gain + lift * arm + 2.0 * turn * moved,
-        jolt + twist * arm,
-        (moved + wind) / c,
-        away * turn,
-        start,
-        stop,
-        spare,
-    )
+        moved, turn, gain + lift * arm + 2.0 * turn * moved, jolt + twist * arm, (moved + wind) / c, away * turn, start,
+        stop, spare,
+    )  # fmt: skip
 
 
 def _drift(moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats], c: float, wind: float) -> Drift:
@@ -317,7 +307,6 @@ def averted(
     """Return for how long the one moving face of paths surely is so turned that no point of it reflects, (n,) s.
 
     The mask (n,) is of faces for which this is known but for some milliseconds about a glint.
-
     A point of a face that moves at v sees both ends along the unit vectors a and b, with the parts a' and b' in its
     plane. Where it reflects, ``a' (c - b v) + b' (c + a v) = 0`` by Fermat's principle, so that ``|a' + b'| <= 2 v /
     c``. In the body's axes that sum is the one of the face's middle but for the angles under which the ends see the

@@ -188,11 +188,7 @@ class PastBodies:
     medium: UniformAir  # what sound travels in
 
     def polylines(self, rows: Rows, times: Floats) -> tuple[Floats, Floats]:
-        """Return the corners (P, T, V, 3) of paths, m, and when sound is there (P, T, V), s.
-
-        It is received at times (P, T), which may differ from path to path where walls alone reflect these. Behind the
-        receiver of paths of fewer corners stands NaN.
-        """
+        """Return the corners (P, T, V, 3) of paths, m, and when sound is there (P, T, V), s."""
         family, (count, every) = self.family, times.shape
         sender = family.scene.sources[family.source[rows][0]]
         source, receiver = sender.trajectory, family.scene.receivers[family.receiver[rows][0]].trajectory
