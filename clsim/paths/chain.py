@@ -142,7 +142,7 @@ class Chain(PathFamily):
     """Paths of one kind of leg and of one kind of vertex."""
 
     legs: tuple[Any, ...]  # one, or one before and one after the vertex
-    vertex: Any = None  # none for paths that are only reflected
+    vertex: Any = None  # None for paths that are only reflected
     level: Floats | None = None  # (paths,) pressure over that of the path's law; None for 1
 
     @property

@@ -16,7 +16,7 @@ from clsim.keywords import keywords_of
 from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.chain import Chain
 from clsim.paths.family import BODY, SPECULAR, PathFamily
-from clsim.paths.legs.static import image_columns
+from clsim.paths.legs.legs import image_columns
 from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch

@@ -16,8 +16,8 @@ from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.chain import check_support
 from clsim.paths.family import PairPaths
 from clsim.paths.legs.events import Events
+from clsim.paths.legs.legs import direct_paths
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.legs.static import direct_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import categories, labelled_dataset, labelled_frame
 from clsim.paths.propagation import mean_medium_of

@@ -43,17 +43,16 @@ class Events:
     delay: Floats  # (P, T) s, and its derivative by the time of reception
     rate: Floats  # likewise
     distance: Floats  # (P, T) from the image of the emission to the receiver in the air's frame, m
-    # (P, T) by how much the time of reception grows with that of emission for a receiver that rests in the air;
-    # what the wind makes of it where all rests in the room.
+    # (P, T) by how much the time of reception grows with that of emission for a receiver that rests in the air.
     stretch: Floats
-    carried: Floats  # likewise
+    carried: Floats  # (P, T) what the wind makes of it where all rests in the room
     mach: Floats  # (P, T) of the source along its way
     departure: Floats  # (P, T, 3) normals of the wavefront: as it leaves, and back from the receiver
     arrival: Floats  # likewise
     # (P, T, N + 2, 3) emission, reflections and reception in the room, m and s; those of no mirror at that
     # before.
     place: Floats
-    time: Floats  # likewise
+    time: Floats  # (P, T, N + 2)
     # (P, T, N) where the line from the receiver's side to the image meets each mirror: between 0 and 1 if it
     # does.
     share: Floats

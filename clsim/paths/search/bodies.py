@@ -16,8 +16,8 @@ from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import PathFamily
+from clsim.paths.legs.legs import moving_paths
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.legs.moving import moving_paths
 from clsim.paths.options import PathOptions
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError

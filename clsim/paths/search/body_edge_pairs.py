@@ -17,8 +17,8 @@ from clsim.acoustics.diffraction import ON_LINE, TERMS, adjacent_reflections, li
 from clsim.arrays import Floats
 from clsim.paths.chain import Chain
 from clsim.paths.family import PathFamily
+from clsim.paths.legs.legs import moving_paths
 from clsim.paths.legs.mirrors import ROOM, EdgeLines, dot
-from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.body_edges import ABSENT, END, EdgeFinder, free_legs, halves, leg_is_free, tied
 from clsim.paths.search.edge_gaps import cotangents, in_air, open_gaps, segment_off

@@ -17,8 +17,8 @@ from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
 from clsim.paths.family import PairPaths, PathFamily
 from clsim.paths.legs.events import Events
+from clsim.paths.legs.legs import moving_paths
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
-from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.beam_tree import BeamTree
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.mesh import BEAM_LIMIT

@@ -12,7 +12,7 @@ from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
-from clsim.paths.legs.static import StaticLeg
+from clsim.paths.legs.legs import StaticLeg
 from clsim.paths.search.scatterers import Side, at_receivers, received_after
 from clsim.paths.vertices.edge_scatterer import EdgeBeside, EdgeScattererVertex
 from clsim.scene.scatterer import Scatterer

@@ -17,8 +17,8 @@ from clsim.arrays import Floats, as_count, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, PathFamily
+from clsim.paths.legs.legs import StaticLeg
 from clsim.paths.legs.mirrors import EdgeLines
-from clsim.paths.legs.static import StaticLeg
 from clsim.paths.options import PathOptions
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import (

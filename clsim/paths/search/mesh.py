@@ -16,7 +16,7 @@ from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import DeviceInfo, find_device
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
-from clsim.paths.legs.static import image_columns
+from clsim.paths.legs.legs import image_columns
 from clsim.paths.options import PathOptions
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooManyBeamsError

@@ -17,9 +17,8 @@ from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import TRANSMISSION, ends_at
 from clsim.paths.legs.events import find_events
+from clsim.paths.legs.legs import StaticLeg, direct_paths, moving_paths
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.legs.moving import moving_paths
-from clsim.paths.legs.static import StaticLeg, direct_paths
 from clsim.paths.links import met_in_order
 from clsim.paths.propagation import mean_medium_of, medium_of, straight
 from clsim.paths.vertices.scatterer import ScattererVertex

@@ -14,8 +14,8 @@ from clsim.acoustics.edge_gap import EdgeGap
 from clsim.arrays import Floats
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.family import Instant, Rows
+from clsim.paths.legs.legs import path_vertices
 from clsim.paths.legs.mirrors import dot
-from clsim.paths.legs.static import path_vertices
 from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse

@@ -21,7 +21,7 @@ from clsim.arrays import ByRow, Floats
 from clsim.errors import InputError
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import Instant, Rows, ends_at
-from clsim.paths.legs.static import StaticLeg, path_vertices
+from clsim.paths.legs.legs import StaticLeg, path_vertices
 from clsim.paths.links import Columns, Integers, Links, Pair
 from clsim.paths.propagation import straight
 from clsim.paths.response import SceneResponse

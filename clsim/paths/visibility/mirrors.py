@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.events import Events, find_events
+from clsim.paths.legs.legs import path_vertices
 from clsim.paths.legs.mirrors import ROOM
-from clsim.paths.legs.static import path_vertices
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, averted, behind, drift, straightened
 from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_by
