@@ -104,11 +104,9 @@ class DirectPath:
         """Return it with named dimensions ``source``, ``receiver``, ``times`` and ``axis``, coordinates and units."""
         over = ("source", "receiver", "times")
         coordinates = {
-            "source": ("source", texts(self.source_names)),
-            "receiver": ("receiver", texts(self.receiver_names)),
-            "times": ("times", self.times),
-            "axis": ("axis", list("xyz")),
-        }
+            "source": ("source", texts(self.source_names)), "receiver": ("receiver", texts(self.receiver_names)),
+            "times": ("times", self.times), "axis": ("axis", list("xyz")),
+        }  # fmt: skip
         scalars = {name: (over, getattr(self, name)) for name in SCALARS}
         vectors = {name: ((*over, "axis"), getattr(self, name)) for name in VECTORS}
         dataset = labelled_dataset(scalars | vectors, coordinates)
@@ -193,14 +191,10 @@ def _direct_sound(pair: PairPaths, received: Floats, kinematics: Kinematics) -> 
     delay = (arrivals.delay + pair.group_delay_offset(arrivals))[0]
     left = received - delay if kinematics.retarded else received
     return {
-        "delay": delay,
-        "rate": arrivals.delay_rate[0],
-        "reception_time": received,
-        "arrival": arrivals.arrival[0],
+        "delay": delay, "rate": arrivals.delay_rate[0], "reception_time": received, "arrival": arrivals.arrival[0],
         "local_arrival": rotate(receiver.orientation(received) * (-1.0, -1.0, -1.0, 1.0), arrivals.arrival[0]),
-        "source_position": source.position(left),
-        "receiver_position": receiver.trajectory.position(received),
-    }
+        "source_position": source.position(left), "receiver_position": receiver.trajectory.position(received),
+    }  # fmt: skip
 
 
 def reception_times(pair: PairPaths, emitted: Floats, kinematics: Kinematics) -> Floats:
@@ -279,15 +273,11 @@ def echo_fields(scene: Scene, times: Floats, delay: Floats, rate: Floats, away: 
     """Return the fields of `EchoTruth` by their names."""
     speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
     return {
-        "times": times,
-        "delay": read_only(delay),
-        "doppler_factor": read_only(1.0 - rate),
-        "range": read_only(away),
-        "radial_speed": read_only(0.5 * speed[:, None, None] * rate),
-        "bearing": read_only(bearing),
+        "times": times, "delay": read_only(delay), "doppler_factor": read_only(1.0 - rate), "range": read_only(away),
+        "radial_speed": read_only(0.5 * speed[:, None, None] * rate), "bearing": read_only(bearing),
         "source_names": tuple(source.name for source in scene.sources),
         "receiver_names": tuple(receiver.name for receiver in scene.receivers),
-    }
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

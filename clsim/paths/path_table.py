@@ -141,15 +141,12 @@ def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], 
         return np.repeat(np.asarray(values), count)[audible]
 
     columns = {
-        "times": np.tile(table.times, len(rows))[audible],
-        "path": per_path(np.arange(rows.start, rows.stop)),
+        "times": np.tile(table.times, len(rows))[audible], "path": per_path(np.arange(rows.start, rows.stop)),
         "source": words(table.source_names, per_path(table.source[part])),
-        "receiver": words(table.receiver_names, per_path(table.receiver[part])),
-        "order": per_path(table.order[part]),
+        "receiver": words(table.receiver_names, per_path(table.receiver[part])), "order": per_path(table.order[part]),
         "interactions": words(kinds, per_path(np.arange(len(rows)))),
-        "objects": words(joined, per_path(np.arange(len(rows)))),
-        "direct": per_path(table.direct[part]),
-    }
+        "objects": words(joined, per_path(np.arange(len(rows)))), "direct": per_path(table.direct[part]),
+    }  # fmt: skip
     for name in _OVER_TIME:
         columns[name] = getattr(table, name)[part].ravel()[audible]
     for name in _DIRECTIONS:

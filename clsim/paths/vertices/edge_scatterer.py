@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.arrays import ByRow, Floats
-from clsim.errors import InputError
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import Instant, Rows, ends_at
 from clsim.paths.legs.legs import StaticLeg, path_vertices
@@ -28,7 +27,7 @@ from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import EdgeVertex
 from clsim.paths.vertices.edge_field import EdgeView, towards_edge
 from clsim.paths.vertices.scatterer import ScattererVertex
-from clsim.paths.vertices.scatterer_paths import PATIENCE, Body
+from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, unseen
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 
@@ -358,8 +357,4 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _SolvedPath:
                 delays, (first, second), (source.over, receiver.over), (source.towards, receiver.towards), departure,
                 arrival, place, mach, coming, leaving, receding, *body.strength(shape),
             )  # fmt: skip
-    raise InputError(
-        "scatterers",
-        f"must be seen from the edges of its paths, but no path by {scatterer.name!r} was found from {times[0]:.6g} to "
-        f"{times[-1]:.6g} s",
-    )
+    raise unseen(f"the edges of its paths, but no path by {scatterer.name!r}", times)

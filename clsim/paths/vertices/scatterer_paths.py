@@ -191,6 +191,11 @@ def _axes(quaternions: Floats) -> Floats:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def unseen(what: str, times: Floats) -> InputError:
+    """Make the error of a way that is not found for the sound received at times, s."""
+    return InputError("scatterers", f"must be seen from {what} was found from {times[0]:.6g} to {times[-1]:.6g} s")
+
+
 def scattered_path(
     medium: Medium, scatterer: Scatterer | Capsules, ends: Ends, times: Floats, retarded: bool
 ) -> ScatteredPath:
@@ -281,11 +286,7 @@ def _solved(
         if moved <= _CLOSE and body.change <= _CONVERGED and not again:
             break
     else:
-        raise InputError(
-            "scatterers",
-            f"must be seen from both ends, but no way by {scatterer.name!r} was found from {times[0]:.6g} to "
-            f"{times[-1]:.6g} s",
-        )
+        raise unseen(f"both ends, but no way by {scatterer.name!r}", times)
     solved = ScatteredPath(late + first_time, first, second, mach, coming, leaving, place, *body.strength(shape))
     return solved, _Known(late, first_time, body.specular, weight)
 
@@ -370,10 +371,6 @@ def find_scattered(
         converged = done > 0 and body.change <= _CONVERGED  # by images that the surface sees, not the centre
         point = _Point(scatterer.trajectory, body.specular.place.T.reshape(*shape, 3))
     else:
-        raise InputError(
-            "scatterers",
-            f"must be seen from both ends, but no way by {scatterer.name!r} was found from {times[0]:.6g} to "
-            f"{times[-1]:.6g} s",
-        )
+        raise unseen(f"both ends, but no way by {scatterer.name!r}", times)
     strength, aspects = body.strength(shape)
     return ScatteredEvents(first, second, event, mach[0], strength, aspects)
