@@ -224,10 +224,8 @@ class _Poses:
 
     @staticmethod
     def of(body: Body, times: Floats) -> _Poses:
-        motion = body.trajectory
-        return _Poses(
-            motion.orientation(times), motion.angular_velocity(times), motion.position(times), motion.velocity(times)
-        )
+        own = body.trajectory
+        return _Poses(own.orientation(times), own.angular_velocity(times), own.position(times), own.velocity(times))
 
     def plane(self, own: Floats, offset: float) -> tuple[Floats, Floats, Floats, Floats]:
         """Return normals (T, 3) and offsets (T,) of a face, from its own ones, and their derivatives by time."""

@@ -203,9 +203,8 @@ class PathFamily(ABC):
         pair = self.source.astype(np.int64) * receivers + self.receiver
         in_order = bool(np.all(pair[1:] >= pair[:-1]))
         order = np.arange(0) if in_order else np.argsort(pair, kind="stable")
-        bounds = np.searchsorted(
-            pair if in_order else pair[order], np.arange(len(self.scene.sources) * receivers + 1)
-        ).tolist()
+        every = np.arange(len(self.scene.sources) * receivers + 1)
+        bounds = np.searchsorted(pair if in_order else pair[order], every).tolist()
         for i, (first, last) in enumerate(pairwise(bounds)):
             if first < last:
                 rows = slice(first, last) if in_order else order[first:last]  # a slice is no copy
@@ -216,15 +215,11 @@ class PathFamily(ABC):
 
     def __post_init__(self) -> None:
         for name in (*(f.name for f in fields(PathFamily) if f.name != "scene"), *self.columns):
-            if len(getattr(self, name)) != len(self.source):
-                raise InputError(
-                    name, f"must have one row per path, {len(self.source)}, but has {len(getattr(self, name))}"
-                )
+            if (rows := len(getattr(self, name))) != len(self.source):
+                raise InputError(name, f"must have one row per path, {len(self.source)}, but has {rows}")
         if self.objects.shape != self.interactions.shape:
-            raise InputError(
-                "objects",
-                f"must have the shape of interactions, {self.interactions.shape}, but has {self.objects.shape}",
-            )
+            shapes = f"{self.interactions.shape}, but has {self.objects.shape}"
+            raise InputError("objects", f"must have the shape of interactions, {shapes}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -131,12 +131,6 @@ def direct_path(
     emitted : array_like (T,), optional
         Times of emission, s, in place of times of reception: the same sound at all receivers, as for TDOA.
 
-    Raises
-    ------
-    InputError
-        If both or neither of `times` and `emitted` are given, they are no finite numbers (T,), or the motion is no
-        known word.
-
     Notes
     -----
     What is emitted at ``t_e`` is received at the solution of ``t - delay(t) = t_e``.
@@ -312,8 +306,7 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     Raises
     ------
     InputError
-        If the scene has no scatterers, its air depends on the height or fluctuates, times are no finite numbers (T,),
-        or the motion is no known word.
+        If the scene has no scatterers, or its air depends on the height or fluctuates.
 
     Examples
     --------
@@ -380,8 +373,7 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     Raises
     ------
     InputError
-        If the scene has no bodies, its air depends on the height or fluctuates, times are no finite numbers (T,), or
-        the motion is no known word.
+        If the scene has no bodies, or its air depends on the height or fluctuates.
 
     Examples
     --------
@@ -411,9 +403,8 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
             ends = scene.sources[source], scene.receivers[receiver]
             medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
             motions = ends[0].trajectory, ends[1].trajectory
-            found = find_scattered(
-                obstacles.mirrors, (direct, direct), thing, motions, medium, times, kinematics.retarded
-            )
+            mirrors, still = obstacles.mirrors, (direct, direct)
+            found = find_scattered(mirrors, still, thing, motions, medium, times, kinematics.retarded)
             first, second, here = found.first, found.last, (which, source, receiver)
             delay[here], rate[here] = first.delay + second.delay, first.rate + second.rate
             if kinematics.retarded:

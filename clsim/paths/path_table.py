@@ -111,13 +111,12 @@ class PathTable:
             "interactions": [_listed(row) for row in self.interactions.tolist()],
             "objects": [self.name_objects(p) for p in range(len(self.source))],
         }
-        of_paths = {name: ("path", texts(values)) for name, values in said.items()}
+        of_paths: dict[str, Any] = {name: ("path", texts(values)) for name, values in said.items()}
         of_paths |= {"order": ("path", self.order), "direct": ("path", self.direct)}
         over_time = {name: (("path", "times"), getattr(self, name)) for name in _OVER_TIME}
         directions = {name: (("path", "times", "axis"), getattr(self, name)) for name in _DIRECTIONS}
-        return labelled_dataset(
-            over_time | directions, of_paths | {"times": ("times", self.times), "axis": ("axis", list("xyz"))}
-        )
+        of_paths |= {"times": ("times", self.times), "axis": ("axis", list("xyz"))}
+        return labelled_dataset(over_time | directions, of_paths)
 
     @property
     def audible(self) -> NDArray[np.bool_]:

@@ -77,9 +77,8 @@ class SceneResponse:
         for material in dict.fromkeys(materials):
             if not material.depends_on_angle:
                 rows = [m is material for m in (*materials, None)]
-                self._factors[rows] = material.reflection_at(
-                    covered(frequencies, material), 1.0, scene.air.speed_of_sound
-                )
+                at = covered(frequencies, material)
+                self._factors[rows] = material.reflection_at(at, 1.0, scene.air.speed_of_sound)
 
     def air(self, found: Arrivals) -> Floats | Complexes:
         """Transmission of the air (P, T, F) relative to 1 m of it, with its dispersion if it has one."""

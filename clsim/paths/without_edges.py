@@ -165,9 +165,8 @@ def _edges_db(paths: PathSet) -> float:
 
 def largest_jump_db(paths: PathSet, most: int | None = None) -> float | None:
     """Find the largest jump of pressure as paths begin and end, dB re the strongest; None below -60 dB."""
-    jumps = [
-        jump for receiver in range(len(paths.scene.receivers))[:most] for jump in _jumps(paths.at_receiver(receiver))
-    ]
+    receivers = range(len(paths.scene.receivers))[:most]
+    jumps = [jump for receiver in receivers for jump in _jumps(paths.at_receiver(receiver))]
     worst = 20.0 * np.log10(max(jumps, default=0.0) + 1e-300)
     return float(worst) if worst > _LEAST_JUMP_DB else None
 

@@ -213,9 +213,8 @@ class _Search:
             before = place
             event, place, share = _traced(planes, seen, receiver_at, wind)
             largest = np.abs(step).max(axis=1, initial=0.0)
-            strays = np.max(
-                [np.abs(a - b).max(axis=(1, 2)) for a, b in zip(place, before, strict=True)], axis=0, initial=0.0
-            )
+            moved = [np.abs(a - b).max(axis=(1, 2)) for a, b in zip(place, before, strict=True)]
+            strays = np.max(moved, axis=0, initial=0.0)
             enough = largest.max(initial=0.0) <= (_CONVERGED if known is None else _FOUND)
             if not first and enough and (not self.mixes or strays.max(initial=0.0) <= _ASTRAY):
                 break

@@ -182,9 +182,8 @@ def direct_paths(scene: Scene) -> Chain:
     """Make the direct path of every pair of source and receiver, whatever is in the way."""
     source, receiver = np.divmod(np.arange(len(scene.sources) * len(scene.receivers)), len(scene.receivers))
     count = len(source)
-    images = image_columns(
-        np.empty((count, 0), dtype=np.int32), np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
-    )
+    none = np.empty((count, 0), dtype=np.int32)
+    images = image_columns(none, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
     return Chain(
         scene, source.astype(np.int32), receiver.astype(np.int32), np.zeros(count, dtype=np.int32),
         np.full(count, -np.inf), np.full(count, np.inf), **images,

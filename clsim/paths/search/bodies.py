@@ -125,9 +125,8 @@ class BodySearch:
             last = max((t for t in moving if math.isfinite(t)), default=0.0) + longest
         motions = ends[0].trajectory, ends[1].trajectory
         times = evaluations(scene.bodies, motions, last, longest, self.search.body_step)
-        lifted: Any = tuple(
-            _Lifted(ends[i].trajectory, find_mount(scene.room, ends[i]), PERTURBATIONS[i]) for i in range(2)
-        )
+        mounts = [find_mount(scene.room, end) for end in ends]
+        lifted: Any = tuple(map(_Lifted, motions, mounts, PERTURBATIONS))
         medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
         rates = self._rates(longest, last).of_ends(motions[0], motions[1:])
         return PairQuery(lifted, medium, rates, times, query.resolution)
@@ -197,9 +196,8 @@ class BodySearch:
         receiver = np.repeat(np.arange(len(pairs)), [len(sequence) for sequence, _, _ in found])
         evaluations = evaluate_at(surfaces, receiver)
         which, begin, end = (np.concatenate([run[i] for run in runs]) for i in range(3))
-        path, begin, end = certified(
-            evaluations.evaluate, evaluations.status, (which, begin, end), pairs[0].resolution, progress
-        )
+        evaluate, status, spans = evaluations.evaluate, evaluations.status, (which, begin, end)
+        path, begin, end = certified(evaluate, status, spans, pairs[0].resolution, progress)
         for ear, pair in enumerate(pairs):
             mine = np.flatnonzero(receiver[path] == ear)
             sequence, (start, stop) = surfaces[path[mine]], pair.bounded(begin[mine], end[mine])

@@ -54,9 +54,8 @@ class _EndFinder(GapFinder):
     def _find_query(self, source: int) -> VisibilityQuery:
         """Query as `EdgePaths` has it, up to whose end levels are estimated."""
         search, scene = self._search.search, self._search.scene
-        return visibility_query(
-            scene, self._search.room, scene.sources[source], search.max_order + 1, search.resolution
-        )[0]
+        order, source_of = search.max_order + 1, scene.sources[source]
+        return visibility_query(scene, self._search.room, source_of, order, search.resolution)[0]
 
     def _find_over_faces(self) -> Iterator[Route]:
         """Yield routes over faces that edges of one object share."""
@@ -64,9 +63,8 @@ class _EndFinder(GapFinder):
         meshes = self._search.room, *(body.mesh for body in self.lines.bodies)
         for mesh, edges in zip(meshes, self.lines.parts, strict=True):
             found = over_faces(mesh.walls, edges, 0)
-            for (one, other), end, face in zip(
-                (found.edge + first).tolist(), found.end.tolist(), found.face, strict=True
-            ):
+            pairs = (found.edge + first).tolist()
+            for (one, other), end, face in zip(pairs, found.end.tolist(), found.face, strict=True):
                 yield one, other, none, end, face
             first += len(edges)
 
@@ -131,9 +129,8 @@ class _EndEvaluation(GapEvaluation):
             np.flatnonzero(pairs.end >= edge_events.TWO_ENDS),
         )
         longer[both] = _lengths(solver.find(pairs.part(both), now[both, None]))[:, 0]
-        pairs = replace(
-            pairs, end=np.where(pairs.end >= edge_events.TWO_ENDS, pairs.end % edge_events.MEETING, pairs.end)
-        )
+        end = pairs.end
+        pairs = replace(pairs, end=np.where(end >= edge_events.TWO_ENDS, end % edge_events.MEETING, end))
         events: Any = solver.find(pairs, now[:, None])
         ahead, back, between, _, *slopes = np.moveaxis(events.middle[:, 0], 1, 0)
         (r_s, t_s, z_s), (r_r, t_r, z_r) = ([x[:, 0] for x in end] for end in (events.source, events.receiver))

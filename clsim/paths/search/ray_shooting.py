@@ -112,9 +112,8 @@ class ShotRays:
             else:
                 fresh = np.abs(toward) > 1e-6
             half = half[hit][fresh]
-            origin, directions, sequence, wall, toward = (
-                x[fresh] for x in (origin, directions, sequence, wall, toward)
-            )
+            rays = origin, directions, sequence, wall, toward
+            origin, directions, sequence, wall, toward = (x[fresh] for x in rays)
             far = (offset[wall] - np.einsum("ni,ni->n", origin, walls.normal[wall])) / toward
             origin = origin + far[:, None] * directions
             directions = directions - 2.0 * toward[:, None] * walls.normal[wall]

@@ -256,9 +256,8 @@ def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tupl
     turns = np.flatnonzero(over & ~with_plain[instant] & ~converged)
     for pair in np.intersect1d(events.pair[lone], events.pair[turns]).tolist():
         mine, theirs = (which[events.pair[which] == pair] for which in (lone, turns))
-        first, after = (
-            np.searchsorted(events.time[theirs], events.time[mine] + shift) for shift in (-_GRAZED, _GRAZED)
-        )
+        known, now = events.time[theirs], events.time[mine]
+        first, after = (np.searchsorted(known, now + shift) for shift in (-_GRAZED, _GRAZED))
         one, other = (np.repeat(mine, after - first), theirs[_ranges(first, after)])
         apart = events.delays(one, events.time[one]) - events.delays(other, events.time[one])
         for pair_of in np.stack([one, other], axis=1)[np.abs(apart) < SAME_DELAY]:

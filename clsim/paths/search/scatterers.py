@@ -75,9 +75,8 @@ def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: 
     """Find every path by one scatterer with up to `order` reflections before it and as many after it."""
     found: list[dict[str, Any]] = []
     count, most = 0, len(before) * len(after) // max(len(scene.scatterers), 1)
-    for source, receiver, which in product(
-        *(range(len(x)) for x in (scene.sources, scene.receivers, scene.scatterers))
-    ):
+    counts = (len(x) for x in (scene.sources, scene.receivers, scene.scatterers))
+    for source, receiver, which in product(*map(range, counts)):
         found.append(_pairs(scene, before, after, (source, which, receiver)))
         count += len(found[-1]["start"])
         if count > limit:

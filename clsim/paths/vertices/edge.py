@@ -180,9 +180,8 @@ class EdgeVertex(ByRow):
         (r_s, t_s, z_s), (r_r, t_r, z_r) = map(edge_field.cylindrical, self.wedges, seen, self.beside.T)
         angles = lit_angles(self.n[:, None], t_s, t_r)
         (_, root), edge_path = wedge_terms(self.n[:, None], angles), path_over_edge(r_s, z_s, r_r, z_r)
-        end = end_detour(
-            edge_path, (r_s, z_s), (r_r, z_r), np.broadcast_to(self.end_place[:, None], edge_path.length.shape)
-        )
+        places = np.broadcast_to(self.end_place[:, None], edge_path.length.shape)
+        end = end_detour(edge_path, (r_s, z_s), (r_r, z_r), places)
         return angles, root**2 * edge_path.breadth[..., None], end
 
     def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> EdgeEvents:

@@ -127,9 +127,8 @@ class EdgeEndVertex(edge_pair.GapPairVertex):
 
     def from_starts(self, ends: tuple[Triple, Triple]) -> tuple[Triple, Triple]:
         """Endpoints at z (P, T) from the starts of edges that both end, of those at z from the ends, m."""
-        places = edge_events.held_places(
-            self.over_end, self.lines.length[np.stack([self.edge, self.last.edge], axis=1)]
-        )
+        both = np.stack([self.edge, self.last.edge], axis=1)
+        places = edge_events.held_places(self.over_end, self.lines.length[both])
         (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
         return (r_s, t_s, z_s + places[:, :1]), (r_r, t_r, z_r + places[:, 1:])
 
@@ -285,9 +284,8 @@ def _by_corner(
     if len(beside):
         source, receiver = ((r[beside], t[beside], z[beside]) for r, t, z in ends)
         turned = np.exp(1j * wave[beside] * detour[beside, :, None])
-        field[beside] -= turned * edge_pair.EdgePairVertex._field(
-            pair.part(beside), source, receiver, detour, wave[beside], at
-        )
+        over, args = edge_pair.EdgePairVertex, (source, receiver, detour, wave[beside], at)
+        field[beside] -= turned * over._field(pair.part(beside), *args)
     return field
 
 
@@ -301,9 +299,8 @@ def _corner_legs(
     legs, inwards = [], []
     for i, (edge, (r, _, z)) in enumerate(zip((pair, pair.last), ends, strict=True)):
         came, went = (angles[0], face[:, :1]) if i == 0 else (face[:, 1:], angles[1])
-        weight, _ = diffraction.wedge_terms(
-            edge.n[:, None], diffraction.lit_angles(edge.n[:, None], came, went), edge.lit[:, None]
-        )
+        lit = diffraction.lit_angles(edge.n[:, None], came, went)
+        weight, _ = diffraction.wedge_terms(edge.n[:, None], lit, edge.lit[:, None])
         by_face = weight[..., 2:] if i == 0 else weight[..., :1:-1]
         kept = np.where(edge.lit[:, None, :2] != 0, weight[..., :2], by_face)
         kept = np.where(kept == 0.0, 1.0, kept)  # where a term vanishes

@@ -423,9 +423,8 @@ class GapPairSolver(EdgePairSolver):
         middle = np.stack([onto[1], came[1], distance, dot(*turned), *slopes], axis=-1)
         first, last = found.along[:, 0, :, None] * axes[0][2], found.along[:, 1, :, None] * axes[1][2]
         start = first - last + length.departure * length.distance[..., None]  # of the last edge from that of the first
-        frames = [
-            np.stack([place, *turn], axis=2) for place, turn in zip((np.zeros_like(start), start), axes, strict=True)
-        ]
+        starts = np.zeros_like(start), start
+        frames = [np.stack([place, *turn], axis=2) for place, turn in zip(starts, axes, strict=True)]
         own = {f.name: getattr(found, f.name) for f in fields(EdgePairEvents)}
         return GapEvents(**own, between=length, leaving=leaving, middle=middle, gap=np.stack(frames, axis=2))
 

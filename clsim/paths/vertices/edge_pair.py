@@ -179,9 +179,8 @@ class EdgePairVertex(EdgeVertex):
         angles = diffraction.lit_angles(n[:, None], came, went)
         sides: Any = np.where(angles < 0.0, -1, 1) * np.abs(lit)[:, None] if own else lit[:, None]
         weight, root = diffraction.wedge_terms(n[:, None], angles, sides)
-        factors = [
-            face_factor(walls, np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape), at) for walls in faces.T
-        ]
+        cosine = np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape)
+        factors = [face_factor(walls, cosine, at) for walls in faces.T]
         kept, past, inner = weight * np.abs(lit)[:, None], np.ones((len(n), 1, 1)), np.flatnonzero(n < 1.0)
         sheets = np.flatnonzero(at.panels[faces[:, 0]] & (faces[:, 0] == faces[:, 1]))
         if len(inner):  # these stand for reflections by both faces

@@ -172,9 +172,8 @@ class ScattererVertex:
         """Solve paths by one scatterer between moving legs."""
         before, after = links.legs
         legs = before.surfaces, after.surfaces
-        return scatterer_paths.find_scattered(
-            before.mirrors, legs, self.one, links.motions, medium, times, kinematics.retarded
-        )
+        path = before.mirrors, legs, self.one, links.motions
+        return scatterer_paths.find_scattered(*path, medium, times, kinematics.retarded)
 
     def passed(self, events: scatterer_paths.ScatteredEvents, kinematics: Kinematics) -> Columns:
         """Columns of arrivals on moving legs.
@@ -270,9 +269,8 @@ class ScattererVertex:
             scatterer = self.part(mine).one
             most = 1.0 if scatterer.fluctuation is None else scatterer.fluctuation.most
             bound[mine] = most * scatterer.shape.largest(wave, self.nearest[mine])
-            if scatterer.shape.outlined and any(
-                other.shape.outlined for other in self.scatterers[: self.scatterer[mine[0]]]
-            ):
+            others = self.scatterers[: self.scatterer[mine[0]]]
+            if scatterer.shape.outlined and any(other.shape.outlined for other in others):
                 bound[mine] *= LOUDEST_SHADE
         if links.legs[0].moving:
             mach = links.chain.speeds[rows] / c
@@ -287,10 +285,9 @@ class ScattererVertex:
     @property
     def together(self) -> Scatterer | scatterer_paths.Capsules:
         """The scatterer of vertices that are all of one, or all capsules of vertices."""
-        first = self.scatterer[:1]
-        return (
-            self.one if np.all(self.scatterer == first) else scatterer_paths.Capsules(self.scatterers, self.scatterer)
-        )
+        if np.all(self.scatterer == self.scatterer[:1]):
+            return self.one
+        return scatterer_paths.Capsules(self.scatterers, self.scatterer)
 
     def _padded(self, aspects: Floats) -> Floats:
         """Aspects (P, T, n) with as many numbers as the field of any scatterer takes."""

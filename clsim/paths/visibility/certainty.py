@@ -169,9 +169,8 @@ def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium:
         known = np.minimum(found.dilation, crude[0]), np.minimum(found.place[:, 1:-1], crude[1])
         found = _drift(moves, line, pace, known, c, wind)
     stretch = c * (found.dilation[:, 0] - 1.0) / np.maximum(line.length, 1e-9)
-    slides = np.where(
-        line.tame, found.share + stretch[:, None], np.maximum(found.start / moves.start, found.stop / moves.stop)
-    )
+    quickest = np.maximum(found.start / moves.start, found.stop / moves.stop)
+    slides = np.where(line.tame, found.share + stretch[:, None], quickest)
     slides = np.maximum(slides, _MARGIN * (found.place[:, 1:-1] + _MOST_DILATION * moves.speed) / moves.spare)
     slides = np.where(turns, slides, 0.0).max(axis=1, initial=0.0)
     holds = np.where(ok, lasts(np.full(len(walls), _LESS * _MARGIN), slides), 0.0)

@@ -62,9 +62,8 @@ class DeviceSearch:
         tables = ("places", "scales", "knots", "speeds", "mounts")
         self._arguments = room_arguments(self._queue.context, walls, self._info)
         sizes = {f"the {name} of trajectories": float(getattr(ends, name).nbytes) for name in tables}
-        check_buffers(
-            self._info, sizes, "source and receivers", f"look for the paths of fewer receivers at a time, {ELSEWHERE}"
-        )
+        remedy = f"look for the paths of fewer receivers at a time, {ELSEWHERE}"
+        check_buffers(self._info, sizes, "source and receivers", remedy)
         self._arguments |= {name: self._upload(getattr(ends, name)) for name in tables}
         self._arguments |= {
             "smallest_move": intervals.SMALLEST_MOVE * walls.size, "graze": intervals.GRAZE * walls.size,

@@ -115,9 +115,8 @@ class GapVisibility(EdgeVisibility):
         met = self.candidates.between[which]
         place = _before_last(walls, met, stance.apexes, OVERLAP[side - 2])
         part = met[:, ::-1] if side == 2 else met[:, :0]
-        clear_path, clear = path_status(
-            walls, part, place, stance.apexes[side - 2], Reach(moves, moves, none, none), True
-        )
+        ends, reach = (place, stance.apexes[side - 2]), Reach(moves, moves, none, none)
+        clear_path, clear = path_status(walls, part, *ends, reach, True)
         sure = moves_within(clear, moves)
         blocked = np.where(free, sure, np.maximum(beside, sure))
         ratio = np.where(clear_path, np.where(free, np.minimum(beside, sure), beside), blocked)

@@ -106,9 +106,8 @@ class EdgeSearch:
         if not hindered.any():
             return intervals.merged(row, begin, end, evaluations)
         requested, spans = row[hindered], (begin[hindered], end[hindered])
-        found = intervals.find_intervals(
-            self.query, requested.astype(np.int32)[:, None], receiver[requested], legs.evaluate, spans
-        )
+        walls = requested.astype(np.int32)[:, None]
+        found = intervals.find_intervals(self.query, walls, receiver[requested], legs.evaluate, spans)
         parts = (row, requested[found.path]), (begin, found.begin), (end, found.end)
         row, begin, end = (np.concatenate([free[~hindered], rest]) for free, rest in parts)
         return intervals.merged(row, begin, end, evaluations + found.evaluations)

@@ -164,9 +164,8 @@ class EdgeVisibility:
             return Course((leg, leg), (receiver[0], source[0]), None)
         received = edges.beyond(one, face, other, other_face, *receiver)
         sent = edges.beyond(other, other_face, one, face, *source)
-        return Course(
-            (path_over_edge(*source, *received), path_over_edge(*receiver, *sent)), (received[0], sent[0]), None
-        )
+        ways = path_over_edge(*source, *received), path_over_edge(*receiver, *sent)
+        return Course(ways, (received[0], sent[0]), None)
 
     def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
         """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns."""
@@ -235,9 +234,8 @@ class EdgeVisibility:
         over_end = self.slides(stance, 0, np.full(len(end), -1), self.query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
         margins = [np.abs(angles).min(axis=1), passed.min(axis=0), np.where(double, np.abs(others).min(axis=1), np.inf)]
-        off = np.minimum(
-            np.min(margins, axis=0) * np.minimum(*stance.distances), np.where(end < 0, np.inf, np.abs(inside))
-        )
+        near = np.min(margins, axis=0) * np.minimum(*stance.distances)
+        off = np.minimum(near, np.where(end < 0, np.inf, np.abs(inside)))
         last = np.where(end < 0, 0, np.where(inside >= 0.0, 1, -1))
         second = np.where(double[:, None], np.where(others >= 0.0, 1, -1), 0)
         return (
