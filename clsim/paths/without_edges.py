@@ -47,19 +47,15 @@ def warn_without_edges(paths: PathSet, max_order: int, find: Callable[..., PathS
     searched = near is not None and len(near) == len(paths.scene.bodies)
     level = None if near is None else neglected_db(paths.scene, near, max_order, find)
     if level is not None:
-        warn(
-            f"edges within or beside the Fresnel zones of paths: the field of edges, which is left out, reaches "
-            f"{level:.0f} dB of the strongest path (diffraction=1 adds it)"
-        )
+        field = f"the field of edges, which is left out, reaches {level:.0f} dB of the strongest path"
+        warn(f"edges within or beside the Fresnel zones of paths: {field} (diffraction=1 adds it)")
         return
     if not searched and _warn_of_small_faces(paths):
         return
     jump = largest_jump_db(paths, _MOST_RECEIVERS)
     if jump is not None and jump > _LOUD_JUMP_DB:
-        warn(
-            f"paths begin and end at edges: the pressure jumps by up to {jump:.0f} dB of the strongest path, and "
-            "behind edges there is silence, without paths over edges (diffraction=1)"
-        )
+        jumps = f"the pressure jumps by up to {jump:.0f} dB of the strongest path, and behind edges there is silence"
+        warn(f"paths begin and end at edges: {jumps}, without paths over edges (diffraction=1)")
 
 
 def _warn_of_small_faces(paths: PathSet) -> bool:
@@ -75,11 +71,9 @@ def _warn_of_small_faces(paths: PathSet) -> bool:
     for level, name, width, zone, wall in sorted(loudest.values(), reverse=True)[:_MOST_TESTED]:
         if not _diffracts(paths.scene, wall):
             continue
-        warn(
-            f"{name!r} is {1e3 * width:.3g} mm wide, the Fresnel zone of a path over it {1e3 * zone:.3g} mm: its "
-            f"reflection, {level:.0f} dB re the free direct sound, is wrong by several dB without edges "
-            "(diffraction=1)"
-        )
+        wide = f"{1e3 * width:.3g} mm wide, the Fresnel zone of a path over it {1e3 * zone:.3g} mm"
+        wrong = f"its reflection, {level:.0f} dB re the free direct sound, is wrong by several dB"
+        warn(f"{name!r} is {wide}: {wrong} without edges (diffraction=1)")
         return True
     return False
 
@@ -274,10 +268,9 @@ def warn_without_shadows(paths: PathSet, scattering_order: int) -> None:
         for scatterer in casting:
             centre, least = scatterer.trajectory.position(np.array([time]))[0], float(np.min(scatterer.shape.semi_axes))
             if len(rows) and _least_apart(places, centre) < least:
-                warn(
-                    f"{scatterer.name!r} stands in the way of echoes at {time:.3g} s and casts no shadow on them: "
-                    f"scattering_order is {scattering_order}, and echoes of N walls have shadows from N on"
-                )
+                why = f"scattering_order is {scattering_order}, and echoes of N walls have shadows from N on"
+                stands = f"{scatterer.name!r} stands in the way of echoes at {time:.3g} s"
+                warn(f"{stands} and casts no shadow on them: {why}")
                 return
 
 

@@ -199,10 +199,9 @@ class _Search:
         for _ in range(rounds):
             rest = first or not retarded
             at = [e if retarded else np.zeros(shape) for e in event]
-            planes = [
-                _in_air(self.mirrors.planes(walls[:, k], now, at[k], None if rest else place[k]), wind)
-                for k in range(count)
-            ]
+            planes = [self.mirrors.planes(walls[:, k], now, at[k], None if rest else place[k]) for k in range(count)]
+            if wind.any():  # mirrors as they are in the air's frame: the room's at the times from which is counted
+                planes = [replace(mirror, speed=mirror.speed - mirror.normal @ wind) for mirror in planes]
             seen = _images(planes, ends, emission, c)
             apart = receiver_at - seen.place[-1]
             distance = np.linalg.norm(apart, axis=-1)
@@ -261,11 +260,6 @@ class _Images:
     place: list[Floats]
     late: Floats
     moved: Floats
-
-
-def _in_air(planes: Planes, wind: Floats) -> Planes:
-    """Return mirrors as they are in the air's frame, which is that of the room at the times from which is counted."""
-    return replace(planes, speed=planes.speed - planes.normal @ wind) if wind.any() else planes
 
 
 def _images(planes: list[Planes], ends: _Ends, emission: Floats, c: float) -> _Images:

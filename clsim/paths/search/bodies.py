@@ -97,11 +97,9 @@ class BodySearch:
         fastest = max(body.peak_speed for body in scene.bodies)
         most = _FASTEST * scene.air.slowest
         if 2.0 * fastest * self.order > most:
-            raise InputError(
-                "body_order",
-                f"must be so low that bodies change the length of paths by at most {most:.6g} m/s, but with "
-                f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
-            )
+            bound = f"must be so low that bodies change the length of paths by at most {most:.6g} m/s"
+            by = f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s"
+            raise InputError("body_order", f"{bound}, but with {by}")
         self._known: BodyRates | None = None
         self.pair = cache(self._pair)
         self.posed = lru_cache(maxsize=1)(self._posed)  # edges are reached from both ends in one pose

@@ -112,18 +112,16 @@ class _Match:
         sequences = max(sum(len(s) for of_edge in side for s in of_edge) for side in self._sides)
         most = min(_MOST_CELLS, max(1, _MOST_FANS // max(sequences, 1)))
         self._cuts = np.linspace(0.0, last, int(np.clip(math.ceil(travel / (_CELL * query.walls.size)), 1, most)) + 1)
-        self._balls = [self._balls_of(row, reach.longest if row == 0 else 0.0) for row in range(len(self._sides))]
+        self._balls = []  # (C, 3) and (C,) that hold an end in each cell, the source that much before, m; one at rest
+        for row in range(len(self._sides)):
+            early = reach.longest if row == 0 else 0.0
+            spans = [(self._cuts[0], self._cuts[-1])] if tables.scales[row, 2] == 0.0 else pairwise(self._cuts)
+            balls = [tables.sphere(row, begin - early, end) for begin, end in spans]
+            self._balls.append((np.array([centre for centre, _ in balls]), np.array([radius for _, radius in balls])))
         self._every = cache(
             lambda row, edge, count: fans_of_ends(self._finder, edge, self._sides[row][edge][count], *self._balls[row])
         )
         self._open = cache(self._unhidden)
-
-    def _balls_of(self, row: int, early: float) -> tuple[Floats, Floats]:
-        """Balls (C, 3) and (C,) that hold an end in each cell and `early` s before, m; one for an end at rest."""
-        tables, cuts = self._finder.query.trajectory_tables, self._cuts
-        spans = [(cuts[0], cuts[-1])] if tables.scales[row, 2] == 0.0 else pairwise(cuts)
-        balls = [tables.sphere(row, begin - early, end) for begin, end in spans]
-        return np.array([centre for centre, _ in balls]), np.array([radius for _, radius in balls])
 
     def _unhidden(self, row: int, edge: int, count: int) -> Fans:
         sequence, fans = self._sides[row][edge][count], self._every(row, edge, count)

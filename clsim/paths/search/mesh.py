@@ -111,11 +111,8 @@ class MeshSearch:
             parts.append(FoundPaths(receiver[found.path], order, walls, found.begin, found.end))
             count += len(order)
             if count > (most := self.search.path_limit):
-                raise InputError(
-                    "max_order",
-                    f"must give at most {most} paths (path_limit), but {self.max_order} gives more from "
-                    f"{name!r}, after {finder.share:.0%} of the search",
-                )
+                bound = f"must give at most {most} paths (path_limit), but {self.max_order} gives more"
+                raise InputError("max_order", f"{bound} from {name!r}, after {finder.share:.0%} of the search")
             done += len(receiver)
             progress(finder.share * done / (done + waiting))
         return FoundPaths.joined(parts)

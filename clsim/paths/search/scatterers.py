@@ -80,10 +80,8 @@ def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: 
         found.append(_pairs(scene, before, after, (source, which, receiver)))
         count += len(found[-1]["start"])
         if count > limit:
-            raise InputError(
-                "scattering_order",
-                f"must give at most {limit} paths by scatterers (path_limit), but {order} gives about {most}",
-            )
+            bound = f"must give at most {limit} paths by scatterers (path_limit)"
+            raise InputError("scattering_order", f"{bound}, but {order} gives about {most}")
     columns = {name: read_only(np.concatenate([each[name] for each in found])) for name in found[0]}
     vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
     if before.leg is None:

@@ -85,7 +85,9 @@ class EdgeEndVertex(edge_pair.GapPairVertex):
     def met(self, source: Pair, receiver: Pair, frames: Pair | None = None) -> tuple[Pair, Floats]:
         """Places on both edges, and lengths, of shortest paths between ends at r and z about them, (P, T) m each."""
         (along, _, r, z), of_last = self.ended_at(frames), self.of_last[:, None]
-        (r_f, z_f), (r_n, z_n) = _swapped(of_last, source, receiver)
+        (r_f, r_n), (z_f, z_n) = (  # beyond the ends, and beyond the other edges
+            (np.where(of_last, r, s), np.where(of_last, s, r)) for s, r in zip(source, receiver, strict=True)
+        )
         route = diffraction.path_over_edge(r, z, r_n, z_n)
         end, held = np.broadcast_to(along, route.apex.shape), self.held
         over = np.where(np.isnan(held), route.apex, held)
@@ -141,12 +143,6 @@ class EdgeEndVertex(edge_pair.GapPairVertex):
 
 
 ACROSS = 2  # of `shared`
-
-
-def _swapped(of_last: Any, source: Any, receiver: Any) -> tuple[Any, Any]:
-    """Columns (P, T) of the endpoints beyond the ends, and of those beyond the other edges."""
-    far = tuple(np.where(of_last, r, s) for s, r in zip(source, receiver, strict=True))
-    return far, tuple(np.where(of_last, s, r) for s, r in zip(source, receiver, strict=True))
 
 
 def _bend_at_rest(pair: EdgeEndVertex, near: Pair, ended: int) -> tuple[Floats, ...]:

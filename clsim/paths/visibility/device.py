@@ -9,15 +9,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.device import (
-    FLOAT64,
-    MOST_INDEX,
-    DeviceInfo,
-    check_buffers,
-    check_group,
-    find_device,
-    operations_in_launch,
-)
+from clsim.opencl import device as devices
 from clsim.opencl.launch import compiler_of, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
 from clsim.paths.visibility import intervals
@@ -36,7 +28,7 @@ SPAN = np.dtype([("begin", "f8"), ("end", "f8"), ("known", "i4"), ("valid", "i4"
 INTERVAL = np.dtype([("begin", "f8"), ("end", "f8"), ("path", "i4"), ("unused", "i4")])
 MOST = 8  # crossings of a segment that are told
 ELSEWHERE = 'choose another device (see `clsim devices`), or use engine="reference"'
-OPERATIONS_PER_BOX = 60.0 * FLOAT64  # of a segment and a box, or a beam and six planes
+OPERATIONS_PER_BOX = 60.0 * devices.FLOAT64  # of a segment and a box, or a beam and six planes
 GROUP = 16  # work-items of a group
 _FOUND = 2**18  # pairs of beam and wall that there is room for at first
 
@@ -50,11 +42,11 @@ def progress(depth: int) -> np.dtype[np.void]:
 class DeviceSearch:
     """Answers one query on a device (DeviceInfo, pyopencl.Device) with float64."""
 
-    def __init__(self, query: intervals.VisibilityQuery, device: tuple[DeviceInfo, Any] | None = None) -> None:
+    def __init__(self, query: intervals.VisibilityQuery, device: tuple[devices.DeviceInfo, Any] | None = None) -> None:
         import pyopencl as cl
 
         self._query = query
-        self._device = device or find_device(None)
+        self._device = device or devices.find_device(None)
         self._info, handle = self._device
         self._compiler = compiler_of(handle)
         self._queue = cl.CommandQueue(self._compiler.context)
@@ -63,7 +55,7 @@ class DeviceSearch:
         self._arguments = room_arguments(self._queue.context, walls, self._info)
         sizes = {f"the {name} of trajectories": float(getattr(ends, name).nbytes) for name in tables}
         remedy = f"look for the paths of fewer receivers at a time, {ELSEWHERE}"
-        check_buffers(self._info, sizes, "source and receivers", remedy)
+        devices.check_buffers(self._info, sizes, "source and receivers", remedy)
         self._arguments |= {name: self._upload(getattr(ends, name)) for name in tables}
         self._arguments |= {
             "smallest_move": intervals.SMALLEST_MOVE * walls.size, "graze": intervals.GRAZE * walls.size,
@@ -113,7 +105,7 @@ class DeviceSearch:
         """Largest number of evaluations of paths of an order in a launch: legs are near all boxes, twice."""
         each = 2.0 * (order + 1) * OPERATIONS_PER_BOX * (1.0 + float(self._arguments["box_count"]))
         most = min(_EVALUATIONS, self._room_for(2 * INTERVAL.itemsize))
-        return max(1, int(min(most, operations_in_launch(self._info) / each)))
+        return max(1, int(min(most, devices.operations_in_launch(self._info) / each)))
 
     def _room_for(self, size: int) -> int:
         """Return the number of structures of a size kept in a buffer, which is an eighth of the memory at most."""
@@ -163,11 +155,9 @@ class DeviceSearch:
     def _refuse_endless(self, evaluations: NDArray[np.int32], sequence: NDArray[np.int32]) -> None:
         worst = int(np.argmax(evaluations))
         if evaluations[worst] > intervals.MOST_EVALUATIONS:
-            raise InputError(
-                "resolution",
-                f"must let every path be settled within {intervals.MOST_EVALUATIONS} evaluations, but the path by the "
-                f"walls {sequence[worst].tolist()} needs more; it runs along an edge: move an end, or ask less finely",
-            )
+            path = f"the path by the walls {sequence[worst].tolist()} needs more; it runs along an edge"
+            bound = f"must let every path be settled within {intervals.MOST_EVALUATIONS} evaluations"
+            raise InputError("resolution", f"{bound}, but {path}: move an end, or ask less finely")
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
@@ -178,9 +168,9 @@ def _triple(vector: Floats) -> str:
     return f"{{{','.join(map(repr, vector.tolist()))}}}"
 
 
-def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, Any]:
+def room_arguments(context: Any, walls: Walls, info: devices.DeviceInfo) -> dict[str, Any]:
     """Return the arguments of kernels that are the walls of a room, in the memory of a device."""
-    check_group(info, GROUP)
+    devices.check_group(info, GROUP)
     owner = np.repeat(np.arange(len(walls)), np.diff(walls.first_edge))
     away = np.einsum("eci,ei->ec", walls.edge, walls.normal[owner]) - walls.offset[owner, None]
     boxes = walls.tree.in_depth()
@@ -196,7 +186,7 @@ def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, An
     whole = {name: column.astype(np.int32) for name, column in columns.items() if column.dtype.kind == "i"}
     columns |= whole
     sizes = {f"the column {name} of walls": float(column.nbytes) for name, column in columns.items()}
-    check_buffers(info, sizes, f"{len(walls)} walls", f"use fewer walls, {ELSEWHERE}")
+    devices.check_buffers(info, sizes, f"{len(walls)} walls", f"use fewer walls, {ELSEWHERE}")
     return {name: upload(context, column) for name, column in columns.items()} | {
         "box_count": len(boxes.wall),
         "tolerance": INSIDE * walls.size,
@@ -207,7 +197,7 @@ def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, An
 class DeviceLookup:
     """What `WallLookup` does, on a device with float64, by ``meetings.cl`` and ``crossings.cl``."""
 
-    def __init__(self, walls: Walls, device: tuple[DeviceInfo, Any]) -> None:
+    def __init__(self, walls: Walls, device: tuple[devices.DeviceInfo, Any]) -> None:
         import pyopencl as cl
 
         self._walls, self._info = walls, device[0]
@@ -260,8 +250,8 @@ class DeviceLookup:
 
     def _at_a_time(self, operations: float, size: int) -> int:
         """Largest number of work-items in a launch, each of so many operations that finds up to so many bytes."""
-        longest = operations_in_launch(self._info) / operations
-        return max(1, int(min(longest, self._info.largest_buffer_bytes / size, 8 * MOST_INDEX / size)))
+        longest = devices.operations_in_launch(self._info) / operations
+        return max(1, int(min(longest, self._info.largest_buffer_bytes / size, 8 * devices.MOST_INDEX / size)))
 
     def _met(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
         """Return those pairs of some beams."""
@@ -272,7 +262,7 @@ class DeviceLookup:
         spheres = np.zeros((1, 4)) if ears is None else np.column_stack([ears.centre, ears.radius])
         seen = np.zeros((1, 4)) if ears is None else np.concatenate([ears.plane, np.zeros((1, 4))])
         first_seen = np.zeros(2, dtype=np.int32) if ears is None else ears.first_plane.astype(np.int32)
-        check_buffers(
+        devices.check_buffers(
             self._info, {"what receivers see in walls": float(seen.nbytes)}, f"{len(spheres)} receivers",
             f"look for the paths of fewer receivers at a time, {ELSEWHERE}",
         )  # fmt: skip

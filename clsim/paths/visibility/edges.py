@@ -164,8 +164,8 @@ class EdgeVisibility:
             return Course((leg, leg), (receiver[0], source[0]), None)
         received = edges.beyond(one, face, other, other_face, *receiver)
         sent = edges.beyond(other, other_face, one, face, *source)
-        ways = path_over_edge(*source, *received), path_over_edge(*receiver, *sent)
-        return Course(ways, (received[0], sent[0]), None)
+        routes = path_over_edge(*source, *received), path_over_edge(*receiver, *sent)
+        return Course(routes, (received[0], sent[0]), None)
 
     def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
         """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns."""

@@ -164,11 +164,9 @@ def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:
         if error <= _TOLERANCE or count == _MOST_KNOTS:
             break
     if error > _WORST and count == _MOST_KNOTS:
-        raise InputError(
-            field,
-            f"must be known within {_WORST:g} m from {_MOST_KNOTS} places for paths in a mesh, but {length:g} s of it "
-            f"are known within {error:.2g} m; make it shorter or smoother",
-        )
+        bound = f"must be known within {_WORST:g} m from {_MOST_KNOTS} places for paths in a mesh"
+        known = f"{length:g} s of it are known within {error:.2g} m"
+        raise InputError(field, f"{bound}, but {known}; make it shorter or smoother")
     return cubics, 0.0, count / length
 
 
