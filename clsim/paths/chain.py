@@ -109,13 +109,7 @@ def support(kind: str, air: Air) -> str:
 
 
 def check_support(kind: str, air: Air) -> None:
-    """Refuse a kind of chains where the medium does not support it.
-
-    Raises
-    ------
-    InputError
-        With the field and the rule of the matrix.
-    """
+    """Refuse a kind of chains where the medium does not support it, with field and rule of the matrix."""
     refusal = SUPPORT[kind].refusal
     if refusal is not None and support(kind, air) == REFUSED:
         raise InputError(*refusal)

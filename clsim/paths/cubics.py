@@ -92,11 +92,7 @@ def _knot_error(source: Source, end: float, rate: float, tolerance: float) -> fl
 
 
 def pose_rate(motions: Sequence[Motion], radii: Sequence[float], end: float, tolerance: float) -> float:
-    """Return cells per second such that what is at most a radius from the centre of each thing is where it should be.
-
-    The least rate of `KNOT_RATES` whose cubics are right between knots; where a motion has more corners than a few in a
-    cell, more.
-    """
+    """Return cells per second such that what is at most a radius from the centre of each thing is in its place."""
     least = KNOT_RATES[0]
     for motion, radius in zip(motions, radii, strict=True):
         many = len(_corners(motion, 0.0, end)) / (_CORNERS * max(end, 1e-3))
@@ -175,10 +171,7 @@ def _is_right(motion: Motion, radius: float, end: float, rate: float, tolerance:
 
 
 def face_rate(mirrors: Mirrors, end: float, tolerance: float) -> float:
-    """Return knots per second such that the faces of all bodies are right between them.
-
-    result: 1/s. The largest one there is where turns jump, as between waypoints: that leaves an error over one knot.
-    """
+    """Return knots per second such that the faces of all bodies are right between them."""
     moving = [body for body in mirrors.bodies if not body.is_static]
     if not moving:
         return 1.0

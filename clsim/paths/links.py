@@ -201,10 +201,7 @@ def met_in_order(
     counts: tuple[int, int], before: Integers, vertex: tuple[int, Integers] | None, after: Integers | None,
     between: Integers | None = None,
 ) -> tuple[Integers, Integers]:  # fmt: skip
-    """Make interactions and objects (P, N) of paths from their surfaces, and from interaction and objects of vertices.
-
-    Counts are those of walls, and of these and the faces of bodies.
-    """
+    """Make interactions and objects (P, N) of paths from their surfaces and vertices, and counts of walls and faces."""
     walls, faces = counts
     things, at_vertex = before, NONE if vertex is None else vertex[0]
     if vertex is not None and after is not None:

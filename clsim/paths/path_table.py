@@ -125,10 +125,7 @@ class PathTable:
 
 
 def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], Any], Any]) -> dict[str, Any]:
-    """Return the columns of some paths, a row per path and time at which it is heard.
-
-    words: takes texts and, for every row, which of them it has; gives a column of texts.
-    """
+    """Return the columns of some paths, a row per path and time at which it is heard."""
     part = slice(rows.start, rows.stop)
     count = len(table.times)
     audible = np.isfinite(table.delay[part]).ravel()
@@ -229,13 +226,7 @@ def viewed(
     paths: Any, *, duration: float, frames: int = 120, limit: int = 300, motion: str = "retarded",
     amplitude: str = "wave-equation", progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the room, the trajectories and the paths of a `PathSet` over time, as `page_text` draws them.
-
-    Edges are those that diffract, where paths over edges were looked for.
-    frames: instants between 0 and `duration` to choose from; of those between which nothing moves only the first is
-    kept.
-    limit: paths that are drawn at a time, the strongest; levels are told against the strongest of them.
-    """
+    """Return the room, the trajectories and the paths of a `PathSet` over time, as `page_text` draws them."""
     scene = paths.scene
     things = [*scene.named_ends(), *scene.named_scatterers()]
     times = frame_times([*things, *scene.named_bodies()], duration, frames)

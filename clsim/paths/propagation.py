@@ -119,17 +119,7 @@ class Medium(Protocol):
         """Return means (..., terms) of what it depends on along ways, arguments as for `Ways.leave`; or None."""
 
     def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
-        """Propagation of sound along paths.
-
-        Parameters
-        ----------
-        length : ndarray (...)
-            Lengths of the paths, m.
-        apart : ndarray (..., 3)
-            From where each begins to where it ends in the room, whatever it met in between, m.
-        means : ndarray (..., terms), optional
-            Result of `means`.
-        """
+        """Compute what it makes of paths of lengths (...), m, between ends apart (..., 3), m, with `means` along."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,10 +353,7 @@ def _noise(
 def _growth_by_means(
     medium: Medium, length: Floats, apart: Floats, means: Callable[[Floats], Floats | None], velocity: Floats
 ) -> Floats:
-    """Rate of the travel time as an endpoint moves, by path lengths and the medium along them, s/s.
-
-    `means` takes by how much the end is displaced (..., 3), m.
-    """
+    """Rate of the travel time as an endpoint moves, by path lengths and the medium along them, s/s."""
     speed = np.linalg.norm(velocity, axis=-1)
     if not speed.any():
         return np.zeros(speed.shape)

@@ -96,10 +96,7 @@ def neglected_db(scene: Scene, bodies: list[Body], max_order: int, find: Callabl
 
 
 def _searched_bodies(scene: Scene) -> list[Body] | None:
-    """Select the bodies, nearest to lines of sight first, whose edge paths are found in a second or so with the room's.
-
-    None where the room alone has too many faces and edges.
-    """
+    """Select bodies near lines of sight whose edge paths are found in a second; None where the room has too many."""
     faces, edges = len(scene.room.faces.names), len(scene.room.edges())
     if not _is_searched(faces, edges):
         return None

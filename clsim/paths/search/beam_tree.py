@@ -94,25 +94,7 @@ class _Beams(ByRow):
 
 
 class BeamTree:
-    """All sequences up to an order from a sphere to receivers.
-
-    Shapes: centre, radius (3,) m; sides (W,).
-
-    receivers: spheres, or what another tree of the same walls and sides has made of them, its `ears`.
-
-    sides: on which side of each wall paths can be, as from `air_sides`; on both when left out.
-
-    hides: whether a wall hides what is behind it.
-
-    Attributes
-    ----------
-    ears : Ears
-        View of the receivers.
-    beams : int
-        Beams looked at so far.
-    share : float
-        Of the work that is done, 0 to 1, estimated.
-    """
+    """All sequences up to an order from a sphere to receivers: spheres, or the `ears` of another tree."""
 
     def __init__(
         self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres | occlusion.Ears, limit: int,
@@ -121,12 +103,12 @@ class BeamTree:
         self._walls, self._limit, self._hides = walls, limit, hides
         self._lookup = lookup or occlusion.WallLookup(walls)
         self._centre, self._radius = centre, radius + _SLACK * walls.size
+        # On which sides of walls paths can be, as from `air_sides`.
         self._sides = np.zeros(len(walls), dtype=np.int64) if sides is None else sides
         widths = np.diff(walls.first_hull)
         fill = np.minimum(np.arange(widths.max()), widths[:, None] - 1)
         self._hulls, self._widths = walls.hull[walls.first_hull[:-1, None] + fill], widths
-        self.beams = 0
-        self.share = 0.0
+        self.beams, self.share = 0, 0.0  # beams looked at so far; of the work that is done, estimated
         self.ears = receivers if isinstance(receivers, occlusion.Ears) else self._listening(receivers)
 
     def candidates(self, max_order: int) -> Iterator[Candidates]:
@@ -228,10 +210,7 @@ class BeamTree:
         return Candidates(beams.sequence, row, receiver)
 
     def _reflected(self, beams: _Beams, planes: Floats, more: int) -> _Beams:
-        """Return the beams after one more reflection of several: on walls that they may meet, at last: to a receiver.
-
-        Before the last reflection but one, what walls hide is left out. Later it costs more than it saves.
-        """
+        """Return the beams after one more reflection: on walls that they may meet, at last: to a receiver."""
         cones = occlusion.Beams(planes, beams.centre, self._radius, beams.sequence[:, -1], _SLACK * self._walls.size)
         beam, wall = self._lookup.meetings(cones, self._sides, self.ears if more == 1 else None)
         pieces = [slice(i, i + _PAIRS) for i in range(0, max(len(beam), 1), _PAIRS)]

@@ -40,11 +40,7 @@ END, HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 
 
 def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
-    """Return every path over one edge of which the edge or a mirror belongs to a body.
-
-    others: paths without edges, and over those of the room: where an edge path takes over from one of them, that one's
-    time is taken.
-    """
+    """Return every path over one edge of which the edge or a mirror belongs to a body."""
     finder, scene = EdgeFinder(search), search.scene
     held = finder.every_path()
     own: dict[str, Any] = {name: held[name] for name in COLUMNS}

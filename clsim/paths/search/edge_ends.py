@@ -65,14 +65,7 @@ def least_level(direct: bool) -> float:
 
 
 def end_candidates(reach: EdgeReach, wave: float, direct: bool) -> Requested:
-    """Yield candidates over an edge and an end of another one, with the times of both sides, and the share of the work.
-
-    wave: wave number at which those that are quiet are left out, 1/m.
-
-    direct: whether there is direct sound, by which it is told.
-
-    Candidates may have different numbers of walls on their sides.
-    """
+    """Yield candidates over an edge and an end of another one, with times of both sides, and the share of the work."""
     finder, order, routes = reach.finder, reach.order, _routes(reach)
     met, fewest = np.sum(routes.between >= 0, axis=1), adjacent_reflections(finder.edges.n).min(axis=1)
     left = order - met - fewest[routes.edge].sum(axis=1)

@@ -59,10 +59,7 @@ _FARTHEST = 8  # resolutions, the same where that is more
 
 
 class EdgePaths:
-    """Looks for paths over edges of a scene's room, one kind of vertices after another.
-
-    others: paths found so far, whose times are taken where an edge path takes over from them.
-    """
+    """Looks for paths over edges of a scene's room, one kind of vertices after another."""
 
     def __init__(self, scene: Scene, search: PathOptions) -> None:
         self.scene, self.search, self.edges = scene, search, scene.room.edges()

@@ -34,20 +34,14 @@ _OFF_WALL = 1e-4  # of the size; Embree's float32 is no judge nearer than this
 
 
 class ShotRays:
-    """Sequences collected by rays from along a trajectory.
-
-    Attributes
-    ----------
-    share : float
-        Of the work that is done, 0 to 1.
-    """
+    """Sequences collected by rays from along a trajectory."""
 
     def __init__(self, room: MeshRoom, source: Motion, receivers: BoundingSpheres, mount: Mount | None = None) -> None:
         self._room, self._receivers = room, receivers
         self._positions = _positions(source)
         if mount is not None:
             self._positions = self._positions + _OFF_WALL * room.walls.size * mount.normal
-        self.share = 0.0
+        self.share = 0.0  # of the work that is done
         self._halves: dict[bytes, int] = {}
         check_packages("finder", "shooting", "shooting", "embreex")
         from trimesh import Trimesh

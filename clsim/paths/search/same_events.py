@@ -66,10 +66,7 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
 
 
 def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
-    """Tell paths over ends which terms pass their boundaries as the path passes the corner itself, and at which angle.
-
-    These have their own side of that time, times `BOTH`, see `joined_over_ends`; the angle is that of `end_transition`.
-    """
+    """Tell paths over ends which terms pass their boundaries as the path passes the corner, and at which angle."""
     events = _Events.of(chains, scene)
     over_ends = events.over_edges(ends=True)
     columns: dict[int, tuple[NDArray[np.int8], Floats]] = {}
@@ -158,11 +155,7 @@ class _Events:
         return unique_rows(keys)[2]
 
     def detours(self, group: Rows, which: Rows, own: Rows, instants: Floats) -> Floats:
-        """Compute by how much paths of groups' own events are longer than those of events (n,), m, at instants (k,), s.
-
-        which: the group of each, (n,); own: place of each group's own event among all, (k,). All are paths of one pair,
-        from where the source was for their own event.
-        """
+        """Compute by how much paths of groups' own events, (k,) in time, are longer than those of events (n,), m."""
         family, row, each = self.family[group], self.row[group], np.empty(len(group))
         received, sent = instants[which], (instants - self.delays(group[own], instants))[which]
         for number in np.unique(family).tolist():

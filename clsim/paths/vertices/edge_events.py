@@ -223,24 +223,10 @@ class EdgePairs(Chains):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgePairEvents(EdgeEvents):
-    """How sound goes over two edges; `source` is about the first, `receiver` about the second, from their starts.
+    """How sound goes over two edges; `source` is about the first, `receiver` about the second, from their starts."""
 
-    Attributes
-    ----------
-    along : ndarray (P, 2, T)
-        Points of diffraction on the edges, m from their starts.
-    time : ndarray (P, T)
-        When at the first edge, s.
-    last : Events
-        Leg from the second edge; delay, its rate and distance include the leg from the first one.
-    slope : ndarray (P, 2, T)
-        By how much the way grows with each of the places.
-    bend : ndarray (P, 2, 2, T)
-        And twice, 1/m.
-    """
-
-    slope: Floats
-    bend: Floats
+    slope: Floats  # (P, 2, T) by how much the way grows with the places `along` (P, 2, T), m from the edges' starts
+    bend: Floats  # (P, 2, 2, T) and twice, 1/m; `last` is from the second edge, with what the first leg makes of it
 
     def part(self, rows: NDArray[np.int64]) -> EdgePairEvents:
         """Places, ends and slopes of some of the paths."""

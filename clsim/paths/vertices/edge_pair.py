@@ -301,11 +301,7 @@ class GapPairVertex(EdgePairVertex):
         return EdgeGap(frames[0], frames[1], (self.n[:, None], self.last.n[:, None])).cross(source, receiver).length
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
-        """Field (P, T, F) beyond both edges, without its phase, of endpoints at r, θ, z about the first and the last.
-
-        end: of moving legs what `GapEvents.middle` says of the way between, with which the ends are told from the
-        places on the edges.
-        """
+        """Field (P, T, F) beyond both edges, without its phase, of ends at r, θ, z about the first and the last."""
         if end.ndim == 3:
             ahead, back, between, turn = np.moveaxis(end[..., :4], 2, 0)
             legs = np.hypot(*source[::2]), between, np.hypot(*receiver[::2])

@@ -126,15 +126,7 @@ class Capsules:
 
 
 class Body:
-    """A scatterer as ends see it, and what was found of it when last looked at.
-
-    Parameters
-    ----------
-    scatterer : Scatterer
-        Which.
-    glint : Glint, optional
-        Its specular points, as far as known.
-    """
+    """A scatterer as ends see it, and what was found of it when last looked at."""
 
     def __init__(self, scatterer: Scatterer | Capsules, specular: SpecularPoint | None = None) -> None:
         self._shape, self._trajectory = scatterer.shape, scatterer.trajectory

@@ -141,10 +141,7 @@ _LEAST = 1e-12  # m
 
 
 def off_edges(edges: Edges, candidates: EdgeCandidates, seen: Floats, which: Rows) -> tuple[Floats, Floats, Floats]:
-    """Where candidates' ends are along their edges, m, the ends (n, 3), and coordinates (3, n) about the other edges.
-
-    seen: frames (n, 4, 3) of last edges as the first ones see them.
-    """
+    """Where candidates' ends are along their edges, m, the ends (n, 3), and their places about the other edges."""
     end, (one, other) = candidates.end[which], candidates.edge[which].T
     end = np.where(end >= TWO_ENDS, end % MEETING, end)
     last, frames = (end >= OF_LAST)[:, None, None], (edges.frames[one], seen)
