@@ -18,14 +18,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Floats, Rows
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.scene.air import Air
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.motion.motion import Motion
-
-Rows = NDArray[np.int64]
-
 
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s

@@ -8,10 +8,9 @@ from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.paths.chain import Chain
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import dot
@@ -26,9 +25,6 @@ from clsim.paths.vertices.edge_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import levels_over_ends
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.paths.visibility.subdivision import ROUNDS
-
-Rows = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 _TIMES = 9, 33  # times of a stretch at which levels are estimated, fewest and most
 _EVERY = 4  # of the times at which paths are searched, for which there is one of these

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, TERMS, adjacent_reflections, lit_angles
-from clsim.arrays import Floats
+from clsim.arrays import Floats, Rows
 from clsim.paths.chain import Chain
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.legs import moving_paths
@@ -28,7 +28,6 @@ from clsim.paths.vertices.edge_pair import ACROSS_AIR, EdgePairVertex, GapPairVe
 from clsim.paths.visibility.edges import footprint, in_face, lines_apart
 from clsim.paths.visibility.subdivision import ROUNDS
 
-Rows = NDArray[np.int64]
 Codes = NDArray[np.int16]
 Span = tuple[float, float]
 Route = tuple[int, int, NDArray[np.int32], int, NDArray[np.int64]]

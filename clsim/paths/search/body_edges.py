@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections, lit_angles, path_over_edge
-from clsim.arrays import Floats, read_only
+from clsim.arrays import Floats, Rows, read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
@@ -29,7 +29,6 @@ from clsim.paths.visibility.edge_intervals import joined_over_ends
 from clsim.paths.visibility.intervals import BoundingSpheres, joined
 from clsim.paths.visibility.subdivision import ROUNDS, coded
 
-Rows = NDArray[np.int64]
 Codes = NDArray[np.signedinteger[Any]]
 
 _ON = 1e-7  # of the room's size; what is nearer to a plane is in it

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
-from clsim.arrays import Floats, spread
+from clsim.arrays import Floats, Rows, spread
 from clsim.paths.chain import Chain
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_gaps import PARTS, apart, between_edges, in_air, legs_open
@@ -32,8 +32,6 @@ from clsim.paths.visibility.intervals import PERTURBATIONS, with_points
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene
-
-Rows = NDArray[np.int64]
 
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
-from clsim.arrays import ByRow, Floats, spread
+from clsim.arrays import Bools, ByRow, Floats, Ints, spread
 from clsim.paths.chain import Chain
 from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides
 from clsim.paths.search.mesh import Progress
@@ -36,8 +36,6 @@ from clsim.paths.visibility.occlusion import CLEARLY, crossed_pieces
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Numbers = NDArray[np.integer[Any]]
 
 _NEAR = 1e-7  # of the room's size, up to which edges meet

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import Floats, Rows, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
@@ -17,8 +16,6 @@ from clsim.paths.search.scatterers import Side, at_receivers, received_after
 from clsim.paths.vertices.edge_scatterer import EdgeBeside, EdgeScattererVertex
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
-
-Rows = NDArray[np.int64]
 
 _WIDE = 0.5  # of the least distance from scatterers: half the harmonic mean of two of them
 _STEPS, _FOUND = 100, 1e-13  # of a travel time, and s

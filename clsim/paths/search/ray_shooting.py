@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, unique_rows
+from clsim.arrays import Floats, Ints, unique_rows
 from clsim.errors import check_packages
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.search.beam_tree import Candidates, FoundPaths
@@ -21,8 +21,6 @@ from clsim.scene.motion.motion import Instants, Motion
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.walls import Walls
-
-Ints = NDArray[np.int64]
 
 RAYS = 4_000_000  # from all positions of a source together, and at least the next number from each
 _LEAST_RAYS = 20_000

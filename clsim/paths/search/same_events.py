@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only, unique_rows
+from clsim.arrays import Floats, Rows, read_only, unique_rows
 from clsim.paths.chain import Chain
 from clsim.paths.family import DIFFRACTION, NONE, PathFamily, ends_at
 from clsim.paths.vertices.edge import EdgeVertex
@@ -23,8 +23,6 @@ from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.visibility.edge_intervals import LONGEST, STEP, indistinct
 from clsim.scene.scene import Scene
-
-Rows = NDArray[np.int64]
 
 SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 

@@ -35,13 +35,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, Mirrors, dot
 from clsim.paths.propagation import UniformAir
 from clsim.paths.visibility.rates import FAR, Pace, lasts, middle_of
 
-Bools = NDArray[np.bool_]
 PaceOf = Callable[[NDArray[np.int64], Floats], Pace]
 
 EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of time was met before it, and more

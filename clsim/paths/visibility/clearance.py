@@ -28,11 +28,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import ByRow, Floats
+from clsim.arrays import Bools, ByRow, Floats
 from clsim.paths.visibility.occlusion import INNER
 from clsim.scene.room.walls import INSIDE, Walls
 
-Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64] | NDArray[np.int32]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Floats, Ints
 from clsim.errors import DeviceError, InputError
 from clsim.opencl import device as devices
 from clsim.opencl.launch import compiler_of, upload, work
@@ -16,9 +16,6 @@ from clsim.paths.visibility import intervals
 from clsim.paths.visibility.clearance import EVER, PARALLEL, TOUCHING
 from clsim.paths.visibility.occlusion import INNER, Beams, Ears
 from clsim.scene.room.walls import INSIDE, Walls
-
-Ints = NDArray[np.int64]
-
 
 _PATHS = 16_384  # searched at a time
 _EVALUATIONS = 2**19  # evaluations in one launch

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge, wedge_terms
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.paths.vertices.edge_events import MEETING, OF_LAST, TWO_ENDS
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status, turned
 from clsim.paths.visibility.edges import FAR, Course, EdgeCandidates, EdgeStance, EdgeVisibility, End, beside_faces
@@ -133,9 +133,6 @@ def _before_last(walls: Walls, between: NDArray[np.int32], ends: tuple[Floats, F
         share = np.clip(heights[0] / np.where(apart == 0.0, 1.0, apart), 0.0, 1.0)
     return np.asarray(ends[1] + part * share[:, None] * (image - ends[1]))
 
-
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 _LEAST = 1e-12  # m
 

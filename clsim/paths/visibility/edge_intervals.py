@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, TERMS, adjacent_reflections
 from clsim.acoustics.edge_gap import FOUND, NEWTON, STEPS
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.errors import InputError
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.vertices.edge_pair import ACROSS_AIR
@@ -32,8 +32,6 @@ from clsim.paths.visibility.edges import (
 from clsim.paths.visibility.occlusion import in_air
 from clsim.scene.room.edges import Edges
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 Sides = NDArray[np.int8]
 
 

@@ -29,15 +29,13 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge
 from clsim.acoustics.edge_gap import Crossing
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.paths.vertices.edge_events import at_meeting
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 from clsim.paths.visibility.intervals import PERTURBATIONS, VisibilityQuery
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 End = tuple[Floats, Floats]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.events import Events, find_events
 from clsim.paths.legs.legs import path_vertices
@@ -20,9 +20,6 @@ from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_b
 from clsim.paths.visibility.rates import FAR, GRAZE_TIME, EndRates, Pace, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS, Status
 from clsim.scene.motion.motion import Motion
-
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 _NODES = 8  # times at which corners of paths are asked for, between which they are smooth
 

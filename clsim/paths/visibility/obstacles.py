@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import ByRow, Floats
+from clsim.arrays import Bools, ByRow, Floats, Rows
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, Mirrors
 from clsim.paths.visibility.clearance import edges_apart
@@ -16,9 +16,6 @@ from clsim.paths.visibility.occlusion import INNER
 from clsim.paths.visibility.rates import FAR, Pace, lasts, middle_of
 from clsim.scene.body import Body
 from clsim.scene.room.walls import Walls
-
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 _ON_PLANE = 1e-6  # m, by which an event may lie off the mirror that it is at
 _STEPS = 2  # of the secant's towards where a leg meets a face that turns

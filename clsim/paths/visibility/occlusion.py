@@ -12,11 +12,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import ByRow, Floats, spread
+from clsim.arrays import Bools, ByRow, Floats, Ints, spread
 from clsim.scene.room.walls import INSIDE, Walls
 
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Crossings = Callable[[Floats, Floats], tuple[Ints, Ints, Ints]]
 
 BEHIND = 1e-9  # of the room's size, how far the space behind an aperture reaches before it

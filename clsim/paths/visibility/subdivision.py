@@ -15,12 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.scene.body import Body
 from clsim.scene.motion.motion import Motion, even_lengths
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 Evaluation = Callable[[Rows, Floats, Floats], tuple[Bools, Floats, Floats]]
 Status = Callable[[Rows, Floats], Bools]
 Gaps = tuple[Any, ...]
