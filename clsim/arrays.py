@@ -14,6 +14,9 @@ from clsim.errors import InputError, not_one_of
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+Rows = NDArray[np.int64]  # indices
 
 # Bounds that more than one field has, generous beyond all use: no product of what they allow overflows float64.
 SLOWEST, FASTEST = 1e-3, 100e6  # Hz, of frequencies

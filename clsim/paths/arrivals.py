@@ -47,27 +47,21 @@ QUASI_STATIC = Kinematics("quasi-static")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrivals:
-    """What P paths bring at T times, each array (P, T) or (P, T, 3).
-
-    Attributes
-    ----------
-    departure, arrival : ndarray (P, T, 3)
-        Unit vectors: from the real source along the path, and from the receiver back along it; in wind the normals
-        of the wavefront.
-    more : dict of ndarray (P, T, ...)
-        Quantities that only responses of a kind of path need, by name.
-    """
+    """What P paths bring at T times, each array (P, T) or (P, T, 3)."""
 
     delay: Floats  # (P, T) from emission to reception, s
     delay_rate: Floats  # (P, T) its derivative by the time of reception; the Doppler factor is ``1 - delay_rate``
+    # (P, T, 3) unit vectors: from the real source along the path, and from the receiver back along it; in wind
+    # the normals of the wavefront.
     departure: Floats
-    arrival: Floats
+    arrival: Floats  # likewise
     length: Floats  # (P, T) of the path, over which pressure falls, m
     through: Floats  # (P, T) of the air that it passes, m: the same where the air rests
     means: Floats | None  # (P, T, terms) means of polynomials of the height along it, where the air depends on that
     emission_time: Floats  # (P, T) when it was emitted, s
     mach_factor: Floats  # (P, T) factor of the amplitude by the source's motion
     frequency_ratio: Floats  # (P, T) frequency on the way over that emitted: ``1 / (1 - M)``
+    # (P, T, ...) quantities that only responses of a kind of path need, by name.
     more: dict[str, Floats] = field(default_factory=dict)
 
     def part(self, rows: NDArray[np.int64], times: slice | NDArray[np.int64] = slice(None)) -> Self:

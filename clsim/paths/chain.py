@@ -36,24 +36,12 @@ METHODS = {
 
 @dataclass(frozen=True, slots=True)
 class Support:
-    """Support of chains of one kind of leg and vertex.
+    """Support of chains of one kind of leg and vertex."""
 
-    Attributes
-    ----------
-    paths : str
-        The paths, in words.
-    where : tuple of str
-        In each of `MEDIA`: `DEVICE`, `HOST` or `REFUSED`.
-    program : str or None
-        Name of the columns of a device's program of nodes.
-    refusal : tuple (str, str) or None
-        Field and rule of the error where a medium is refused.
-    """
-
-    paths: str
-    where: tuple[str, str, str, str]
-    program: str | None = None
-    refusal: tuple[str, str] | None = None
+    paths: str  # the paths, in words
+    where: tuple[str, str, str, str]  # in each of `MEDIA`: `DEVICE`, `HOST` or `REFUSED`
+    program: str | None = None  # name of the columns of a device's program of nodes
+    refusal: tuple[str, str] | None = None  # field and rule of the error where a medium is refused
 
 
 _BODIES = ("bodies", "must be left out where the air depends on the height or fluctuates")
@@ -121,13 +109,7 @@ def support(kind: str, air: Air) -> str:
 
 
 def check_support(kind: str, air: Air) -> None:
-    """Refuse a kind of chains where the medium does not support it.
-
-    Raises
-    ------
-    InputError
-        With the field and the rule of the matrix.
-    """
+    """Refuse a kind of chains where the medium does not support it, with field and rule of the matrix."""
     refusal = SUPPORT[kind].refusal
     if refusal is not None and support(kind, air) == REFUSED:
         raise InputError(*refusal)
@@ -151,21 +133,11 @@ def support_tables() -> str:
 
 @dataclass(frozen=True, eq=False)
 class Chain(PathFamily):
-    """Paths of one kind of leg and of one kind of vertex.
+    """Paths of one kind of leg and of one kind of vertex."""
 
-    Attributes
-    ----------
-    legs : tuple of Leg
-        One, or one before and one after the vertex.
-    vertex : Vertex or None
-        None for paths that are only reflected.
-    level : ndarray (paths,) or None
-        Pressure over that of the path's law; None for 1.
-    """
-
-    legs: tuple[Any, ...]
-    vertex: Any = None
-    level: Floats | None = None
+    legs: tuple[Any, ...]  # one, or one before and one after the vertex
+    vertex: Any = None  # None for paths that are only reflected
+    level: Floats | None = None  # (paths,) pressure over that of the path's law; None for 1
 
     @property
     def kind(self) -> str:

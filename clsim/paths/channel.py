@@ -96,12 +96,10 @@ class ChannelTaps:
     def to_xarray(self) -> Any:
         """Return it with dimensions ``source``, ``receiver``, ``tap`` and ``times``, coordinates and units."""
         coordinates = {
-            "source": ("source", texts(self.source_names)),
-            "receiver": ("receiver", texts(self.receiver_names)),
-            "tap": ("tap", np.round(self.delays * self.sampling_rate).astype(np.int64)),
-            "delay": ("tap", self.delays),
+            "source": ("source", texts(self.source_names)), "receiver": ("receiver", texts(self.receiver_names)),
+            "tap": ("tap", np.round(self.delays * self.sampling_rate).astype(np.int64)), "delay": ("tap", self.delays),
             "times": ("times", self.times),
-        }
+        }  # fmt: skip
         found = labelled_dataset({"gain": (("source", "receiver", "tap", "times"), self.gain)}, coordinates)
         given = ("carrier", "bandwidth", "sampling_rate")
         return found.assign_attrs({name: getattr(self, name) for name in given})

@@ -33,11 +33,7 @@ FACE_COLUMNS = 16  # coefficients of a normal between two knots, [power][xyz], a
 
 
 def knot_rate(source: Source, end: float, tolerance: float) -> float:
-    """Return knots per second such that positions, and the axis of a directivity, are right between them.
-
-    Orientations between waypoints turn at constant rates that jump; there the largest rate is taken, and what remains
-    is an error of the axis over one knot.
-    """
+    """Return knots per second such that positions, and the axis of a directivity, are right between them."""
     if math.isinf(source.trajectory.end):
         return 1.0
     good = (rate for rate in KNOT_RATES if _knot_error(source, end, rate, tolerance) <= tolerance)
@@ -47,12 +43,7 @@ def knot_rate(source: Source, end: float, tolerance: float) -> float:
 def motion_knots(
     source: Source, start: float, end: float, rate: float, *, sideways: bool = False
 ) -> tuple[Floats, float]:
-    """Return cubics of position and axis from `start` to `end`, and the time of the first knot.
-
-    Shapes: result (knots, 24 or 36).
-
-    knots: for position and axis, and second axis: coefficients [power][xyz] in units of the knot's length.
-    """
+    """Cubics (knots, 24 or 36) of position and axes, [power][xyz] in knots' lengths, and the first knot's time."""
     first = math.floor(start * rate)
     times = np.arange(first, math.ceil(end * rate) + 2, dtype=np.float64) / rate
     columns = cubics_between(source.trajectory.position(times), source.trajectory.velocity(times) / rate)
@@ -83,38 +74,25 @@ def _axis_cubics(source: Source, times: Floats, axis: Floats, step: float) -> li
 
 def _knot_error(source: Source, end: float, rate: float, tolerance: float) -> float:
     """Return the largest error of the cubics between knots, m; that of the axis on the same scale."""
-    largest = 0.0
-    trajectory = source.trajectory
+    largest, trajectory, step = 0.0, source.trajectory, 1.0 / rate
     for first in range(0, math.ceil(end * rate) + 1, _KNOTS_AT_A_TIME):
         times = np.arange(first, min(first + _KNOTS_AT_A_TIME, math.ceil(end * rate)) + 1, dtype=np.float64) / rate
         if len(times) < 2:
             break
         cubic = cubics_between(trajectory.position(times), trajectory.velocity(times) / rate)
+        axis = [] if isinstance(source.directivity, Omni) else _axis_cubics(source, times, _AXIS, step)
         for share in EVALUATED_AT:
-            there = sum(c * share**power for power, c in enumerate(cubic))
+            there, aimed = (sum(c * share**power for power, c in enumerate(cubics)) for cubics in (cubic, axis))
             error = np.linalg.norm(there - trajectory.position(times[:-1] + share / rate), axis=1)
             largest = max(largest, float(error.max()))
-        if not isinstance(source.directivity, Omni):
-            largest = max(largest, _axis_error(source, times, 1.0 / rate) * tolerance / _AXIS_TOLERANCE)
-    return largest
-
-
-def _axis_error(source: Source, times: Floats, step: float) -> float:
-    """Return the largest error of the axis between knots, rad."""
-    cubic, largest = _axis_cubics(source, times, _AXIS, step), 0.0
-    for share in EVALUATED_AT:
-        there = sum(c * share**power for power, c in enumerate(cubic))
-        error = np.linalg.norm(there - rotate(source.orientation(times[:-1] + share * step), _AXIS), axis=1)
-        largest = max(largest, float(error.max()))
+            if axis:
+                off = np.linalg.norm(aimed - rotate(source.orientation(times[:-1] + share * step), _AXIS), axis=1)
+                largest = max(largest, float(off.max()) * tolerance / _AXIS_TOLERANCE)
     return largest
 
 
 def pose_rate(motions: Sequence[Motion], radii: Sequence[float], end: float, tolerance: float) -> float:
-    """Return cells per second such that what is at most a radius from the centre of each thing is where it should be.
-
-    The least rate of `KNOT_RATES` whose cubics are right between knots; where a motion has more corners than a few in a
-    cell, more.
-    """
+    """Return cells per second such that what is at most a radius from the centre of each thing is in its place."""
     least = KNOT_RATES[0]
     for motion, radius in zip(motions, radii, strict=True):
         many = len(_corners(motion, 0.0, end)) / (_CORNERS * max(end, 1e-3))
@@ -129,7 +107,6 @@ def pose_knots(
     """Return cubics of positions and axes of things from `start` to `end`, and where to find them.
 
     Shapes: result (knots, 38) s, (things, cells + 1).
-
     knots: at the beginning of every cell and wherever the motion has a corner: time, s, and knots per second until the
     next one, and for the position, m, and the first two axes of the thing in the room coefficients [power][xyz] in
     units of the piece's length.
@@ -194,10 +171,7 @@ def _is_right(motion: Motion, radius: float, end: float, rate: float, tolerance:
 
 
 def face_rate(mirrors: Mirrors, end: float, tolerance: float) -> float:
-    """Return knots per second such that the faces of all bodies are right between them.
-
-    result: 1/s. The largest one there is where turns jump, as between waypoints: that leaves an error over one knot.
-    """
+    """Return knots per second such that the faces of all bodies are right between them."""
     moving = [body for body in mirrors.bodies if not body.is_static]
     if not moving:
         return 1.0
@@ -216,7 +190,6 @@ def face_knots(
     """Return cubics of mirrors from `start` to `end`, and the time of the first knot.
 
     Shapes: faces (n,); result (n, knots, 16) m.
-
     knots: of the plane ``normal @ x = offset``, m: coefficients [power][xyz] of the normal in units of the knot's
     length, and [power] of the offset.
     """
@@ -244,10 +217,8 @@ class _Poses:
 
     @staticmethod
     def of(body: Body, times: Floats) -> _Poses:
-        motion = body.trajectory
-        return _Poses(
-            motion.orientation(times), motion.angular_velocity(times), motion.position(times), motion.velocity(times)
-        )
+        own = body.trajectory
+        return _Poses(own.orientation(times), own.angular_velocity(times), own.position(times), own.velocity(times))
 
     def plane(self, own: Floats, offset: float) -> tuple[Floats, Floats, Floats, Floats]:
         """Return normals (T, 3) and offsets (T,) of a face, from its own ones, and their derivatives by time."""

@@ -57,12 +57,7 @@ class PathFamily(ABC):
 
     @abstractmethod
     def arrivals(self, rows: Rows, times: Floats, kinematics: Kinematics = RETARDED) -> Arrivals:
-        """Return delays, directions and lengths of paths between one source and one receiver.
-
-        Shapes: rows (P,); times (T,) s.
-
-        times: times of reception, s; any at which the ends' trajectories are known, heard or not.
-        """
+        """Return delays, directions and lengths of paths between one source and one receiver."""
 
     @abstractmethod
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
@@ -85,10 +80,7 @@ class PathFamily(ABC):
         """Lengths of paths (P,) of any pairs with their endpoints at rest at places (P, 3), m."""
 
     def delay_bounds(self, rows: Rows, start: Instant, end: Instant, speeds: PeakSpeeds) -> tuple[Floats, Floats]:
-        """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s.
-
-        The times are numbers, or arrays (P,); `speeds` are the largest ones of the ends.
-        """
+        """Return bounds (P,) on the delays of paths of any pairs between two times of reception, s."""
         scene, source, receiver = self.scene, self.source[rows], self.receiver[rows]
         middle, half = 0.5 * (start + end), 0.5 * (end - start)
         length = self.lengths(rows, ends_at(scene.sources, source, middle), ends_at(scene.receivers, receiver, middle))
@@ -119,10 +111,7 @@ class PathFamily(ABC):
 
     @property
     def device(self) -> str | None:
-        """Program that knows this kind's columns (see ``render/opencl/path_columns.py``), or None.
-
-        Without one the host makes the nodes of the same sum.
-        """
+        """Program that knows this kind's columns (see ``render/opencl/path_columns.py``), or None."""
         return None
 
     @property
@@ -205,10 +194,7 @@ class PathFamily(ABC):
         return replace(self, **{name: getattr(self, name)[rows] for name in own if name in given})
 
     def in_scene(self, scene: Scene) -> Self:
-        """Return the same paths, by the same things, in a scene that differs a little; intervals stay as they are.
-
-        Kinds whose columns depend on the scene make them anew.
-        """
+        """Return the same paths, by the same things, in a scene that differs a little; intervals stay as they are."""
         return replace(self, scene=scene)
 
     def pairs(self) -> Iterator[PairPaths]:
@@ -217,9 +203,8 @@ class PathFamily(ABC):
         pair = self.source.astype(np.int64) * receivers + self.receiver
         in_order = bool(np.all(pair[1:] >= pair[:-1]))
         order = np.arange(0) if in_order else np.argsort(pair, kind="stable")
-        bounds = np.searchsorted(
-            pair if in_order else pair[order], np.arange(len(self.scene.sources) * receivers + 1)
-        ).tolist()
+        every = np.arange(len(self.scene.sources) * receivers + 1)
+        bounds = np.searchsorted(pair if in_order else pair[order], every).tolist()
         for i, (first, last) in enumerate(pairwise(bounds)):
             if first < last:
                 rows = slice(first, last) if in_order else order[first:last]  # a slice is no copy
@@ -230,15 +215,11 @@ class PathFamily(ABC):
 
     def __post_init__(self) -> None:
         for name in (*(f.name for f in fields(PathFamily) if f.name != "scene"), *self.columns):
-            if len(getattr(self, name)) != len(self.source):
-                raise InputError(
-                    name, f"must have one row per path, {len(self.source)}, but has {len(getattr(self, name))}"
-                )
+            if (rows := len(getattr(self, name))) != len(self.source):
+                raise InputError(name, f"must have one row per path, {len(self.source)}, but has {rows}")
         if self.objects.shape != self.interactions.shape:
-            raise InputError(
-                "objects",
-                f"must have the shape of interactions, {self.interactions.shape}, but has {self.objects.shape}",
-            )
+            shapes = f"{self.interactions.shape}, but has {self.objects.shape}"
+            raise InputError("objects", f"must have the shape of interactions, {shapes}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from clsim.keywords import keywords_of
 from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.chain import Chain
 from clsim.paths.family import BODY, SPECULAR, PathFamily
-from clsim.paths.legs.static import image_columns
+from clsim.paths.legs.legs import image_columns
 from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
 from clsim.paths.search.bodies import BodySearch
@@ -213,7 +213,6 @@ def shoebox_images(size: Floats, max_order: int) -> ShoeboxImages:
     """Return every image of a shoebox up to an order, sorted by order.
 
     Shapes: size (3,) m.
-
     Along one axis, cell m of the mirrored rooms holds the image ``m L + x`` for even m and ``(m + 1) L - x`` for odd m,
     after ``|m|`` reflections: on the maximum wall last for m > 0, on the minimum wall last for m < 0 (Allen and
     Berkley, J. Acoust. Soc. Am. 65, 1979). Reflections are listed axis by axis, x first: in which order a path meets
@@ -291,10 +290,7 @@ def _checked(scene: Scene, levels: Floats) -> Floats:
 
 
 def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathFamily, ...]:
-    """Return paths with direct ones scaled by levels (sources, receivers): 1 changes nothing, 0 leaves them out.
-
-    Where both ends sit in one face, its reflection is the direct sound once more, and is scaled with it.
-    """
+    """Return paths with direct ones scaled by levels (sources, receivers): 1 changes nothing, 0 leaves them out."""
     free: list[PathFamily] = []
     leaks: list[PathFamily] = []
     for family in families:

@@ -16,8 +16,8 @@ from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.chain import check_support
 from clsim.paths.family import PairPaths
 from clsim.paths.legs.events import Events
+from clsim.paths.legs.legs import direct_paths
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.legs.static import direct_paths
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import categories, labelled_dataset, labelled_frame
 from clsim.paths.propagation import mean_medium_of
@@ -104,11 +104,9 @@ class DirectPath:
         """Return it with named dimensions ``source``, ``receiver``, ``times`` and ``axis``, coordinates and units."""
         over = ("source", "receiver", "times")
         coordinates = {
-            "source": ("source", texts(self.source_names)),
-            "receiver": ("receiver", texts(self.receiver_names)),
-            "times": ("times", self.times),
-            "axis": ("axis", list("xyz")),
-        }
+            "source": ("source", texts(self.source_names)), "receiver": ("receiver", texts(self.receiver_names)),
+            "times": ("times", self.times), "axis": ("axis", list("xyz")),
+        }  # fmt: skip
         scalars = {name: (over, getattr(self, name)) for name in SCALARS}
         vectors = {name: ((*over, "axis"), getattr(self, name)) for name in VECTORS}
         dataset = labelled_dataset(scalars | vectors, coordinates)
@@ -132,12 +130,6 @@ def direct_path(
         As in `render`.
     emitted : array_like (T,), optional
         Times of emission, s, in place of times of reception: the same sound at all receivers, as for TDOA.
-
-    Raises
-    ------
-    InputError
-        If both or neither of `times` and `emitted` are given, they are no finite numbers (T,), or the motion is no
-        known word.
 
     Notes
     -----
@@ -193,21 +185,14 @@ def _direct_sound(pair: PairPaths, received: Floats, kinematics: Kinematics) -> 
     delay = (arrivals.delay + pair.group_delay_offset(arrivals))[0]
     left = received - delay if kinematics.retarded else received
     return {
-        "delay": delay,
-        "rate": arrivals.delay_rate[0],
-        "reception_time": received,
-        "arrival": arrivals.arrival[0],
+        "delay": delay, "rate": arrivals.delay_rate[0], "reception_time": received, "arrival": arrivals.arrival[0],
         "local_arrival": rotate(receiver.orientation(received) * (-1.0, -1.0, -1.0, 1.0), arrivals.arrival[0]),
-        "source_position": source.position(left),
-        "receiver_position": receiver.trajectory.position(received),
-    }
+        "source_position": source.position(left), "receiver_position": receiver.trajectory.position(received),
+    }  # fmt: skip
 
 
 def reception_times(pair: PairPaths, emitted: Floats, kinematics: Kinematics) -> Floats:
-    """Return the times of reception (T,) of what is emitted at times (T,), s, by Newton's method.
-
-    The delay changes by less than a second per second below the speed of sound: there is one solution.
-    """
+    """Return the times of reception (T,) of what is emitted at times (T,), s, by Newton's method."""
     received = emitted
     for _ in range(_NEWTON_LIMIT):
         arrivals = pair.arrivals(received, kinematics)
@@ -279,24 +264,14 @@ class EchoTruth:
 
 
 def echo_fields(scene: Scene, times: Floats, delay: Floats, rate: Floats, away: Floats, bearing: Floats) -> Any:
-    """Return the fields of `EchoTruth` by their names.
-
-    Shapes: times (T,) s; delay, rate, away (things, sources, receivers, T) s; bearing (things, sources, receivers, T,
-    3).
-
-    delay, rate, away: delay, s, its change by time of reception, s/s, and the way from the thing to the receiver, m.
-    """
+    """Return the fields of `EchoTruth` by their names."""
     speed = np.array([scene.air.speed_at(source.emitted.centre_frequency) for source in scene.sources])
     return {
-        "times": times,
-        "delay": read_only(delay),
-        "doppler_factor": read_only(1.0 - rate),
-        "range": read_only(away),
-        "radial_speed": read_only(0.5 * speed[:, None, None] * rate),
-        "bearing": read_only(bearing),
+        "times": times, "delay": read_only(delay), "doppler_factor": read_only(1.0 - rate), "range": read_only(away),
+        "radial_speed": read_only(0.5 * speed[:, None, None] * rate), "bearing": read_only(bearing),
         "source_names": tuple(source.name for source in scene.sources),
         "receiver_names": tuple(receiver.name for receiver in scene.receivers),
-    }
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -331,8 +306,7 @@ def scatterer_truth(scene: Scene, times: Floats, motion: str = "retarded") -> Sc
     Raises
     ------
     InputError
-        If the scene has no scatterers, its air depends on the height or fluctuates, times are no finite numbers (T,),
-        or the motion is no known word.
+        If the scene has no scatterers, or its air depends on the height or fluctuates.
 
     Examples
     --------
@@ -399,8 +373,7 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     Raises
     ------
     InputError
-        If the scene has no bodies, its air depends on the height or fluctuates, times are no finite numbers (T,), or
-        the motion is no known word.
+        If the scene has no bodies, or its air depends on the height or fluctuates.
 
     Examples
     --------
@@ -430,9 +403,8 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
             ends = scene.sources[source], scene.receivers[receiver]
             medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
             motions = ends[0].trajectory, ends[1].trajectory
-            found = find_scattered(
-                obstacles.mirrors, (direct, direct), thing, motions, medium, times, kinematics.retarded
-            )
+            mirrors, still = obstacles.mirrors, (direct, direct)
+            found = find_scattered(mirrors, still, thing, motions, medium, times, kinematics.retarded)
             first, second, here = found.first, found.last, (which, source, receiver)
             delay[here], rate[here] = first.delay + second.delay, first.rate + second.rate
             if kinematics.retarded:

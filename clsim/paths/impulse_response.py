@@ -43,10 +43,7 @@ class ResponseBand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpulseResponse:
-    """Taps (n,) of a filter; the first one is that of a delay of `first` samples, which can be negative.
-
-    They are complex where the filter acts on complex envelopes.
-    """
+    """Taps (n,) of a filter; the first one is that of a delay of `first` samples, which can be negative."""
 
     first: int
     taps: NDArray[Any]
@@ -82,12 +79,9 @@ def impulse_response(
     """Return the impulse response of paths, exact over a band.
 
     Shapes: delays (P,) s.
-
     responses: takes frequencies (F,) in Hz and rows of paths (n,); gives their responses (n, F), real or complex.
-
     result: its spectrum is ``sum_p R_p(f) exp(-2j pi f delay_p)`` within -110 dB of the strongest response over the
     band.
-
     All responses are sums of a few of them (an interpolative decomposition: H. Cheng et al., "On the compression of low
     rank matrices", SIAM J. Sci. Comput. 26(4), 2005). For each of these few, the impulses of all paths are summed, and
     the sum's spectrum is multiplied by the response, taken at every frequency of the transform.

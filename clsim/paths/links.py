@@ -180,10 +180,7 @@ def in_chunks(
     links: Links, times: Floats, nodes: int, solve: Callable[[Links, Floats], Columns],
     groups: list[NDArray[np.int64]] | None = None,
 ) -> Arrivals:  # fmt: skip
-    """Solve paths at times (T,), so many nodes at a time that what is worked on stays in the cache.
-
-    groups: paths that are solved together; those of the vertex where left out.
-    """
+    """Solve paths at times (T,), so many nodes at a time that what is worked on stays in the cache."""
     if groups is None:
         groups = [np.arange(len(links))] if links.vertex is None else links.vertex.groups()
     columns: Columns = {}
@@ -204,10 +201,7 @@ def met_in_order(
     counts: tuple[int, int], before: Integers, vertex: tuple[int, Integers] | None, after: Integers | None,
     between: Integers | None = None,
 ) -> tuple[Integers, Integers]:  # fmt: skip
-    """Make interactions and objects (P, N) of paths from their surfaces, and from interaction and objects of vertices.
-
-    Counts are those of walls, and of these and the faces of bodies.
-    """
+    """Make interactions and objects (P, N) of paths from their surfaces and vertices, and counts of walls and faces."""
     walls, faces = counts
     things, at_vertex = before, NONE if vertex is None else vertex[0]
     if vertex is not None and after is not None:

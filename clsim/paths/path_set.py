@@ -49,11 +49,6 @@ class PathSet:
         The objects of reflections, -1 elsewhere.
     object_names : tuple of str
         Names of walls, and of other objects that paths meet.
-
-    Raises
-    ------
-    InputError
-        If there is no kind of paths, or one is of another scene.
     """
 
     scene: Scene
@@ -159,9 +154,7 @@ class PathSet:
         ----------
         times : array_like (T,)
             Times of reception, s.
-        motion : {"retarded", "quasi-static"}
-            As in `render`.
-        amplitude : {"wave-equation", "static", "convective"}
+        motion, amplitude : str
             As in `render`.
         """
         times = as_floats("times", times, (None,))
@@ -211,21 +204,18 @@ class PathSet:
             Times of reception, s.
         carrier : float
             At which air, walls and directivities are taken, Hz.
-        motion : {"retarded", "quasi-static"}
-            As in `render`.
-        amplitude : {"wave-equation", "static", "convective"}
+        motion, amplitude : str
             As in `render`.
 
         Raises
         ------
         InputError
-            If a value is out of bounds, or a wall or directivity is not known at the carrier.
+            If a wall or directivity is not known at the carrier.
         """
         times = as_floats("times", times, (None,))
         delay, _, gain = self._channel(times, carrier, Kinematics(motion, amplitude))
-        return ChannelPaths(
-            times, self.source, self.receiver, read_only(delay), read_only(gain), float(carrier), *self._names()
-        )
+        ends, gain = (self.source, self.receiver), read_only(gain)
+        return ChannelPaths(times, *ends, read_only(delay), gain, float(carrier), *self._names())
 
     def taps(
         self, times: Floats, *, carrier: float, bandwidth: float, sampling_rate: float, motion: str = "retarded",
@@ -243,9 +233,7 @@ class PathSet:
             Width of the band about the carrier, both sides together, within which the filter is exact, Hz.
         sampling_rate : float
             Sampling rate of the taps and of the envelope that they filter, at least 1.25 times the bandwidth, Hz.
-        motion : {"retarded", "quasi-static"}
-            As in `render`.
-        amplitude : {"wave-equation", "static", "convective"}
+        motion, amplitude : str
             As in `render`.
 
         Raises
@@ -281,15 +269,13 @@ class PathSet:
             Duration, s.
         carrier : float
             Hz.
-        motion : {"retarded", "quasi-static"}
-            As in `render`.
-        amplitude : {"wave-equation", "static", "convective"}
+        motion, amplitude : str
             As in `render`.
 
         Raises
         ------
         InputError
-            If a value is out of bounds, or a wall or directivity is not known at the carrier.
+            If a wall or directivity is not known at the carrier.
         """
         begin = as_number("time", time, at_least=0.0, unit="s")
         length = as_number("duration", duration, above=0.0, unit="s")

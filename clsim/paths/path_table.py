@@ -111,13 +111,12 @@ class PathTable:
             "interactions": [_listed(row) for row in self.interactions.tolist()],
             "objects": [self.name_objects(p) for p in range(len(self.source))],
         }
-        of_paths = {name: ("path", texts(values)) for name, values in said.items()}
+        of_paths: dict[str, Any] = {name: ("path", texts(values)) for name, values in said.items()}
         of_paths |= {"order": ("path", self.order), "direct": ("path", self.direct)}
         over_time = {name: (("path", "times"), getattr(self, name)) for name in _OVER_TIME}
         directions = {name: (("path", "times", "axis"), getattr(self, name)) for name in _DIRECTIONS}
-        return labelled_dataset(
-            over_time | directions, of_paths | {"times": ("times", self.times), "axis": ("axis", list("xyz"))}
-        )
+        of_paths |= {"times": ("times", self.times), "axis": ("axis", list("xyz"))}
+        return labelled_dataset(over_time | directions, of_paths)
 
     @property
     def audible(self) -> NDArray[np.bool_]:
@@ -126,10 +125,7 @@ class PathTable:
 
 
 def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], Any], Any]) -> dict[str, Any]:
-    """Return the columns of some paths, a row per path and time at which it is heard.
-
-    words: takes texts and, for every row, which of them it has; gives a column of texts.
-    """
+    """Return the columns of some paths, a row per path and time at which it is heard."""
     part = slice(rows.start, rows.stop)
     count = len(table.times)
     audible = np.isfinite(table.delay[part]).ravel()
@@ -141,15 +137,12 @@ def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], 
         return np.repeat(np.asarray(values), count)[audible]
 
     columns = {
-        "times": np.tile(table.times, len(rows))[audible],
-        "path": per_path(np.arange(rows.start, rows.stop)),
+        "times": np.tile(table.times, len(rows))[audible], "path": per_path(np.arange(rows.start, rows.stop)),
         "source": words(table.source_names, per_path(table.source[part])),
-        "receiver": words(table.receiver_names, per_path(table.receiver[part])),
-        "order": per_path(table.order[part]),
+        "receiver": words(table.receiver_names, per_path(table.receiver[part])), "order": per_path(table.order[part]),
         "interactions": words(kinds, per_path(np.arange(len(rows)))),
-        "objects": words(joined, per_path(np.arange(len(rows)))),
-        "direct": per_path(table.direct[part]),
-    }
+        "objects": words(joined, per_path(np.arange(len(rows)))), "direct": per_path(table.direct[part]),
+    }  # fmt: skip
     for name in _OVER_TIME:
         columns[name] = getattr(table, name)[part].ravel()[audible]
     for name in _DIRECTIONS:
@@ -233,15 +226,7 @@ def viewed(
     paths: Any, *, duration: float, frames: int = 120, limit: int = 300, motion: str = "retarded",
     amplitude: str = "wave-equation", progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the room, the trajectories and the paths of a `PathSet` over time, as `page_text` draws them.
-
-    Edges are those that diffract, where paths over edges were looked for.
-
-    frames: instants between 0 and `duration` to choose from; of those between which nothing moves only the first is
-    kept.
-
-    limit: paths that are drawn at a time, the strongest; levels are told against the strongest of them.
-    """
+    """Return the room, the trajectories and the paths of a `PathSet` over time, as `page_text` draws them."""
     scene = paths.scene
     things = [*scene.named_ends(), *scene.named_scatterers()]
     times = frame_times([*things, *scene.named_bodies()], duration, frames)

@@ -18,14 +18,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Floats, Rows
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.scene.air import Air
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.motion.motion import Motion
-
-Rows = NDArray[np.int64]
-
 
 _NEWTON_LIMIT = 60
 _CONVERGED = 1e-15  # s
@@ -52,10 +49,7 @@ class Passage:
     through: Floats  # (...) length of the air that sound passes, m
 
     def growth(self, direction: Floats, velocity: Floats) -> Floats:
-        """Rate of the travel time as the receiver moves, or its negative as the source does, s/s.
-
-        Shapes: direction (..., 3); velocity (..., 3) m/s.
-        """
+        """Rate of the travel time as the receiver moves, or its negative as the source does, s/s."""
         growth = _dot(direction, velocity) / self.speed
         return np.asarray(growth if self.carried is None else growth + _dot(self.carried, velocity))
 
@@ -87,10 +81,7 @@ class LegTable(Protocol):
     """Ways of P paths from any place of the source to a receiver at T times."""
 
     def leave(self, p: Any, t: Any, start: Floats) -> tuple[Floats, Floats]:
-        """Return lengths (...), m, and unit vectors (..., 3) along the ways at the source, in the room.
-
-        Paths `p` and times `t` are indices (n,), or slices; `start` are the places of the source for these.
-        """
+        """Return lengths (...), m, and unit vectors (..., 3) along the ways at the source, in the room."""
 
     def arrive(self, start: Floats) -> Floats:
         """Return unit vectors (P, T, 3) along the ways at the receiver, in the room, from places (P, T, 3)."""
@@ -125,17 +116,7 @@ class Medium(Protocol):
         """Return means (..., terms) of what it depends on along ways, arguments as for `Ways.leave`; or None."""
 
     def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
-        """Propagation of sound along paths.
-
-        Parameters
-        ----------
-        length : ndarray (...)
-            Lengths of the paths, m.
-        apart : ndarray (..., 3)
-            From where each begins to where it ends in the room, whatever it met in between, m.
-        means : ndarray (..., terms), optional
-            Result of `means`.
-        """
+        """Compute what it makes of paths of lengths (...), m, between ends apart (..., 3), m, with `means` along."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,11 +203,8 @@ class SpeedRange:
         """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
 
         Shapes: source_speed (n,) m/s.
-
         length: of the ways at some instant of reception, with source and receiver where they are then, m.
-
         slack: by how much both ends may be off, together, at the times of reception that matter, m.
-
         source_speed: largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
         """
         low = np.maximum(length - slack, 0.0) / (self.fastest + source_speed)
@@ -254,13 +232,9 @@ def medium_of(air: Air, frequency: float) -> UniformAir | LayeredAir:
     fastest = max(layer.speed_at(frequency) for layer in air.layers)
     fastest += 0.0 if air.wind is None else math.hypot(*air.wind)
     return LayeredAir(
-        tuple(slowness.tolist()),
-        air.extent,
-        (1.0 - _BEYOND_NODES) * air.slowest,
-        (1.0 + _BEYOND_NODES) * fastest,
-        air.wind,
-        air.fluctuation,
-    )
+        tuple(slowness.tolist()), air.extent, (1.0 - _BEYOND_NODES) * air.slowest, (1.0 + _BEYOND_NODES) * fastest,
+        air.wind, air.fluctuation,
+    )  # fmt: skip
 
 
 def mean_medium_of(air: Air, frequency: float) -> UniformAir:
@@ -283,11 +257,9 @@ def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], 
     """Return the delays (P, T) of ways of any kind at times of reception (T,), s, by Newton's method.
 
     Shapes: delay (P, T) s.
-
     travel: takes paths p (n,), indices t (n,) of times and times of emission (n,), s; returns the travel times (n,), s,
     and by how much these fall per second as the source moves on, the Mach number (n,) towards the way. At first p and t
     are slices of all, and n is (P, T).
-
     For a source below the speed of sound there is one solution.
     """
     delay = np.array(delay)
@@ -314,7 +286,6 @@ def arrivals_by(
     """Arrivals of paths between one source and one receiver.
 
     Shapes: times (T,) s.
-
     The delay solves ``delay = travel time from x_s(t - delay) to x_r(t)``. A point source of the linear wave equation
     is received as ``s(t - delay) / (d (1 - M))``, M its Mach number along the way at emission (Morse and Ingard,
     Theoretical Acoustics, 1968, section 11.2); d is the length of the way along the wavefront's normal: less in wind.
@@ -379,10 +350,7 @@ def _noise(
 def _growth_by_means(
     medium: Medium, length: Floats, apart: Floats, means: Callable[[Floats], Floats | None], velocity: Floats
 ) -> Floats:
-    """Rate of the travel time as an endpoint moves, by path lengths and the medium along them, s/s.
-
-    `means` takes by how much the end is displaced (..., 3), m.
-    """
+    """Rate of the travel time as an endpoint moves, by path lengths and the medium along them, s/s."""
     speed = np.linalg.norm(velocity, axis=-1)
     if not speed.any():
         return np.zeros(speed.shape)
@@ -394,12 +362,7 @@ def _growth_by_means(
 def contract_delay(
     medium: Medium, position: Callable[[Floats], Floats], mirrored: Floats, receiver_at: Floats, times: Floats
 ) -> Floats:
-    """Return the delays (n,) of a source of which only positions are known, s.
-
-    Shapes: mirrored, heard_at (n, 3) m; times (n,) s.
-
-    Each step is a contraction by the Mach number of the source.
-    """
+    """Return the delays (n,) of a source of which only positions are known, s."""
     delay: Floats = np.zeros(len(times))
     for _ in range(_CONTRACTIONS):
         emitted_at = position(times - delay)
@@ -416,7 +379,6 @@ class Folds:
     Of the unfolded straight line, leg k is seen in the room from the source mirrored by the first k walls to the
     receiver mirrored back by the others; its height is linear in the share of the way, and both legs at a wall agree
     where it is met. Walls that stand upright bend no height.
-
     Shapes: walls (P, N).
     """
 
@@ -438,10 +400,7 @@ class Folds:
         self._forth, self._back = (np.take_along_axis(rows[:, :, 2], legs, axis=1) for rows in (forth, back))
 
     def bends(self, p: Any, start: Floats, stop: Floats) -> tuple[Floats, Floats]:
-        """Bends of paths between places (..., 3), first and last, in the room.
-
-        Shapes: start, stop (..., 3) m; result (..., legs + 1).
-        """
+        """Bends of paths between places (..., 3), first and last, in the room."""
         among = np.broadcast_shapes(start.shape, stop.shape)[1:-1]  # all times of a path, or none: one each
         spread = (slice(None), *[None] * len(among))
         forth, back, bent = (rows[p][spread] for rows in (self._forth, self._back, self._real))
@@ -464,12 +423,7 @@ class Folds:
 
 
 def means_along(shares: Floats, heights: Floats, extent: tuple[float, float], terms: int) -> Floats:
-    """Return the means of Chebyshev polynomials of the height over ways of straight legs.
-
-    Shapes: shares, heights (..., legs + 1); result (... terms).
-
-    extent: heights between which the polynomials are those of -1 to 1, m; a little beyond they stay as they are.
-    """
+    """Return the means of Chebyshev polynomials of the height over ways of straight legs."""
     place, weight = np.polynomial.legendre.leggauss(terms // 2 + 1)
     scaled = (2.0 * heights - (extent[0] + extent[1])) / (extent[1] - extent[0])
     low, change = scaled[..., :-1, None], np.diff(scaled, axis=-1)[..., None]

@@ -77,9 +77,8 @@ class SceneResponse:
         for material in dict.fromkeys(materials):
             if not material.depends_on_angle:
                 rows = [m is material for m in (*materials, None)]
-                self._factors[rows] = material.reflection_at(
-                    covered(frequencies, material), 1.0, scene.air.speed_of_sound
-                )
+                at = covered(frequencies, material)
+                self._factors[rows] = material.reflection_at(at, 1.0, scene.air.speed_of_sound)
 
     def air(self, found: Arrivals) -> Floats | Complexes:
         """Transmission of the air (P, T, F) relative to 1 m of it, with its dispersion if it has one."""
@@ -134,23 +133,22 @@ class SceneResponse:
         return material.reflection_at(covered(self.frequencies, material), angle, self._scene.air.speed_of_sound)
 
     def angular_bounces(self, walls: Walls) -> list[tuple[int, Floats]]:
-        """Return the bounces at which some path meets a wall whose factor depends on the angle, with normals (P, 3).
-
-        The normals are those of the unfolded path: the angle is that between them and the departure.
-        """
+        """Return the bounces at which some path meets a wall whose factor depends on the angle, with normals (P, 3)."""
         met = self.angular[walls]
         if not met.any():
             return []
         through = walls >= self.surfaces
         own = np.where(through, walls - self.surfaces, walls)
-        normals = unfolded_normals(self._scene.room.faces.normals, own, through)
-        return [(bounce, normals[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
+        normals = np.concatenate([self._scene.room.faces.normals, np.zeros((1, 3))])[own]
+        mirrors, unfolded = np.where(through[..., None], 0.0, normals), normals.copy()
+        for bounce in range(walls.shape[1]):  # each is mirrored by the walls before it, the last of them first
+            for before in range(bounce - 1, -1, -1):
+                along = np.sum(unfolded[:, bounce] * mirrors[:, before], axis=1, keepdims=True)
+                unfolded[:, bounce] -= 2.0 * along * mirrors[:, before]
+        return [(bounce, unfolded[:, bounce]) for bounce in np.flatnonzero(met.any(axis=0)).tolist()]
 
     def apply_angular_walls(self, response: Floats | Complexes, walls: Walls, directions: Floats) -> None:
-        """Multiply responses (P, T, F) by the factors of walls (P, N) that depend on the angle, in place.
-
-        The directions (P, T, 3) are those in which paths leave the end from whose side the walls are.
-        """
+        """Multiply responses (P, T, F) by the factors of walls (P, N) that depend on the angle, in place."""
         for bounce, normals in self.angular_bounces(walls):
             met = walls[:, bounce]
             for wall in np.unique(met[self.angular[met]]):
@@ -159,10 +157,7 @@ class SceneResponse:
                 response[here] *= self.reflection_at(wall, cosine)
 
     def apply_angles(self, response: Floats | Complexes, surfaces: Walls, cosine: Floats) -> None:
-        """Multiply responses (P, T, F) by the factors of surfaces (P, N) that depend on the angle, in place.
-
-        The cosines (P, T, N) are those of the angles of incidence.
-        """
+        """Multiply responses (P, T, F) by the factors of surfaces (P, N) that depend on the angle, in place."""
         for bounce, met in enumerate(surfaces.T):
             for wall in np.unique(met[self.angular[met]]).tolist():
                 here = np.flatnonzero(met == wall)
@@ -171,10 +166,7 @@ class SceneResponse:
     def apply_directivities(
         self, response: Floats | Complexes, ends: tuple[Source, Receiver], found: Arrivals, times: Floats
     ) -> None:
-        """Multiply responses (P, T, F) by the directivities of both ends, in place.
-
-        A receiver of several channels is left out: `of_channels` multiplies by theirs.
-        """
+        """Multiply responses (P, T, F) by the directivities of both ends, in place."""
         (source, receiver), frequencies, c = ends, self.frequencies, self._scene.air.speed_of_sound
         if not isinstance(source.directivity, Omni):
             towards = to_transducer_frame(source.orientation, found.emission_time, found.departure)
@@ -186,10 +178,7 @@ class SceneResponse:
     def of_channels(
         self, response: Floats | Complexes, receiver: Receiver, channels: range | None, found: Arrivals, times: Floats
     ) -> Floats | Complexes:
-        """Multiply responses (P, T, F) by the gains of channels of a receiver, (C, P, T, F).
-
-        Gains of some channels are without the phase of their lateness; those of all, where none are named, have it.
-        """
+        """Multiply responses (P, T, F) by the gains of channels of a receiver, (C, P, T, F)."""
         directivity, c = receiver.directivity, self._scene.air.speed_of_sound
         if not isinstance(directivity, ChannelDirectivity):
             return response[None]
@@ -208,25 +197,6 @@ def is_complex(scene: Scene) -> bool:
         *(receiver.directivity for receiver in scene.receivers),
     ]
     return any(m.is_complex for m in scene.materials) or any(d.is_complex for d in directivities)
-
-
-def unfolded_normals(normals: Floats, walls: NDArray[np.signedinteger[Any]], through: NDArray[np.bool_]) -> Floats:
-    """Return the normals of a path's walls as seen from the source's own room.
-
-    Shapes: normals (W, 3); walls, through (P, N).
-
-    through: walls that mirror nothing, as paths pass straight through them.
-
-    result: each mirrored by the walls before it, the last of them first; zero where there is no wall.
-    """
-    met = np.concatenate([normals, np.zeros((1, 3))])[walls]
-    mirrors = np.where(through[..., None], 0.0, met)
-    unfolded = met.copy()
-    for bounce in range(walls.shape[1]):
-        for before in range(bounce - 1, -1, -1):
-            along = np.sum(unfolded[:, bounce] * mirrors[:, before], axis=1, keepdims=True)
-            unfolded[:, bounce] -= 2.0 * along * mirrors[:, before]
-    return np.asarray(unfolded)
 
 
 def to_transducer_frame(orientation: Callable[[Floats], Floats], times: Floats, directions: Floats) -> Floats:

@@ -47,19 +47,15 @@ def warn_without_edges(paths: PathSet, max_order: int, find: Callable[..., PathS
     searched = near is not None and len(near) == len(paths.scene.bodies)
     level = None if near is None else neglected_db(paths.scene, near, max_order, find)
     if level is not None:
-        warn(
-            f"edges within or beside the Fresnel zones of paths: the field of edges, which is left out, reaches "
-            f"{level:.0f} dB of the strongest path (diffraction=1 adds it)"
-        )
+        field = f"the field of edges, which is left out, reaches {level:.0f} dB of the strongest path"
+        warn(f"edges within or beside the Fresnel zones of paths: {field} (diffraction=1 adds it)")
         return
     if not searched and _warn_of_small_faces(paths):
         return
     jump = largest_jump_db(paths, _MOST_RECEIVERS)
     if jump is not None and jump > _LOUD_JUMP_DB:
-        warn(
-            f"paths begin and end at edges: the pressure jumps by up to {jump:.0f} dB of the strongest path, and "
-            "behind edges there is silence, without paths over edges (diffraction=1)"
-        )
+        jumps = f"the pressure jumps by up to {jump:.0f} dB of the strongest path, and behind edges there is silence"
+        warn(f"paths begin and end at edges: {jumps}, without paths over edges (diffraction=1)")
 
 
 def _warn_of_small_faces(paths: PathSet) -> bool:
@@ -75,21 +71,15 @@ def _warn_of_small_faces(paths: PathSet) -> bool:
     for level, name, width, zone, wall in sorted(loudest.values(), reverse=True)[:_MOST_TESTED]:
         if not _diffracts(paths.scene, wall):
             continue
-        warn(
-            f"{name!r} is {1e3 * width:.3g} mm wide, the Fresnel zone of a path over it {1e3 * zone:.3g} mm: its "
-            f"reflection, {level:.0f} dB re the free direct sound, is wrong by several dB without edges "
-            "(diffraction=1)"
-        )
+        wide = f"{1e3 * width:.3g} mm wide, the Fresnel zone of a path over it {1e3 * zone:.3g} mm"
+        wrong = f"its reflection, {level:.0f} dB re the free direct sound, is wrong by several dB"
+        warn(f"{name!r} is {wide}: {wrong} without edges (diffraction=1)")
         return True
     return False
 
 
 def neglected_db(scene: Scene, bodies: list[Body], max_order: int, find: Callable[..., PathSet]) -> float | None:
-    """Find the largest level of the sum of a pair's edge paths at a few instants, dB re the pair's strongest path.
-
-    Edges are those of the room and of some bodies. Paths have one edge and one reflection at most, at the centre
-    frequency of the signal. None stands for less than -30 dB, which edges far from every Fresnel zone reach.
-    """
+    """Find the largest level of a pair's edge paths together, dB re its strongest path; None below -30 dB."""
     if not (bodies or len(scene.room.edges())):
         return None
     until = known_until([*scene.named_ends(), *scene.named_bodies()])
@@ -106,10 +96,7 @@ def neglected_db(scene: Scene, bodies: list[Body], max_order: int, find: Callabl
 
 
 def _searched_bodies(scene: Scene) -> list[Body] | None:
-    """Select the bodies, nearest to lines of sight first, whose edge paths are found in a second or so with the room's.
-
-    None where the room alone has too many faces and edges.
-    """
+    """Select bodies near lines of sight whose edge paths are found in a second; None where the room has too many."""
     faces, edges = len(scene.room.faces.names), len(scene.room.edges())
     if not _is_searched(faces, edges):
         return None
@@ -168,14 +155,9 @@ def _edges_db(paths: PathSet) -> float:
 
 
 def largest_jump_db(paths: PathSet, most: int | None = None) -> float | None:
-    """Find the largest jump of the pressure where paths to the first receivers begin and end, dB re the strongest.
-
-    Paths that take over from each other, such as by the same walls in another order, cancel. None stands for less than
-    -60 dB.
-    """
-    jumps = [
-        jump for receiver in range(len(paths.scene.receivers))[:most] for jump in _jumps(paths.at_receiver(receiver))
-    ]
+    """Find the largest jump of pressure as paths begin and end, dB re the strongest; None below -60 dB."""
+    receivers = range(len(paths.scene.receivers))[:most]
+    jumps = [jump for receiver in receivers for jump in _jumps(paths.at_receiver(receiver))]
     worst = 20.0 * np.log10(max(jumps, default=0.0) + 1e-300)
     return float(worst) if worst > _LEAST_JUMP_DB else None
 
@@ -270,10 +252,7 @@ def _jumps(paths: PathSet) -> Iterator[float]:
 
 
 def warn_without_shadows(paths: PathSet, scattering_order: int) -> None:
-    """Warn of the first scatterer with a shadow that stands in an echo of more than `scattering_order` walls.
-
-    It stands there if the path passes its centre within the least of its semi-axes.
-    """
+    """Warn of the first scatterer with a shadow that stands in an echo of more than `scattering_order` walls."""
     scene = paths.scene
     casting = [scatterer for scatterer in scene.scatterers if scatterer.shape.shadows]
     echoes = next((family for family in paths.families if family.is_specular), None)
@@ -286,10 +265,9 @@ def warn_without_shadows(paths: PathSet, scattering_order: int) -> None:
         for scatterer in casting:
             centre, least = scatterer.trajectory.position(np.array([time]))[0], float(np.min(scatterer.shape.semi_axes))
             if len(rows) and _least_apart(places, centre) < least:
-                warn(
-                    f"{scatterer.name!r} stands in the way of echoes at {time:.3g} s and casts no shadow on them: "
-                    f"scattering_order is {scattering_order}, and echoes of N walls have shadows from N on"
-                )
+                why = f"scattering_order is {scattering_order}, and echoes of N walls have shadows from N on"
+                stands = f"{scatterer.name!r} stands in the way of echoes at {time:.3g} s"
+                warn(f"{stands} and casts no shadow on them: {why}")
                 return
 
 

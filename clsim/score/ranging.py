@@ -15,7 +15,7 @@ from clsim.arrays import Complexes, Floats, as_choice, as_index, as_number, read
 from clsim.errors import InputError, check_packages, check_pictures, counted
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.ground_truth import in_sight, reception_times
-from clsim.paths.legs.static import direct_paths
+from clsim.paths.legs.legs import direct_paths
 from clsim.paths.path_set import PathSet
 from clsim.pictures.view_page import html_table
 from clsim.recording import Recording, as_recording

@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar
 import clsim
 from clsim.paths import find_paths
 from clsim.paths.chain import Chain
-from clsim.paths.legs.static import StaticLeg
+from clsim.paths.legs.legs import StaticLeg
 from clsim.paths.path_set import PathSet
 from clsim.plugins import _plugins
 

@@ -11,7 +11,7 @@ from mutants import KeptEngines, Mutants
 from scipy.spatial.transform import Rotation, Slerp
 
 import clsim
-from clsim.paths.legs.static import StaticLeg
+from clsim.paths.legs.legs import StaticLeg
 from clsim.paths.path_set import PathSet
 from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl.engine import GPU_LAYOUT, Layout, OpenclEngine

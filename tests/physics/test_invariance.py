@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import clsim
 from clsim.numerics.quaternions import quaternion_from_direction
-from clsim.paths.legs.static import StaticLeg
+from clsim.paths.legs.legs import StaticLeg
 from clsim.paths.path_set import PathSet
 from clsim.scene.signal.waveforms import Tone
 

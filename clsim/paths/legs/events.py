@@ -38,29 +38,23 @@ BEYOND_LEG = 0.5  # of a leg, by which events of paths that are not there may li
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Events:
-    """P paths of N mirrors at T times of reception, from which all times are counted.
-
-    Attributes
-    ----------
-    stretch, carried : ndarray (P, T)
-        By how much the time of reception grows with that of emission for a receiver that rests in the air; what the
-        wind makes of it where all rests in the room.
-    place, time : ndarray (P, T, N + 2, 3), (P, T, N + 2)
-        Emission, reflections and reception in the room, m and s; those of no mirror at that before.
-    share : ndarray (P, T, N)
-        Where the line from the receiver's side to the image meets each mirror: between 0 and 1 if it does.
-    """
+    """P paths of N mirrors at T times of reception, from which all times are counted."""
 
     delay: Floats  # (P, T) s, and its derivative by the time of reception
     rate: Floats  # likewise
     distance: Floats  # (P, T) from the image of the emission to the receiver in the air's frame, m
+    # (P, T) by how much the time of reception grows with that of emission for a receiver that rests in the air.
     stretch: Floats
-    carried: Floats
+    carried: Floats  # (P, T) what the wind makes of it where all rests in the room
     mach: Floats  # (P, T) of the source along its way
     departure: Floats  # (P, T, 3) normals of the wavefront: as it leaves, and back from the receiver
     arrival: Floats  # likewise
+    # (P, T, N + 2, 3) emission, reflections and reception in the room, m and s; those of no mirror at that
+    # before.
     place: Floats
-    time: Floats
+    time: Floats  # (P, T, N + 2)
+    # (P, T, N) where the line from the receiver's side to the image meets each mirror: between 0 and 1 if it
+    # does.
     share: Floats
     cosine: Floats  # (P, T, N) of the angle of incidence
 
@@ -205,10 +199,9 @@ class _Search:
         for _ in range(rounds):
             rest = first or not retarded
             at = [e if retarded else np.zeros(shape) for e in event]
-            planes = [
-                _in_air(self.mirrors.planes(walls[:, k], now, at[k], None if rest else place[k]), wind)
-                for k in range(count)
-            ]
+            planes = [self.mirrors.planes(walls[:, k], now, at[k], None if rest else place[k]) for k in range(count)]
+            if wind.any():  # mirrors as they are in the air's frame: the room's at the times from which is counted
+                planes = [replace(mirror, speed=mirror.speed - mirror.normal @ wind) for mirror in planes]
             seen = _images(planes, ends, emission, c)
             apart = receiver_at - seen.place[-1]
             distance = np.linalg.norm(apart, axis=-1)
@@ -219,9 +212,8 @@ class _Search:
             before = place
             event, place, share = _traced(planes, seen, receiver_at, wind)
             largest = np.abs(step).max(axis=1, initial=0.0)
-            strays = np.max(
-                [np.abs(a - b).max(axis=(1, 2)) for a, b in zip(place, before, strict=True)], axis=0, initial=0.0
-            )
+            moved = [np.abs(a - b).max(axis=(1, 2)) for a, b in zip(place, before, strict=True)]
+            strays = np.max(moved, axis=0, initial=0.0)
             enough = largest.max(initial=0.0) <= (_CONVERGED if known is None else _FOUND)
             if not first and enough and (not self.mixes or strays.max(initial=0.0) <= _ASTRAY):
                 break
@@ -268,11 +260,6 @@ class _Images:
     place: list[Floats]
     late: Floats
     moved: Floats
-
-
-def _in_air(planes: Planes, wind: Floats) -> Planes:
-    """Return mirrors as they are in the air's frame, which is that of the room at the times from which is counted."""
-    return replace(planes, speed=planes.speed - planes.normal @ wind) if wind.any() else planes
 
 
 def _images(planes: list[Planes], ends: _Ends, emission: Floats, c: float) -> _Images:

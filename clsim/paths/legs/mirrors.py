@@ -63,16 +63,13 @@ class Mirrors:
         return Mirrors(
             read_only(np.concatenate([each.normals for each in faces])),
             read_only(np.concatenate([each.offsets for each in faces])),
-            read_only(np.repeat(np.arange(-1, len(bodies)), counts)),
-            read_only(np.cumsum(counts)[:-1]),
-            bodies,
-        )
+            read_only(np.repeat(np.arange(-1, len(bodies)), counts)), read_only(np.cumsum(counts)[:-1]), bodies,
+        )  # fmt: skip
 
     def planes(self, walls: Integers, now: Floats, event: Floats, place: Floats | None) -> Planes:
         """Return mirrors as they are about the events in which sound meets them.
 
         Shapes: walls (P,); now (P, T) s; event (P, T) s; place (P, T, 3) m.
-
         A face n(t) x = h(t) that turns is taken as its tangent about the event, a plane of the constant normal n and
         the speed ``h' - n' x``, which is that of the body's own point there.
         """
@@ -90,10 +87,7 @@ class Mirrors:
         return Planes(normal, offset, speed)
 
     def distances(self, walls: Integers, start: Floats, stop: Floats, times: Any) -> Floats:
-        """Lengths of paths (P,) by mirrors at rest where they are at a time, or at times (P,), m.
-
-        Shapes: walls (P, N); start, stop (P, 3) m.
-        """
+        """Lengths of paths (P,) by mirrors at rest where they are at a time, or at times (P,), m."""
         now, none = np.broadcast_to(times, len(walls))[:, None], np.zeros((len(walls), 1))
         image = start[:, None]
         for met in walls.T:
@@ -128,14 +122,10 @@ class Mirrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeLines:
-    """All edges of a scene: those of the room, and behind them those of its bodies, E in all.
+    """All edges of a scene: those of the room, and behind them those of its bodies, E in all."""
 
-    Attributes
-    ----------
-    frames : ndarray (E, 4, 3)
-        Start, m, and the vectors `across`, `out` and `along`, see `Edges`; of bodies in their own coordinates.
-    """
-
+    # (E, 4, 3) start, m, and the vectors `across`, `out` and `along`, see `Edges`; of bodies in their own
+    # coordinates.
     frames: Floats
     length: Floats  # (E,) m, and exterior angles over π
     n: Floats  # likewise
@@ -160,10 +150,8 @@ class EdgeLines:
             read_only(np.concatenate([edges.faces + f for edges, f in zip(found, first, strict=False)])),
             read_only(np.concatenate([edges.free for edges in found])),
             read_only(np.repeat(np.arange(-1, len(bodies)), [len(edges) for edges in found])),
-            tuple(name for edges in found for name in edges.names),
-            tuple(bodies),
-            tuple(found),
-        )
+            tuple(name for edges in found for name in edges.names), tuple(bodies), tuple(found),
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.names)

@@ -9,18 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import ByRow, Floats, firsts
+from clsim.paths.visibility import occlusion
 from clsim.paths.visibility.intervals import BoundingSpheres, joined
-from clsim.paths.visibility.occlusion import (
-    BEHIND,
-    Beams,
-    Ears,
-    Lookup,
-    Views,
-    WallLookup,
-    beam_planes,
-    clip_rings,
-    open_parts,
-)
 from clsim.scene.room.walls import Walls
 
 _BEAMS = 2_000  # looked at at a time
@@ -104,40 +94,22 @@ class _Beams(ByRow):
 
 
 class BeamTree:
-    """All sequences up to an order from a sphere to receivers.
-
-    Shapes: centre, radius (3,) m; sides (W,).
-
-    receivers: spheres, or what another tree of the same walls and sides has made of them, its `ears`.
-
-    sides: on which side of each wall paths can be, as from `air_sides`; on both when left out.
-
-    hides: whether a wall hides what is behind it.
-
-    Attributes
-    ----------
-    ears : Ears
-        View of the receivers.
-    beams : int
-        Beams looked at so far.
-    share : float
-        Of the work that is done, 0 to 1, estimated.
-    """
+    """All sequences up to an order from a sphere to receivers: spheres, or the `ears` of another tree."""
 
     def __init__(
-        self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres | Ears, limit: int,
-        sides: NDArray[np.int64] | None = None, lookup: Lookup | None = None, hides: bool = True,
+        self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres | occlusion.Ears, limit: int,
+        sides: NDArray[np.int64] | None = None, lookup: occlusion.Lookup | None = None, hides: bool = True,
     ) -> None:  # fmt: skip
         self._walls, self._limit, self._hides = walls, limit, hides
-        self._lookup = lookup or WallLookup(walls)
+        self._lookup = lookup or occlusion.WallLookup(walls)
         self._centre, self._radius = centre, radius + _SLACK * walls.size
+        # On which sides of walls paths can be, as from `air_sides`.
         self._sides = np.zeros(len(walls), dtype=np.int64) if sides is None else sides
         widths = np.diff(walls.first_hull)
         fill = np.minimum(np.arange(widths.max()), widths[:, None] - 1)
         self._hulls, self._widths = walls.hull[walls.first_hull[:-1, None] + fill], widths
-        self.beams = 0
-        self.share = 0.0
-        self.ears = receivers if isinstance(receivers, Ears) else self._listening(receivers)
+        self.beams, self.share = 0, 0.0  # beams looked at so far; of the work that is done, estimated
+        self.ears = receivers if isinstance(receivers, occlusion.Ears) else self._listening(receivers)
 
     def candidates(self, max_order: int) -> Iterator[Candidates]:
         """Yield candidates batch by batch; depth first, so that little is held at a time."""
@@ -166,10 +138,7 @@ class BeamTree:
                 stack.append((children.part(slice(i * _BEAMS, (i + 1) * _BEAMS)), share / count))
 
     def estimate(self, max_order: int) -> float:
-        """Return about how many beams the tree up to an order has, from samples of its first levels.
-
-        Those of the last order are left out: only the few that may reach a receiver are made.
-        """
+        """Return about how many beams the tree up to an order has, from samples of its first levels."""
         total, growth, beams = 1.0, 1.0, self._first()
         count = float(len(beams.corners))
         for level in range(1, max_order):
@@ -188,7 +157,7 @@ class BeamTree:
         centre = self._mirrored(np.broadcast_to(self._centre, (len(wall), 3)), wall)
         return _Beams(centre, ring[wall], corners[wall], wall[:, None])
 
-    def _listening(self, receivers: BoundingSpheres) -> Ears:
+    def _listening(self, receivers: BoundingSpheres) -> occlusion.Ears:
         """View of the receivers."""
         walls, planes = self._walls, [np.empty((0, 4))]
         radii = receivers.radius + _SLACK * walls.size
@@ -197,12 +166,12 @@ class BeamTree:
             ring, corners = self._open(centre, radius)
             wall = np.flatnonzero(corners)
             centres = np.broadcast_to(centre, (len(wall), 3))
-            some = beam_planes(centres, radius, ring[wall], corners[wall], walls.normal[wall], walls.size)
+            some = occlusion.beam_planes(centres, radius, ring[wall], corners[wall], walls.normal[wall], walls.size)
             real = np.arange(ring.shape[1] + 1) < corners[wall, None]
             real[:, -1] = True  # the half-space behind the wall
             planes.append(some[real])
             row[wall] = corners[wall] + 1
-        return Ears(receivers.centre, radii, count > 0, np.concatenate(planes), firsts(count.ravel()))
+        return occlusion.Ears(receivers.centre, radii, count > 0, np.concatenate(planes), firsts(count.ravel()))
 
     def _open(self, centre: Floats, radius: float) -> tuple[Floats, NDArray[np.int64]]:
         """Return the parts of all walls that no other one hides from a ball; see `open_parts`."""
@@ -212,8 +181,8 @@ class BeamTree:
             corners[some] = self._widths[some]
             return ring, corners
         centres, none = np.broadcast_to(centre, (len(some), 3)), np.full(len(some), -1)
-        views = Views(centres, radius, centres[:, None], none, self._hulls[some], self._widths[some], some)
-        left, corners[some] = open_parts(self._walls, views, self._lookup.crossings)
+        views = occlusion.Views(centres, radius, centres[:, None], none, self._hulls[some], self._widths[some], some)
+        left, corners[some] = occlusion.open_parts(self._walls, views, self._lookup.crossings)
         ring = ring[:, np.minimum(np.arange(left.shape[1]), ring.shape[1] - 1)]
         ring[some] = left
         return ring, corners
@@ -230,7 +199,7 @@ class BeamTree:
 
     def _planes(self, beams: _Beams) -> Floats:
         normal = self._walls.normal[beams.sequence[:, -1]]
-        return beam_planes(beams.centre, self._radius, beams.ring, beams.corners, normal, self._walls.size)
+        return occlusion.beam_planes(beams.centre, self._radius, beams.ring, beams.corners, normal, self._walls.size)
 
     def _reached(self, beams: _Beams, planes: Floats) -> Candidates:
         """Return the beams as candidates for receivers whose spheres they touch, and that see their last walls."""
@@ -241,11 +210,8 @@ class BeamTree:
         return Candidates(beams.sequence, row, receiver)
 
     def _reflected(self, beams: _Beams, planes: Floats, more: int) -> _Beams:
-        """Return the beams after one more reflection of several: on walls that they may meet, at last: to a receiver.
-
-        Before the last reflection but one, what walls hide is left out. Later it costs more than it saves.
-        """
-        cones = Beams(planes, beams.centre, self._radius, beams.sequence[:, -1], _SLACK * self._walls.size)
+        """Return the beams after one more reflection: on walls that they may meet, at last: to a receiver."""
+        cones = occlusion.Beams(planes, beams.centre, self._radius, beams.sequence[:, -1], _SLACK * self._walls.size)
         beam, wall = self._lookup.meetings(cones, self._sides, self.ears if more == 1 else None)
         pieces = [slice(i, i + _PAIRS) for i in range(0, max(len(beam), 1), _PAIRS)]
         return _Beams.joined([self._clipped(beams, planes, beam[piece], wall[piece], more > 2) for piece in pieces])
@@ -256,17 +222,17 @@ class BeamTree:
         """Return the parts of beams that walls (n,) reflect, all or what others do not hide."""
         walls = self._walls
         least = np.zeros(planes.shape[1])
-        least[-1] = 2.0 * BEHIND * walls.size  # walls that touch the last one from its other side
+        least[-1] = 2.0 * occlusion.BEHIND * walls.size  # walls that touch the last one from its other side
         height = np.einsum("npi,nmi->npm", planes[beam, :, :3], self._hulls[wall]) - planes[beam, :, 3:]
         meets = np.all(height.max(axis=2) > least, axis=1)  # all corners outside one plane: none
         beam, wall = beam[meets], wall[meets]
-        ring, corners = clip_rings(self._hulls[wall], self._widths[wall], planes[beam])
+        ring, corners = occlusion.clip_rings(self._hulls[wall], self._widths[wall], planes[beam])
         left = np.flatnonzero(corners >= 3)
         ring, corners, beam, wall = ring[left, : int(corners.max(initial=1))], corners[left], beam[left], wall[left]
         if open_only and self._hides:
             before = beams.sequence[beam, -1]
-            views = Views(beams.centre[beam], self._radius, beams.ring[beam], before, ring, corners, wall)
-            ring, corners = open_parts(walls, views, self._lookup.crossings)
+            views = occlusion.Views(beams.centre[beam], self._radius, beams.ring[beam], before, ring, corners, wall)
+            ring, corners = occlusion.open_parts(walls, views, self._lookup.crossings)
         left = np.flatnonzero(corners)
         next_wall = wall[left].astype(np.int32)
         sequence = np.concatenate([beams.sequence[beam[left]], next_wall[:, None]], axis=1)

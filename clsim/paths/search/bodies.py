@@ -16,8 +16,8 @@ from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import PathFamily
+from clsim.paths.legs.legs import moving_paths
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.legs.moving import moving_paths
 from clsim.paths.options import PathOptions
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
@@ -97,11 +97,9 @@ class BodySearch:
         fastest = max(body.peak_speed for body in scene.bodies)
         most = _FASTEST * scene.air.slowest
         if 2.0 * fastest * self.order > most:
-            raise InputError(
-                "body_order",
-                f"must be so low that bodies change the length of paths by at most {most:.6g} m/s, but with "
-                f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s",
-            )
+            bound = f"must be so low that bodies change the length of paths by at most {most:.6g} m/s"
+            by = f"{self.order} reflections at up to {fastest:.6g} m/s they may by {2.0 * fastest * self.order:.6g} m/s"
+            raise InputError("body_order", f"{bound}, but with {by}")
         self._known: BodyRates | None = None
         self.pair = cache(self._pair)
         self.posed = lru_cache(maxsize=1)(self._posed)  # edges are reached from both ends in one pose
@@ -125,9 +123,8 @@ class BodySearch:
             last = max((t for t in moving if math.isfinite(t)), default=0.0) + longest
         motions = ends[0].trajectory, ends[1].trajectory
         times = evaluations(scene.bodies, motions, last, longest, self.search.body_step)
-        lifted: Any = tuple(
-            _Lifted(ends[i].trajectory, find_mount(scene.room, ends[i]), PERTURBATIONS[i]) for i in range(2)
-        )
+        mounts = [find_mount(scene.room, end) for end in ends]
+        lifted: Any = tuple(map(_Lifted, motions, mounts, PERTURBATIONS))
         medium = mean_medium_of(scene.air, ends[0].emitted.centre_frequency)
         rates = self._rates(longest, last).of_ends(motions[0], motions[1:])
         return PairQuery(lifted, medium, rates, times, query.resolution)
@@ -197,12 +194,13 @@ class BodySearch:
         receiver = np.repeat(np.arange(len(pairs)), [len(sequence) for sequence, _, _ in found])
         evaluations = evaluate_at(surfaces, receiver)
         which, begin, end = (np.concatenate([run[i] for run in runs]) for i in range(3))
-        path, begin, end = certified(
-            evaluations.evaluate, evaluations.status, (which, begin, end), pairs[0].resolution, progress
-        )
+        evaluate, status, spans = evaluations.evaluate, evaluations.status, (which, begin, end)
+        path, begin, end = certified(evaluate, status, spans, pairs[0].resolution, progress)
         for ear, pair in enumerate(pairs):
             mine = np.flatnonzero(receiver[path] == ear)
-            yield _merged(surfaces[path[mine]], *pair.bounded(begin[mine], end[mine]))
+            sequence, (start, stop) = surfaces[path[mine]], pair.bounded(begin[mine], end[mine])
+            one, other = joined([np.sum(sequence >= 0, axis=1), *sequence.T], start, stop)
+            yield sequence[one], start[one], stop[other]
 
     def mirror_evaluation(self, source: int) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorEvaluation]:
         """Return a function that makes the evaluation of paths by mirrors (P, N) from a source to receivers (P,)."""
@@ -226,10 +224,7 @@ class BodySearch:
         return found
 
     def cells(self, last: float, find: Callable[[Span], Found]) -> list[tuple[Span, Found]]:
-        """Return stretches of time until a last one, s, and what is found in each, in order.
-
-        In each bodies are about one pose; they are halved where there are more beams than can be looked at.
-        """
+        """Return stretches of time until a last one, s, and what is found in each, in order."""
         waiting, found, probed = self._spans(last)[::-1], [], False
         while waiting:
             begin, end = waiting.pop()
@@ -287,11 +282,7 @@ class BodySearch:
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
     def moved(self, time: float, others: Floats) -> float:
-        """Largest distance of images by bodies from those at a time, from the first to the last of others, m.
-
-        That is half of it: by how much a corner goes, and how far the way to the body turns, on the mean of all ways to
-        reflections, each no longer than the room for every leg.
-        """
+        """Half the largest distance of images by bodies from those at a time, over times from first to last, m."""
         most, between = 0.0, 0.5 * float(np.diff(others).max(initial=0.0))
         length = 0.5 * (self.order + 1) * self.room.walls.size
         for body in self.scene.bodies:
@@ -344,9 +335,3 @@ def _runs(
     begin, end = bounds[cell[first]], bounds[cell[last] + 1]
     real = end > begin
     return first[real], begin[real], end[real]
-
-
-def _merged(sequence: NDArray[np.int32], begin: Floats, end: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
-    """Sort paths by order, mirrors and time, and join their intervals that touch."""
-    first, last = joined([np.sum(sequence >= 0, axis=1), *sequence.T], begin, end)
-    return sequence[first], begin[first], end[last]

@@ -8,10 +8,9 @@ from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.paths.chain import Chain
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import dot
@@ -20,23 +19,12 @@ from clsim.paths.search.body_edge_pairs import GapEvaluation, GapFinder, Route, 
 from clsim.paths.search.edge_ends import least_level, lowest_wave, over_faces
 from clsim.paths.search.edge_gaps import in_air
 from clsim.paths.search.mesh import visibility_query
+from clsim.paths.vertices import edge_events
 from clsim.paths.vertices.edge_end import EdgeEndVertex
-from clsim.paths.vertices.edge_events import (
-    MEETING,
-    OF_LAST,
-    TWO_ENDS,
-    EdgeEndSolver,
-    GapPairs,
-    at_meeting,
-    held_places,
-)
 from clsim.paths.vertices.edge_pair import ACROSS_AIR
 from clsim.paths.visibility.edge_ends import levels_over_ends
 from clsim.paths.visibility.intervals import VisibilityQuery
 from clsim.paths.visibility.subdivision import ROUNDS
-
-Rows = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 _TIMES = 9, 33  # times of a stretch at which levels are estimated, fewest and most
 _EVERY = 4  # of the times at which paths are searched, for which there is one of these
@@ -46,10 +34,7 @@ _ON_FACE = 1e-6  # m by which ends may be off the faces that they end at
 
 
 def moving_end_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
-    """Find every path over an edge and an end of another one of which an edge or a mirror belongs to a body.
-
-    others: all other paths: where one of these is taken over from, its time is taken.
-    """
+    """Find every path over an edge and an end of another one of which an edge or a mirror belongs to a body."""
     return moving_pairs(_EndFinder(search), EdgeEndVertex, search, others)
 
 
@@ -65,9 +50,8 @@ class _EndFinder(GapFinder):
     def _find_query(self, source: int) -> VisibilityQuery:
         """Query as `EdgePaths` has it, up to whose end levels are estimated."""
         search, scene = self._search.search, self._search.scene
-        return visibility_query(
-            scene, self._search.room, scene.sources[source], search.max_order + 1, search.resolution
-        )[0]
+        order, source_of = search.max_order + 1, scene.sources[source]
+        return visibility_query(scene, self._search.room, source_of, order, search.resolution)[0]
 
     def _find_over_faces(self) -> Iterator[Route]:
         """Yield routes over faces that edges of one object share."""
@@ -75,9 +59,8 @@ class _EndFinder(GapFinder):
         meshes = self._search.room, *(body.mesh for body in self.lines.bodies)
         for mesh, edges in zip(meshes, self.lines.parts, strict=True):
             found = over_faces(mesh.walls, edges, 0)
-            for (one, other), end, face in zip(
-                (found.edge + first).tolist(), found.end.tolist(), found.face, strict=True
-            ):
+            pairs = (found.edge + first).tolist()
+            for (one, other), end, face in zip(pairs, found.end.tolist(), found.face, strict=True):
                 yield one, other, none, end, face
             first += len(edges)
 
@@ -85,14 +68,14 @@ class _EndFinder(GapFinder):
         yield from self._over_faces
         free = self.lines.free.tolist()
         for one, other, walls, _, face in GapFinder._routes(self, source, span):
-            for end in range(2 * OF_LAST):
-                if free[other if end >= OF_LAST else one][end % OF_LAST]:
+            for end in range(2 * edge_events.OF_LAST):
+                if free[other if end >= edge_events.OF_LAST else one][end % edge_events.OF_LAST]:
                     yield one, other, walls, end, face
 
     def _evaluate(self, pair: PairQuery, chains: Any) -> Callable[[Rows, Floats], Any]:
         return _EndEvaluation(self._search, self._faces, pair, chains)
 
-    def _chains(self, source: int, receiver: int, span: Span) -> GapPairs:
+    def _chains(self, source: int, receiver: int, span: Span) -> edge_events.GapPairs:
         """Objects that paths may meet within an interval of time, but where these stay below the least level."""
         pairs, pair = GapFinder._chains(self, source, receiver, span), self._pair(source, receiver)
         inner = int(np.sum((pair.times > span[0]) & (pair.times < span[1])))
@@ -125,7 +108,7 @@ class _EndFinder(GapFinder):
 class _EndEvaluation(GapEvaluation):
     """How paths over an edge and an end of another one are at some times, see `PairEvaluation`."""
 
-    solver: ClassVar[type[EdgeEndSolver]] = EdgeEndSolver
+    solver: ClassVar[type[edge_events.EdgeEndSolver]] = edge_events.EdgeEndSolver
 
     def levels(self, times: Floats, wave: float, direct: bool) -> Floats:
         """Estimate the pressure (P, T) of paths at times of reception (P, T), s, see `end_levels`."""
@@ -136,9 +119,14 @@ class _EndEvaluation(GapEvaluation):
         pairs, lines = self.pairs.part(rows), self.faces.lines
         mirrors = self.search.obstacles.mirrors
         solver = self.solver(mirrors, lines, self.pair.ends, self.pair.medium, rounds=ROUNDS)
-        now, longer, both = times[rows, when], np.full(len(rows), np.nan), np.flatnonzero(pairs.end >= TWO_ENDS)
+        now, longer, both = (
+            times[rows, when],
+            np.full(len(rows), np.nan),
+            np.flatnonzero(pairs.end >= edge_events.TWO_ENDS),
+        )
         longer[both] = _lengths(solver.find(pairs.part(both), now[both, None]))[:, 0]
-        pairs = replace(pairs, end=np.where(pairs.end >= TWO_ENDS, pairs.end % MEETING, pairs.end))
+        end = pairs.end
+        pairs = replace(pairs, end=np.where(end >= edge_events.TWO_ENDS, end % edge_events.MEETING, end))
         events: Any = solver.find(pairs, now[:, None])
         ahead, back, between, _, *slopes = np.moveaxis(events.middle[:, 0], 1, 0)
         (r_s, t_s, z_s), (r_r, t_r, z_r) = ([x[:, 0] for x in end] for end in (events.source, events.receiver))
@@ -146,7 +134,7 @@ class _EndEvaluation(GapEvaluation):
         turned = np.where(on_face[:, None], np.pi * pairs.face * lines.n[np.stack([pairs.edge, pairs.last], 1)], 0.0)
         ahead, back = np.where(on_face, turned[:, 0], ahead), np.where(on_face, turned[:, 1], back)
         z_s, z_r = z_s - events.along[:, 0, 0], z_r - events.along[:, 1, 0]
-        meeting, last = at_meeting(pairs.end), pairs.end >= OF_LAST
+        meeting, last = edge_events.at_meeting(pairs.end), pairs.end >= edge_events.OF_LAST
         whole = self._rolled_out(solver, pairs, events).length[:, 0]
         emission = now - (events.first.delay + events.last.delay)[:, 0]
         source, receiver = (end.position(t) for end, t in zip(self.pair.ends, (emission, now), strict=True))
@@ -168,7 +156,7 @@ class _EndEvaluation(GapEvaluation):
 
     def may_pass(self, pairs: Any, times: Floats, seen: Any, slack: Floats) -> Bools:
         held, lines = (
-            held_places(pairs.end, self.faces.lines.length[np.stack([pairs.edge, pairs.last], 1)]),
+            edge_events.held_places(pairs.end, self.faces.lines.length[np.stack([pairs.edge, pairs.last], 1)]),
             self.faces.lines,
         )
         possible, on_face = np.ones(times.shape, dtype=bool), pairs.face[:, 0] != ACROSS_AIR
@@ -187,8 +175,8 @@ class _EndEvaluation(GapEvaluation):
     def ended(self, solver: Any, pairs: Any, events: Any, p: Rows, t: Rows) -> tuple[Any, Any]:
         """Masks of edges (n, 2) that end, and of paths (n,) whose shortest ways over both edges meet those."""
         number, middle = pairs.end[p], events.middle[p, t]
-        meeting, both = at_meeting(number), number >= TWO_ENDS
-        last = (number % MEETING >= OF_LAST) & ~meeting
+        meeting, both = edge_events.at_meeting(number), number >= edge_events.TWO_ENDS
+        last = (number % edge_events.MEETING >= edge_events.OF_LAST) & ~meeting
         (r_s, z_s), (r_r, z_r) = ((r[p, t], z[p, t]) for r, _, z in (events.source, events.receiver))
         along = events.along[p, :, t]
         r, z = np.where(last, r_r, r_s), np.where(last, z_r - along[:, 1], z_s - along[:, 0])
@@ -203,8 +191,12 @@ class _EndEvaluation(GapEvaluation):
 
     def _over_both(self, pairs: Any, near: tuple[Floats, Floats]) -> Floats:
         """How far (n,) paths over one end are inside the other edge's end, m, to endpoints at r and z about that."""
-        lines, last, edges = self.faces.lines, pairs.end % MEETING >= OF_LAST, np.stack([pairs.edge, pairs.last])
-        held = held_places(pairs.end, lines.length[edges.T]).T
+        lines, last, edges = (
+            self.faces.lines,
+            pairs.end % edge_events.MEETING >= edge_events.OF_LAST,
+            np.stack([pairs.edge, pairs.last]),
+        )
+        held = edge_events.held_places(pairs.end, lines.length[edges.T]).T
         mine, theirs = np.where(last, edges[::-1], edges)
         along, end = np.where(last, held[::-1], held)
         own, other = lines.frames[mine], lines.frames[theirs]
@@ -216,7 +208,7 @@ class _EndEvaluation(GapEvaluation):
     def free(self, pairs: Any, events: Any, p: Rows, t: Rows) -> Bools:
         """Mask (n,) of some paths at times (n,) of which the way between both edges is free."""
         free, air = np.ones(len(p), dtype=bool), pairs.face[p, 0] == ACROSS_AIR
-        there, along = np.flatnonzero(air), np.flatnonzero(~air & ~at_meeting(pairs.end[p]))
+        there, along = np.flatnonzero(air), np.flatnonzero(~air & ~edge_events.at_meeting(pairs.end[p]))
         free[there] = GapEvaluation.free(self, pairs, events, p[there], t[there])
         free[along] = self.faces.free(pairs.part(p[along]), events.along[p[along], :, t[along]])
         return free
@@ -233,7 +225,7 @@ class _EndEvaluation(GapEvaluation):
         on, across = GapEvaluation.on(self, solver, pairs, events), pairs.face[:, 0] == ACROSS_AIR
         on = np.where(across[:, None], on, on_edges(solver, pairs, events))
         for r, _ in solver.ahead(pairs, events):
-            on &= ~at_meeting(pairs.end)[:, None] | (r > 0.0)
+            on &= ~edge_events.at_meeting(pairs.end)[:, None] | (r > 0.0)
         return np.asarray(on)
 
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, TERMS, adjacent_reflections, lit_angles
-from clsim.arrays import Floats
+from clsim.arrays import Floats, Rows
 from clsim.paths.chain import Chain
 from clsim.paths.family import PathFamily
+from clsim.paths.legs.legs import moving_paths
 from clsim.paths.legs.mirrors import ROOM, EdgeLines, dot
-from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.body_edges import ABSENT, END, EdgeFinder, free_legs, halves, leg_is_free, tied
 from clsim.paths.search.edge_gaps import cotangents, in_air, open_gaps, segment_off
@@ -28,7 +28,6 @@ from clsim.paths.vertices.edge_pair import ACROSS_AIR, EdgePairVertex, GapPairVe
 from clsim.paths.visibility.edges import footprint, in_face, lines_apart
 from clsim.paths.visibility.subdivision import ROUNDS
 
-Rows = NDArray[np.int64]
 Codes = NDArray[np.int16]
 Span = tuple[float, float]
 Route = tuple[int, int, NDArray[np.int32], int, NDArray[np.int64]]
@@ -40,10 +39,7 @@ _IN_AIR = 1e-7  # rad off the faces of an edge, from which on another edge is in
 
 
 def moving_edge_pair_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
-    """Find every path over two edges of one face of which the edges or a mirror belong to a body.
-
-    others: paths over fewer edges, and over two of the room: where one of these is taken over from, its time is taken.
-    """
+    """Find every path over two edges of one face of which the edges or a mirror belong to a body."""
     return moving_pairs(EdgePairFinder(search), EdgePairVertex, search, others)
 
 
@@ -62,7 +58,8 @@ class EdgePairFinder(EdgeFinder):
         none = np.empty((0, self.width), np.int32)
         parts: list[Any] = [(none, none, *(np.empty(0, np.int64),) * 3, np.empty((0, 2), np.int64), none)]
         for one, other, walls, end, face in self._routes(source, span):
-            met, at_rest = int(np.sum(walls >= 0)), self._all_rest(one, other, walls)
+            owners = np.concatenate([self.lines.owner[[one, other]], np.append(self._mirrors.owner, ROOM)[walls]])
+            met, at_rest = int(np.sum(walls >= 0)), bool(np.all(owners == ROOM))
             before, after = self._met(sides, (one, other), self._order - met, at_rest)
             edges = (np.full(len(before), x) for x in (one, end, other))
             shared = np.tile(face, (len(before), 1))
@@ -74,11 +71,6 @@ class EdgePairFinder(EdgeFinder):
         none = np.full(self.width, -1, np.int32)
         for (one, other), face in zip(*self.lines.pairs(), strict=True):
             yield int(one), int(other), none, -1, face
-
-    def _all_rest(self, one: int, other: int, walls: NDArray[np.int32]) -> bool:
-        """Whether two edges and the mirrors between them belong to the room."""
-        owners = np.append(self._mirrors.owner, ROOM)[walls]
-        return bool(np.all(self.lines.owner[[one, other]] == ROOM) and np.all(owners == ROOM))
 
     def _columns(
         self, ends: tuple[int, int], chains: GapPairs, received: tuple[Floats, Floats], code: Codes
@@ -194,10 +186,7 @@ def on_edges(solver: EdgePairSolver, pairs: EdgePairs, events: EdgePairEvents) -
 
 
 def moving_gap_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
-    """Find every path over two edges with air between of which an edge or a mirror belongs to a body.
-
-    others: paths over fewer edges, and over two of the room: where one of these is taken over from, its time is taken.
-    """
+    """Find every path over two edges with air between of which an edge or a mirror belongs to a body."""
     return moving_pairs(GapFinder(search), GapPairVertex, search, others)
 
 
@@ -324,10 +313,7 @@ class GapEvaluation(PairEvaluation):
     def alike(
         self, edge: Rows, times: Floats, own: Floats, seen: tuple[Floats, Floats], slack: Floats
     ) -> NDArray[np.bool_]:
-        """Mask (P, T) of paths with an end and the other edge in the air of an edge, at angles that may agree.
-
-        Shapes: slack (P, T) m, by which they may be elsewhere.
-        """
+        """Mask (P, T) of paths with an end and the other edge in the air of an edge, at angles that may agree."""
         lines, possible, bounds = self.faces.lines, np.ones(times.shape, dtype=bool), []
         axes, n, length = lines.axes(edge, times), lines.n[edge][:, None, None], lines.length[edge][:, None]
         for places, sign in zip(seen, (-1.0, 1.0), strict=True):

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections, lit_angles, path_over_edge
-from clsim.arrays import Floats, read_only
+from clsim.arrays import Floats, Rows, read_only
 from clsim.errors import InputError
 from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
 from clsim.paths.family import PairPaths, PathFamily
 from clsim.paths.legs.events import Events
+from clsim.paths.legs.legs import moving_paths
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
-from clsim.paths.legs.moving import moving_paths
 from clsim.paths.search.beam_tree import BeamTree
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.mesh import BEAM_LIMIT
@@ -29,7 +29,6 @@ from clsim.paths.visibility.edge_intervals import joined_over_ends
 from clsim.paths.visibility.intervals import BoundingSpheres, joined
 from clsim.paths.visibility.subdivision import ROUNDS, coded
 
-Rows = NDArray[np.int64]
 Codes = NDArray[np.signedinteger[Any]]
 
 _ON = 1e-7  # of the room's size; what is nearer to a plane is in it
@@ -40,11 +39,7 @@ END, HALVES = 1 << TERMS, (2 << TERMS, 4 << TERMS)
 
 
 def moving_edge_paths(search: BodySearch, others: tuple[PathFamily, ...]) -> Chain:
-    """Return every path over one edge of which the edge or a mirror belongs to a body.
-
-    others: paths without edges, and over those of the room: where an edge path takes over from one of them, that one's
-    time is taken.
-    """
+    """Return every path over one edge of which the edge or a mirror belongs to a body."""
     finder, scene = EdgeFinder(search), search.scene
     held = finder.every_path()
     own: dict[str, Any] = {name: held[name] for name in COLUMNS}
@@ -150,11 +145,7 @@ class EdgeFinder:
     def _met(
         self, sides: tuple[Any, Any], edges: tuple[int, int], most: int, at_rest: bool | None = None
     ) -> tuple[Any, Any]:
-        """Mirrors (n, order) before the first and after the last of some edges, not more than `most` together.
-
-        Where the edges, and all between them, are `at_rest` a mirror must belong to a body: other paths are those of a
-        room without any.
-        """
+        """Mirrors (n, order) before the first and after the last of some edges, not more than `most` together."""
         before, after = sides[0][edges[0]], sides[1][edges[1]]
         i, j = np.divmod(np.arange(len(before) * len(after)), max(len(after), 1))
         both = np.concatenate([before[i], after[j]], axis=1)
@@ -179,11 +170,7 @@ class EdgeFinder:
     def _beams(
         self, source: int, ball: tuple[Floats, float], span: tuple[float, float]
     ) -> list[list[NDArray[np.int32]]]:
-        """Return for each edge the mirrors (n, N) by which it may be reached from a ball, by their number.
-
-        Beams run from the ball to balls that hold the edges, about one pose of the bodies, with the slack of
-        `BodySearch` for what moves off it.
-        """
+        """Return for each edge the mirrors (n, N) by which it may be reached from a ball, by their number."""
         (_, longest), (begin, end) = self._search.queries[source], span
         times = np.linspace(begin - longest, end, 9)
         middle = 0.5 * (begin - longest + end)
@@ -262,11 +249,7 @@ def _joined(chains: Chains, begin: Floats, end: Floats, code: Codes) -> tuple[Ch
 
 
 def tied(family: Chain, others: Sequence[PathFamily]) -> Chain:
-    """Return the paths with the times at which others begin or end where that is the same event.
-
-    Where sound goes over from one path to another both take the same time: an edge path and the one that passes its
-    edge, or is reflected at it, and a path over an edge and that over the end of it.
-    """
+    """Return the paths with the times at which others begin or end where that is the same event."""
     start, end = np.array(family.start), np.array(family.end)
     known: dict[tuple[int, int], list[PairPaths]] = {}
     for other in others:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
-from clsim.arrays import Floats, spread
+from clsim.arrays import Floats, Rows, spread
 from clsim.paths.chain import Chain
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_gaps import PARTS, apart, between_edges, in_air, legs_open
@@ -32,8 +32,6 @@ from clsim.paths.visibility.intervals import PERTURBATIONS, with_points
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene
-
-Rows = NDArray[np.int64]
 
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
@@ -65,14 +63,7 @@ def least_level(direct: bool) -> float:
 
 
 def end_candidates(reach: EdgeReach, wave: float, direct: bool) -> Requested:
-    """Yield candidates over an edge and an end of another one, with the times of both sides, and the share of the work.
-
-    wave: wave number at which those that are quiet are left out, 1/m.
-
-    direct: whether there is direct sound, by which it is told.
-
-    Candidates may have different numbers of walls on their sides.
-    """
+    """Yield candidates over an edge and an end of another one, with times of both sides, and the share of the work."""
     finder, order, routes = reach.finder, reach.order, _routes(reach)
     met, fewest = np.sum(routes.between >= 0, axis=1), adjacent_reflections(finder.edges.n).min(axis=1)
     left = order - met - fewest[routes.edge].sum(axis=1)
@@ -213,10 +204,7 @@ def _ended(routes: EdgeCandidates) -> tuple[tuple[Rows, Rows], tuple[Rows, Rows]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """When an endpoint is seen, by number of walls: sequences of these (n, N), from and up to when (n,), s.
-
-    Those of request q are from `first[q]` to `first[q + 1]`.
-    """
+    """When an endpoint is seen, by number of walls; rows of request q are from `first[q]` to `first[q + 1]`."""
 
     first: Rows
     sequence: NDArray[np.int32]
@@ -225,10 +213,7 @@ class _Seen:
 
 
 class _Sight:
-    """When the source, row 0, or a receiver sees the ends and edges of routes by up to `most` (n,) walls.
-
-    What is beyond an end or an edge is a place at rest in its air: as far from the edge, and along it, as the end.
-    """
+    """When the source, row 0, or a receiver sees the ends and edges of routes by up to `most` (n,) walls."""
 
     def __init__(self, reach: EdgeReach, row: int, routes: EdgeCandidates, most: Rows) -> None:
         finder, sides = reach.finder, [reach.from_source, *reach.to_receivers][row]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
-from clsim.arrays import ByRow, Floats, spread
+from clsim.arrays import Bools, ByRow, Floats, Ints, spread
 from clsim.paths.chain import Chain
 from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides
 from clsim.paths.search.mesh import Progress
@@ -36,8 +36,6 @@ from clsim.paths.visibility.occlusion import CLEARLY, crossed_pieces
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Numbers = NDArray[np.integer[Any]]
 
 _NEAR = 1e-7  # of the room's size, up to which edges meet
@@ -112,20 +110,16 @@ class _Match:
         sequences = max(sum(len(s) for of_edge in side for s in of_edge) for side in self._sides)
         most = min(_MOST_CELLS, max(1, _MOST_FANS // max(sequences, 1)))
         self._cuts = np.linspace(0.0, last, int(np.clip(math.ceil(travel / (_CELL * query.walls.size)), 1, most)) + 1)
-        self._balls = [self._balls_of(row, reach.longest if row == 0 else 0.0) for row in range(len(self._sides))]
-        self._every = cache(self._fans)
+        self._balls = []  # (C, 3) and (C,) that hold an end in each cell, the source that much before, m; one at rest
+        for row in range(len(self._sides)):
+            early = reach.longest if row == 0 else 0.0
+            spans = [(self._cuts[0], self._cuts[-1])] if tables.scales[row, 2] == 0.0 else pairwise(self._cuts)
+            balls = [tables.sphere(row, begin - early, end) for begin, end in spans]
+            self._balls.append((np.array([centre for centre, _ in balls]), np.array([radius for _, radius in balls])))
+        self._every = cache(
+            lambda row, edge, count: fans_of_ends(self._finder, edge, self._sides[row][edge][count], *self._balls[row])
+        )
         self._open = cache(self._unhidden)
-
-    def _balls_of(self, row: int, early: float) -> tuple[Floats, Floats]:
-        """Balls (C, 3) and (C,) that hold an end in each cell and `early` s before, m; one for an end at rest."""
-        tables, cuts = self._finder.query.trajectory_tables, self._cuts
-        spans = [(cuts[0], cuts[-1])] if tables.scales[row, 2] == 0.0 else pairwise(cuts)
-        balls = [tables.sphere(row, begin - early, end) for begin, end in spans]
-        return np.array([centre for centre, _ in balls]), np.array([radius for _, radius in balls])
-
-    def _fans(self, row: int, edge: int, count: int) -> Fans:
-        """Ways of an end to an edge by a number of walls, hidden ones as well."""
-        return fans_of_ends(self._finder, edge, self._sides[row][edge][count], *self._balls[row])
 
     def _unhidden(self, row: int, edge: int, count: int) -> Fans:
         sequence, fans = self._sides[row][edge][count], self._every(row, edge, count)
@@ -196,10 +190,7 @@ class Fans(ByRow):
         return Fans(self.free, -self.high, -self.low)
 
     def meet(self, ends: Fans, edge: int) -> Floats:
-        """Mask (..., parts, parts) of ways between edges that go on as ways (..., parts) of ends, as numbers.
-
-        edge: 0 for the first one of both, 1 for the last one.
-        """
+        """Mask (..., parts, parts) of ways between edges that go on as ways (..., parts) of ends, as numbers."""
         free, low, high = (np.expand_dims(getattr(ends, name), -2 if edge else -1) for name in _NAMES)
         return np.asarray(self.free & free & (low <= self.high) & (high >= self.low), dtype=np.float32)
 

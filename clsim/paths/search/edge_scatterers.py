@@ -6,19 +6,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import Floats, Rows, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import NONE, SCATTERING, SPECULAR
-from clsim.paths.legs.static import StaticLeg
+from clsim.paths.legs.legs import StaticLeg
 from clsim.paths.search.scatterers import Side, at_receivers, received_after
 from clsim.paths.vertices.edge_scatterer import EdgeBeside, EdgeScattererVertex
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
-
-Rows = NDArray[np.int64]
 
 _WIDE = 0.5  # of the least distance from scatterers: half the harmonic mean of two of them
 _STEPS, _FOUND = 100, 1e-13  # of a travel time, and s
@@ -28,11 +25,7 @@ _TOGETHER = 16  # paths at as many times of which the diagonal is used
 def edge_scatterer_paths(
     scene: Scene, sides: tuple[Side, Side], over_edges: tuple[Chain, Chain], both: bool, limit: int
 ) -> list[Chain]:
-    """Find the paths that meet the edge first, those that meet the scatterer first, and those between two edges.
-
-    `sides` and `over_edges` are the paths by walls, and over edges, from sources to scatterers and from there to
-    receivers. The last kind is found with `both` alone.
-    """
+    """Find the paths that meet the edge first, those that meet the scatterer first, and those between two edges."""
     check_support("static edge scatterer", scene.air)
     plain = _Half.straight(sides[0], True), _Half.straight(sides[1], False)
     bent = _Half.over(over_edges[0], True), _Half.over(over_edges[1], False)

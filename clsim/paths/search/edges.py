@@ -17,8 +17,8 @@ from clsim.arrays import Floats, as_count, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, PathFamily
+from clsim.paths.legs.legs import StaticLeg
 from clsim.paths.legs.mirrors import EdgeLines
-from clsim.paths.legs.static import StaticLeg
 from clsim.paths.options import PathOptions
 from clsim.paths.search.beam_tree import BeamTree, TooManyBeamsError
 from clsim.paths.search.mesh import (
@@ -59,10 +59,7 @@ _FARTHEST = 8  # resolutions, the same where that is more
 
 
 class EdgePaths:
-    """Looks for paths over edges of a scene's room, one kind of vertices after another.
-
-    others: paths found so far, whose times are taken where an edge path takes over from them.
-    """
+    """Looks for paths over edges of a scene's room, one kind of vertices after another."""
 
     def __init__(self, scene: Scene, search: PathOptions) -> None:
         self.scene, self.search, self.edges = scene, search, scene.room.edges()
@@ -70,10 +67,7 @@ class EdgePaths:
         self._reach = cache(self._find_reach)
 
     def over_one(self, others: Others, progress: Progress | None = None) -> Chain:
-        """Find every path over one edge with up to `max_order` reflections before and after it.
-
-        A path keeps only the terms whose partners have no more reflections than are asked for: others are not there.
-        """
+        """Find every path over one edge with up to `max_order` reflections before and after it."""
         rows, lines = self.rows(edges_and_ends, others, progress), EdgeLines.of(self.scene.room)
         return self.chain(rows, EdgeVertex(**_first_edges(rows), lines=lines, model=self.search.diffraction_model))
 
@@ -86,10 +80,7 @@ class EdgePaths:
     def rows(
         self, kind: Callable[[EdgeReach], Requested], others: Others, progress: Progress | None, fewest: int = 1
     ) -> Found:
-        """Find paths of all sources, sorted by source, receiver, order, objects and time.
-
-        Rooms with fewer edges than the fewest have no such paths.
-        """
+        """Find paths of all sources, sorted by source, receiver, order, objects and time."""
         found: Found = []
         for source in range(len(self.scene.sources) if len(self.edges) >= fewest else 0):
             found += self._rows_of(source, kind, _AdjacentPaths(others, source), progress or self.search.notify)
@@ -235,11 +226,7 @@ class EdgeReach:
 def _may_reach(
     walls: Walls, sphere: tuple[Floats, float], edges: Edges, edge: Rows, sequence: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """Mask of sequences (n, N) that may lead to edges (n,): not from inside their wedges, nor by walls they lie in.
-
-    As seen from the last walls of a sequence the edge may lie in the plane of an earlier one: such a path would meet
-    that wall at the edge's image, at its very end.
-    """
+    """Mask of sequences (n, N) that may lead to edges (n,): not from inside their wedges, nor by walls they lie in."""
     image = np.tile(sphere[0], (len(sequence), 1))
     for wall in sequence.T:
         image = mirrored(walls, wall, image)
@@ -266,10 +253,7 @@ def edge_pairs(reach: EdgeReach) -> Requested:
 
 
 def _requested(reach: EdgeReach, vertices: list[Any]) -> Requested:
-    """Yield pairs of sequences to vertices, by numbers of walls.
-
-    Vertices are given as edges, faces shared, end, and fewest reflections of an adjacent path.
-    """
+    """Yield pairs of sequences to vertices, by numbers of walls."""
     edges, walls, order = reach.finder.edges, reach.finder.query.walls, reach.order
     numbers = [(n, m) for n in range(order + 1) for m in range(order + 1 - n)]
     for done, (n, m) in enumerate(numbers):
@@ -309,10 +293,7 @@ class _AdjacentPaths:
                     self._events.setdefault(key, []).extend(events)
 
     def nearest(self, receiver: int, through: tuple[int, ...], time: float, within: float) -> float:
-        """Return when a path begins or ends near a time, s; the time itself where none does.
-
-        The way is by walls, and by edges, which are told as -1 less their number.
-        """
+        """Return when a path begins or ends near a time, s; the time itself where none does."""
         events = self._events.get((receiver, *through), [])
         event = min(events, key=lambda t: abs(t - time), default=np.inf)
         return event if abs(event - time) <= within else time

@@ -16,21 +16,13 @@ from clsim.errors import DeviceError, InputError, warn
 from clsim.opencl.device import DeviceInfo, find_device
 from clsim.paths.chain import Chain
 from clsim.paths.family import NONE, SPECULAR, TRANSMISSION
-from clsim.paths.legs.static import image_columns
+from clsim.paths.legs.legs import image_columns
 from clsim.paths.options import PathOptions
 from clsim.paths.propagation import mean_medium_of
 from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooManyBeamsError
 from clsim.paths.search.ray_shooting import THROUGH, ShotRays, divided, see_through
+from clsim.paths.visibility import intervals
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
-from clsim.paths.visibility.intervals import (
-    PERTURBATIONS,
-    BoundingSpheres,
-    Intervals,
-    TrajectoryTables,
-    VisibilityQuery,
-    find_intervals,
-    trajectory_tables,
-)
 from clsim.paths.visibility.occlusion import WallLookup, air_sides, in_air
 from clsim.scene.ends import Source
 from clsim.scene.flush import find_mount
@@ -40,7 +32,7 @@ from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene
 
 Progress = Callable[[float], None]
-Search = Callable[[NDArray[np.int32], NDArray[np.int64]], Intervals]
+Search = Callable[[NDArray[np.int32], NDArray[np.int64]], intervals.Intervals]
 
 LARGEST_MESH_ORDER = 20
 
@@ -87,7 +79,7 @@ class MeshSearch:
             part = partial(report, progress, begin / last.max(), end / last.max())
             try:
                 here = query.during(begin, end)
-                search = partial(find_intervals, here) if device is None else DeviceSearch(here, device).find
+                search = partial(intervals.find_intervals, here) if device is None else DeviceSearch(here, device).find
                 parts.append(self._with_intervals(_InAir(here, air, search).find, finder, source.name, part))
                 if isinstance(finder, ShotRays):
                     _report_missed(finder, parts[-1].walls, shoot)
@@ -98,11 +90,11 @@ class MeshSearch:
         found = FoundPaths.of_cells(parts, last)
         return divided(query, found, scene.panels) if scene.panels else found
 
-    def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: TrajectoryTables) -> str:
+    def _shoots(self, plant: Callable[..., BeamTree], size: float, ends: intervals.TrajectoryTables) -> str:
         """Return why rays are shot, because of a tree that would be far too large or as asked; else nothing."""
         if self.search.finder == "auto":
             centre, radius = ends.sphere(0)
-            tree = plant(centre, min(radius, _SMALLEST_CELL * size), BoundingSpheres.none())
+            tree = plant(centre, min(radius, _SMALLEST_CELL * size), intervals.BoundingSpheres.none())
             beams = tree.estimate(self.max_order)
             return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
         return "" if self.search.finder == "beam-tree" else "rays are shot, as asked"
@@ -119,11 +111,8 @@ class MeshSearch:
             parts.append(FoundPaths(receiver[found.path], order, walls, found.begin, found.end))
             count += len(order)
             if count > (most := self.search.path_limit):
-                raise InputError(
-                    "max_order",
-                    f"must give at most {most} paths (path_limit), but {self.max_order} gives more from "
-                    f"{name!r}, after {finder.share:.0%} of the search",
-                )
+                bound = f"must give at most {most} paths (path_limit), but {self.max_order} gives more"
+                raise InputError("max_order", f"{bound} from {name!r}, after {finder.share:.0%} of the search")
             done += len(receiver)
             progress(finder.share * done / (done + waiting))
         return FoundPaths.joined(parts)
@@ -133,27 +122,27 @@ class MeshSearch:
 class _InAir:
     """Answers a query for paths by walls without those that meet a closed shell from behind, see `in_air`."""
 
-    query: VisibilityQuery
+    query: intervals.VisibilityQuery
     air: NDArray[np.int64]  # (W,) see `air_sides`
     search: Search  # of the query
 
-    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
+    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> intervals.Intervals:
         """Return the intervals in which sequences (n, N) of walls are paths to receivers (n,)."""
         query, found = self.query, self.search(sequence, receiver)
         walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
         source, _, _ = query.ends_about(walls, receiver[found.path], middle, np.zeros(len(middle)))
         kept = np.flatnonzero(in_air(query.walls, self.air, walls, source))
-        return Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
+        return intervals.Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
 
 
 def visibility_query(
     scene: Scene, room: MeshRoom, source: Source, legs: int, resolution: float | None
-) -> tuple[VisibilityQuery, float]:
+) -> tuple[intervals.VisibilityQuery, float]:
     """Request for a search from one source, and the longest travel time of its paths, s."""
     medium = mean_medium_of(scene.air, source.emitted.centre_frequency)
     trajectories = [r.trajectory for r in scene.receivers]
     mounts = [find_mount(room, source), *(find_mount(room, end) for end in scene.receivers)]
-    ends = trajectory_tables(source.trajectory, trajectories, mounts)
+    ends = intervals.trajectory_tables(source.trajectory, trajectories, mounts)
     spheres = [ends.sphere(row) for row in range(len(ends.places))]
     low = np.minimum(room.extent[0], np.min([c - r for c, r in spheres], axis=0))
     high = np.maximum(room.extent[1], np.max([c + r for c, r in spheres], axis=0))
@@ -166,7 +155,9 @@ def visibility_query(
             f"must surely stay below the speed of sound, {medium.slowest:.6g} m/s, for paths in a mesh, but "
             f"{source.name!r} is only known to stay below {fastest:.6g} m/s; smooth its corners or move it more slowly",
         )
-    query = VisibilityQuery(room.walls, ends, medium, np.zeros(len(last)), last, resolution_of(scene, resolution))
+    query = intervals.VisibilityQuery(
+        room.walls, ends, medium, np.zeros(len(last)), last, resolution_of(scene, resolution)
+    )
     return query, longest
 
 
@@ -250,10 +241,10 @@ def _report_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> Non
     )
 
 
-def sides_of_air(query: VisibilityQuery) -> NDArray[np.int64]:
+def sides_of_air(query: intervals.VisibilityQuery) -> NDArray[np.int64]:
     """Sides (W,) of walls on which paths from a query's source can be; see `air_sides`."""
     ends, source = query.trajectory_tables, np.zeros(1, dtype=np.int64)
-    start = ends.lifted(source, ends.position(source, np.zeros(1)) + PERTURBATIONS[0])[0]
+    start = ends.lifted(source, ends.position(source, np.zeros(1)) + intervals.PERTURBATIONS[0])[0]
     return air_sides(query.walls, start)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, unique_rows
+from clsim.arrays import Floats, Ints, unique_rows
 from clsim.errors import check_packages
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.search.beam_tree import Candidates, FoundPaths
@@ -21,8 +21,6 @@ from clsim.scene.motion.motion import Instants, Motion
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.walls import Walls
-
-Ints = NDArray[np.int64]
 
 RAYS = 4_000_000  # from all positions of a source together, and at least the next number from each
 _LEAST_RAYS = 20_000
@@ -34,20 +32,14 @@ _OFF_WALL = 1e-4  # of the size; Embree's float32 is no judge nearer than this
 
 
 class ShotRays:
-    """Sequences collected by rays from along a trajectory.
-
-    Attributes
-    ----------
-    share : float
-        Of the work that is done, 0 to 1.
-    """
+    """Sequences collected by rays from along a trajectory."""
 
     def __init__(self, room: MeshRoom, source: Motion, receivers: BoundingSpheres, mount: Mount | None = None) -> None:
         self._room, self._receivers = room, receivers
         self._positions = _positions(source)
         if mount is not None:
             self._positions = self._positions + _OFF_WALL * room.walls.size * mount.normal
-        self.share = 0.0
+        self.share = 0.0  # of the work that is done
         self._halves: dict[bytes, int] = {}
         check_packages("finder", "shooting", "shooting", "embreex")
         from trimesh import Trimesh
@@ -112,9 +104,8 @@ class ShotRays:
             else:
                 fresh = np.abs(toward) > 1e-6
             half = half[hit][fresh]
-            origin, directions, sequence, wall, toward = (
-                x[fresh] for x in (origin, directions, sequence, wall, toward)
-            )
+            rays = origin, directions, sequence, wall, toward
+            origin, directions, sequence, wall, toward = (x[fresh] for x in rays)
             far = (offset[wall] - np.einsum("ni,ni->n", origin, walls.normal[wall])) / toward
             origin = origin + far[:, None] * directions
             directions = directions - 2.0 * toward[:, None] * walls.normal[wall]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only, unique_rows
+from clsim.arrays import Floats, Rows, read_only, unique_rows
 from clsim.paths.chain import Chain
 from clsim.paths.family import DIFFRACTION, NONE, PathFamily, ends_at
 from clsim.paths.vertices.edge import EdgeVertex
@@ -23,8 +23,6 @@ from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.visibility.edge_intervals import LONGEST, STEP, indistinct
 from clsim.scene.scene import Scene
-
-Rows = NDArray[np.int64]
 
 SAME_DELAY = 3e-8  # s, between paths of which one goes over into the other
 
@@ -66,10 +64,7 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
 
 
 def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
-    """Tell paths over ends which terms pass their boundaries as the path passes the corner itself, and at which angle.
-
-    These have their own side of that time, times `BOTH`, see `joined_over_ends`; the angle is that of `end_transition`.
-    """
+    """Tell paths over ends which terms pass their boundaries as the path passes the corner, and at which angle."""
     events = _Events.of(chains, scene)
     over_ends = events.over_edges(ends=True)
     columns: dict[int, tuple[NDArray[np.int8], Floats]] = {}
@@ -158,11 +153,7 @@ class _Events:
         return unique_rows(keys)[2]
 
     def detours(self, group: Rows, which: Rows, own: Rows, instants: Floats) -> Floats:
-        """Compute by how much paths of groups' own events are longer than those of events (n,), m, at instants (k,), s.
-
-        which: the group of each, (n,); own: place of each group's own event among all, (k,). All are paths of one pair,
-        from where the source was for their own event.
-        """
+        """Compute by how much paths of groups' own events, (k,) in time, are longer than those of events (n,), m."""
         family, row, each = self.family[group], self.row[group], np.empty(len(group))
         received, sent = instants[which], (instants - self.delays(group[own], instants))[which]
         for number in np.unique(family).tolist():
@@ -198,7 +189,14 @@ def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
     pair, times = events.pair, events.time
     gap = np.where(pair[1:] == pair[:-1], times[1:] - times[:-1], np.inf)
     near = gap <= LONGEST
-    near[near] = gap[near] <= _explained(events.scene, pair[1:][near], times[1:][near], resolution)
+    scene, late, moved = events.scene, times[1:][near], np.zeros(int(near.sum()))
+    source, receiver = np.divmod(pair[1:][near], len(scene.receivers))
+    for ends, which in ((scene.sources, source), (scene.receivers, receiver)):
+        for each in np.unique(which).tolist():
+            mine = which == each
+            place = ends[each].trajectory.position(late[mine][:, None] + np.array([0.0, STEP]))
+            moved[mine] += np.linalg.norm(place[:, 1] - place[:, 0], axis=-1)
+    near[near] = gap[near] <= indistinct(moved, resolution, scene.room.as_mesh().walls.size)
     for first, after in pairwise([0, *(np.flatnonzero(~near) + 1).tolist(), len(times)]):
         if after - first < 2 or times[after - 1] == times[first]:
             continue
@@ -249,9 +247,8 @@ def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tupl
     turns = np.flatnonzero(over & ~with_plain[instant] & ~converged)
     for pair in np.intersect1d(events.pair[lone], events.pair[turns]).tolist():
         mine, theirs = (which[events.pair[which] == pair] for which in (lone, turns))
-        first, after = (
-            np.searchsorted(events.time[theirs], events.time[mine] + shift) for shift in (-_GRAZED, _GRAZED)
-        )
+        known, now = events.time[theirs], events.time[mine]
+        first, after = (np.searchsorted(known, now + shift) for shift in (-_GRAZED, _GRAZED))
         one, other = (np.repeat(mine, after - first), theirs[_ranges(first, after)])
         apart = events.delays(one, events.time[one]) - events.delays(other, events.time[one])
         for pair_of in np.stack([one, other], axis=1)[np.abs(apart) < SAME_DELAY]:
@@ -294,18 +291,6 @@ def _beside_turns(events: _Events) -> Iterator[tuple[Rows, Rows, Rows]]:
         kept = events.time[near[first[1:] - 1]] > events.time[near[first[:-1]]]
         if kept.any():
             yield turns[kept], np.cumsum(np.diff(first)[kept]) - np.diff(first)[kept], near[kept[turn]]
-
-
-def _explained(scene: Scene, pair: Rows, times: Floats, resolution: float) -> Floats:
-    """Compute by how much times (n,) of the same event of pairs (n,) may differ, s."""
-    source, receiver = np.divmod(pair, len(scene.receivers))
-    moved = np.zeros(len(pair))
-    for ends, which in ((scene.sources, source), (scene.receivers, receiver)):
-        for each in np.unique(which).tolist():
-            mine = which == each
-            place = ends[each].trajectory.position(times[mine][:, None] + np.array([0.0, STEP]))
-            moved[mine] += np.linalg.norm(place[:, 1] - place[:, 0], axis=-1)
-    return indistinct(moved, resolution, scene.room.as_mesh().walls.size)
 
 
 def with_swaps(family: Chain, within: float) -> Chain:
@@ -354,10 +339,7 @@ def _with_ends(family: Chain, within: float) -> tuple[Floats, Floats]:
 def _same_events(
     family: Chain, one: tuple[Rows, Floats], other: tuple[Rows, Floats], within: float
 ) -> tuple[Rows, Rows]:
-    """Find the rows of `one` and of `other` (n,) at whose times, s, both paths between two ends are as long.
-
-    Each is given as rows and their times; times are at most `within` apart.
-    """
+    """Find the rows of `one` and of `other` (n,) at whose times, s, both paths between two ends are as long."""
     pair = family.source.astype(np.int64) * len(family.scene.receivers) + family.receiver
     found = [np.empty((2, 0), dtype=np.int64)]
     for each in np.intersect1d(pair[one[0]], pair[other[0]]):

@@ -17,11 +17,10 @@ from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import TRANSMISSION, ends_at
 from clsim.paths.legs.events import find_events
+from clsim.paths.legs.legs import StaticLeg, direct_paths, moving_paths
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.legs.moving import moving_paths
-from clsim.paths.legs.static import StaticLeg, direct_paths
 from clsim.paths.links import met_in_order
-from clsim.paths.propagation import Medium, mean_medium_of, medium_of, straight
+from clsim.paths.propagation import mean_medium_of, medium_of, straight
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.body import Body
 from clsim.scene.ends import End, Receiver, Source
@@ -73,24 +72,16 @@ class Side:
 
 
 def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: int) -> Chain:
-    """Find every path by one scatterer with up to `order` reflections before it and as many after it.
-
-    Both sides are paths with the scatterer's centre as an end: what is in the way, and when, is asked of the centre. A
-    side that comes or goes when sound meets the scatterer is heard to come or go when that sound is received. Where the
-    sides have no images, one of them meets a body.
-    """
+    """Find every path by one scatterer with up to `order` reflections before it and as many after it."""
     found: list[dict[str, Any]] = []
     count, most = 0, len(before) * len(after) // max(len(scene.scatterers), 1)
-    for source, receiver, which in product(
-        *(range(len(x)) for x in (scene.sources, scene.receivers, scene.scatterers))
-    ):
+    counts = (len(x) for x in (scene.sources, scene.receivers, scene.scatterers))
+    for source, receiver, which in product(*map(range, counts)):
         found.append(_pairs(scene, before, after, (source, which, receiver)))
         count += len(found[-1]["start"])
         if count > limit:
-            raise InputError(
-                "scattering_order",
-                f"must give at most {limit} paths by scatterers (path_limit), but {order} gives about {most}",
-            )
+            bound = f"must give at most {limit} paths by scatterers (path_limit)"
+            raise InputError("scattering_order", f"{bound}, but {order} gives about {most}")
     columns = {name: read_only(np.concatenate([each[name] for each in found])) for name in found[0]}
     vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
     if before.leg is None:
@@ -173,7 +164,14 @@ def received_after(
     if after.leg is not None:
         sent, leg = motions[0].position(events[known]), after.leg.part(rows[known])
         images = np.einsum("pij,pj->pi", leg.matrix, sent) + leg.offset
-        received[known] += _flight(medium_of(scene.air, frequency), (sent, images), motions[1], events[known])
+        air, flight = medium_of(scene.air, frequency), np.zeros(len(known))
+        for _ in range(_STEPS):  # each by the Mach number of the receiver
+            at = motions[1].position(events[known] + flight)
+            step = air.passage(straight(images, at)[0], at - sent).time - flight
+            flight = flight + step
+            if np.abs(step).max() <= _FOUND:
+                break
+        received[known] += flight
         return received
     mirrors, medium, times = Mirrors.of(scene), mean_medium_of(scene.air, frequency), received[known, None]
     for _ in range(_MOVING_STEPS):
@@ -186,23 +184,8 @@ def received_after(
     return received
 
 
-def _flight(medium: Medium, places: tuple[Floats, Floats], receiver: Motion, times: Floats) -> Floats:
-    """Travel times (n,) from places (n, 3), seen at images (n, 3), to a receiver that moves on meanwhile, s."""
-    flight = np.zeros(len(times))
-    for _ in range(_STEPS):  # each by the Mach number of the receiver
-        at = receiver.position(times + flight)
-        step = medium.passage(straight(places[1], at)[0], at - places[0]).time - flight
-        flight = flight + step
-        if np.abs(step).max() <= _FOUND:
-            break
-    return flight
-
-
 def _nearest_static(family: Chain) -> Floats:
-    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m.
-
-    They hold for all that is emitted: motions that go on for days after the sound ended take no time.
-    """
+    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the distances from scatterers, m."""
     found, scene = np.empty(len(family)), family.scene
     for pair in family.pairs():
         source, receiver = scene.sources[pair.source], scene.receivers[pair.receiver]
@@ -218,10 +201,7 @@ def _nearest_static(family: Chain) -> Floats:
 
 
 def _apart(family: Chain, leg: StaticLeg, ends: tuple[Source | Receiver, int], until: float) -> tuple[Floats, float]:
-    """Return bounds (P,) from below of the distances of images of an end from a scatterer at any two near times, m.
-
-    They hold for sound that sets out until a time, s; the time by which the last of it has arrived is returned as well.
-    """
+    """Lower bounds of distances (P,) of an end's images from a scatterer, m, and when the last sound arrives, s."""
     end, scatterer, c = ends[0], family.scene.scatterers[ends[1]], family.speed_range.slowest
     moving = [t for t in (end.trajectory, scatterer.trajectory) if not t.is_static]
     last = max((t.end for t in moving), default=0.0)
@@ -239,10 +219,7 @@ def _apart(family: Chain, leg: StaticLeg, ends: tuple[Source | Receiver, int], u
 
 
 def _nearest_moving(family: Chain) -> Floats:
-    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the lengths of both legs, m.
-
-    They are looked at now and then: meanwhile, and while sound is on its way, all moves on.
-    """
+    """Return bounds (paths,) from below of ``1 / (1 / d1 + 1 / d2)``, the lengths of both legs, m."""
     scene, c = family.scene, family.speed_range.slowest
     speed = 2.0 * family.speeds + _fastest(scene.sources) + _fastest(scene.receivers)
     ends: list[End | Body | Scatterer] = [*scene.sources, *scene.receivers, *scene.bodies, *scene.scatterers]

@@ -18,25 +18,14 @@ from clsim.paths.legs.mirrors import EdgeLines
 from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir, arrivals_by
 from clsim.paths.response import SceneResponse
+from clsim.paths.vertices import edge_field
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
-from clsim.paths.vertices.edge_field import (
-    EdgeView,
-    EndsOfEdges,
-    LayeredLengths,
-    adjacent_factors,
-    cylindrical,
-    edge_lengths,
-    exact_field,
-    least_angle,
-    polar,
-    utd_field,
-)
 from clsim.scene.scene import Scene
 
 Triple = tuple[Floats, Floats, Floats]
 
 COLUMNS = ("edge", "over_end", "lit", "end_side", "beside", "corner")
-LAWS = {"utd": utd_field, "btm": exact_field}
+LAWS = {"utd": edge_field.utd_field, "btm": edge_field.exact_field}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,29 +33,20 @@ class EdgeVertex(ByRow):
     """Edges or ends of edges that P paths pass; each row of a path is a segment between two boundaries of its terms.
 
     Shortly beyond its own interval a row goes on smoothly: what it takes over there is its adjacent path's.
-
-    Attributes
-    ----------
-    over_end : ndarray (P,) int8
-        0 for paths over the start of the edge, 1 over its end, -1 over the edge itself.
-    lit : ndarray (P, 4) int8
-        1 for terms whose adjacent path is seen, -1 for those whose is not, 0 for terms that are left out. Over ends of
-        edges, as the end changes sides, and 2 or -2 where both do at once, see `joined_over_ends`.
-    end_side : ndarray (P,) int8
-        1 while the shortest path over the line of the edge meets the edge, -1 while it passes the end; 0 for paths over
-        the edge itself.
-    beside : ndarray (P, 2) int8
-        -1 where source or receiver goes on beyond the 0-face, 1 where beyond the n-face, 0 where as far beyond both.
-    corner : ndarray (P,)
-        Angle at which paths over ends come to the corner itself, see `end_transition`, rad.
     """
 
     edge: NDArray[np.int64]  # (P,) which of the lines
-    over_end: NDArray[np.int8]
+    over_end: NDArray[np.int8]  # (P,) 0 for paths over the start of the edge, 1 over its end, -1 over the edge itself
+    # (P, 4) 1 for terms whose adjacent path is seen, -1 for those whose is not, 0 for terms that are left out.
+    # Over ends of edges, as the end changes sides, and 2 or -2 where both do at once, see `joined_over_ends`.
     lit: NDArray[np.int8]
+    # (P,) 1 while the shortest path over the line of the edge meets the edge, -1 while it passes the end; 0 for
+    # paths over the edge itself.
     end_side: NDArray[np.int8]
+    # (P, 2) -1 where source or receiver goes on beyond the 0-face, 1 where beyond the n-face, 0 where as far
+    # beyond both.
     beside: NDArray[np.int8]
-    corner: Floats
+    corner: Floats  # (P,) angle at which paths over ends come to the corner itself, see `end_transition`, rad
     lines: EdgeLines  # edges of the room, on moving legs also of bodies
     model: str  # of the field: "utd" or "btm"
 
@@ -152,9 +132,9 @@ class EdgeVertex(ByRow):
         """Vertices that are solved together: all."""
         return [np.arange(len(self))]
 
-    def views(self, links: Links) -> tuple[EdgeView, EdgeView]:
+    def views(self, links: Links) -> tuple[edge_field.EdgeView, edge_field.EdgeView]:
         """Take the views of the endpoints from the first and the last edge of each path."""
-        first, last = (EdgeView.of(leg.matrix, leg.offset, self.frame) for leg in links.legs)
+        first, last = (edge_field.EdgeView.of(leg.matrix, leg.offset, self.frame) for leg in links.legs)
         return first, last
 
     def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
@@ -170,9 +150,9 @@ class EdgeVertex(ByRow):
         """
         (source, receiver), medium = links.motions, links.medium
         if links.chain.scene.air.layers or medium.fluctuation is not None:
-            return arrivals_by(partial(LayeredLengths, links), medium, (source, receiver), times, kinematics)
+            return arrivals_by(partial(edge_field.LayeredLengths, links), medium, (source, receiver), times, kinematics)
         views = self.views(links)
-        found = edge_lengths(
+        found = edge_field.edge_lengths(
             views, self.met, self.end_place, source, receiver.position(times), times, medium, kinematics.retarded
         )
         leaving, back = found.parts
@@ -197,12 +177,11 @@ class EdgeVertex(ByRow):
         found, (source, receiver), views = self.on_static_legs(links, times, RETARDED), links.motions, self.views(links)
         emitted_at = source.position(found.emission_time.ravel()).reshape(*found.delay.shape, 3)
         seen = views[0].places(emitted_at), views[1].places(receiver.position(times))
-        (r_s, t_s, z_s), (r_r, t_r, z_r) = map(cylindrical, self.wedges, seen, self.beside.T)
+        (r_s, t_s, z_s), (r_r, t_r, z_r) = map(edge_field.cylindrical, self.wedges, seen, self.beside.T)
         angles = lit_angles(self.n[:, None], t_s, t_r)
         (_, root), edge_path = wedge_terms(self.n[:, None], angles), path_over_edge(r_s, z_s, r_r, z_r)
-        end = end_detour(
-            edge_path, (r_s, z_s), (r_r, z_r), np.broadcast_to(self.end_place[:, None], edge_path.length.shape)
-        )
+        places = np.broadcast_to(self.end_place[:, None], edge_path.length.shape)
+        end = end_detour(edge_path, (r_s, z_s), (r_r, z_r), places)
         return angles, root**2 * edge_path.breadth[..., None], end
 
     def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> EdgeEvents:
@@ -291,7 +270,7 @@ class EdgeVertex(ByRow):
     def static_field(self, emitted_at: Floats, receiver_at: Floats, wave: Floats, at: SceneResponse) -> Any:
         """Field (P, T, F) of endpoints seen at (3, P, T), by wave numbers (P, T, F), without its phase."""
         seen = zip(self.wedges, (emitted_at, receiver_at), self.beside.T, strict=True)
-        source, receiver = (cylindrical(n, x, side) for n, x, side in seen)
+        source, receiver = (edge_field.cylindrical(n, x, side) for n, x, side in seen)
         return self._field(source, receiver, self.end_place[:, None], wave, at)
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
@@ -300,8 +279,8 @@ class EdgeVertex(ByRow):
         edge_path, n = path_over_edge(r_s, z_s, r_r, z_r), self.n
         # Towards the start or the stop of the edge its inside is on another side of the end.
         inside = np.where(self.over_end[:, None] == 1, end - edge_path.apex, edge_path.apex)
-        ends = EndsOfEdges.of(self.end_side, edge_path, ((r_s, z_s), (r_r, z_r)), end, inside, self.corner)
-        factors = adjacent_factors(n, self.faces, (t_s, t_r), (r_s + r_r) / edge_path.length, at)
+        ends = edge_field.EndsOfEdges.of(self.end_side, edge_path, ((r_s, z_s), (r_r, z_r)), end, inside, self.corner)
+        factors = edge_field.adjacent_factors(n, self.faces, (t_s, t_r), (r_s + r_r) / edge_path.length, at)
         angles = lit_angles(n[:, None], t_s, t_r)
         field = LAWS[self.model](n, self.lit, angles, (r_s, r_r), edge_path, wave, factors, ends)
         return field / edge_path.length[..., None]
@@ -317,7 +296,7 @@ class EdgeVertex(ByRow):
 
     def _met_by(self, links: Links, ends: Pair) -> Pair:
         """Places (P,) on the first and last edges, m, of shortest paths between endpoints (P, 3) on static legs."""
-        seen = (polar(view.places(x[:, None])) for view, x in zip(self.views(links), ends, strict=True))
+        seen = (edge_field.polar(view.places(x[:, None])) for view, x in zip(self.views(links), ends, strict=True))
         first, last = self.met(*seen)[0]
         return first[:, 0], last[:, 0]
 
@@ -327,5 +306,5 @@ class EdgeVertex(ByRow):
 
 def _turned(n: Floats, side: NDArray[np.int8], angle: Floats) -> Floats:
     """Angles (P, T) about edges as they go on beyond a face, see `least_angle`."""
-    turns = np.floor((angle - least_angle(n, side)[:, None]) / (2.0 * np.pi))
+    turns = np.floor((angle - edge_field.least_angle(n, side)[:, None]) / (2.0 * np.pi))
     return np.asarray(angle - 2.0 * np.pi * turns)

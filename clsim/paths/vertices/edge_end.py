@@ -8,49 +8,24 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.acoustics import diffraction
 from clsim.acoustics.corner import CornerLeg, meeting_field
-from clsim.acoustics.diffraction import (
-    ON_LINE,
-    end_detour,
-    end_transition,
-    lit_angles,
-    path_over_edge,
-    transition,
-    wedge_terms,
-)
 from clsim.arrays import Floats
 from clsim.paths.links import Pair
 from clsim.paths.response import SceneResponse
+from clsim.paths.vertices import edge_events, edge_pair
 from clsim.paths.vertices.edge import Triple
-from clsim.paths.vertices.edge_events import (
-    MEETING,
-    OF_LAST,
-    TWO_ENDS,
-    EdgeEndSolver,
-    at_meeting,
-    end_numbers,
-    held_places,
-)
-from clsim.paths.vertices.edge_pair import (
-    AT_ONCE,
-    COMING,
-    LEAVING,
-    EdgePairVertex,
-    GapPairVertex,
-    product_of_terms,
-    terms_of,
-)
 
 _GRAZING, _INSIDE = (1.2, 2.2), (-1.5, -0.5)  # roots of phases, between which one theory goes over into another
 
 
 def ends_of(number: int) -> list[tuple[int, int]]:
     """List edges, 0 for the first and 1 for the last, that end, and at which end, of a number of `over_end`."""
-    return [(place, int(end)) for place, end in enumerate(end_numbers(number)) if end >= 0]
+    return [(place, int(end)) for place, end in enumerate(edge_events.end_numbers(number)) if end >= 0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeEndVertex(GapPairVertex):
+class EdgeEndVertex(edge_pair.GapPairVertex):
     """Two edges, over a free end of one of which P paths run, with open air or a shared face between.
 
     Where the shortest path over both edges runs off the end, the path over both goes over into this one. `over_end` is
@@ -62,7 +37,7 @@ class EdgeEndVertex(GapPairVertex):
 
     kind: ClassVar[str] = "edge and end"
     loudest: ClassVar[float] = 18.0
-    solver: ClassVar[type[EdgeEndSolver]] = EdgeEndSolver
+    solver: ClassVar[type[edge_events.EdgeEndSolver]] = edge_events.EdgeEndSolver
 
     @property
     def end_place(self) -> Floats:
@@ -72,32 +47,32 @@ class EdgeEndVertex(GapPairVertex):
     @property
     def of_last(self) -> NDArray[np.bool_]:
         """Mask (P,) of paths over an end of the last edge."""
-        return (self.over_end % MEETING >= OF_LAST) & ~self.meeting
+        return (self.over_end % edge_events.MEETING >= edge_events.OF_LAST) & ~self.meeting
 
     @property
     def meeting(self) -> NDArray[np.bool_]:
         """Mask (P,) of paths over a corner at which both edges end."""
-        return np.asarray(at_meeting(self.over_end))
+        return np.asarray(edge_events.at_meeting(self.over_end))
 
     @property
     def held(self) -> Floats:
         """Where the other edges end (P, 1), of paths over ends of both, m; else NaN."""
         length = self.lines.length[np.where(self.of_last, self.edge, self.last.edge)]
-        end = np.where(self.over_end >= TWO_ENDS + MEETING, length, 0.0)
-        return np.where(self.over_end >= TWO_ENDS, end, np.nan)[:, None]
+        end = np.where(self.over_end >= edge_events.TWO_ENDS + edge_events.MEETING, length, 0.0)
+        return np.where(self.over_end >= edge_events.TWO_ENDS, end, np.nan)[:, None]
 
     @property
     def objects(self) -> NDArray[np.int64]:
         """Numbers of the edge and the end among the names, (P, 2)."""
         first, last = self.edge, self.last.edge
-        ends = zip((first, last), end_numbers(self.over_end), strict=True)
+        ends = zip((first, last), edge_events.end_numbers(self.over_end), strict=True)
         return np.stack([np.where(end < 0, edge, len(self.lines) + 2 * edge + end) for edge, end in ends], axis=1)
 
     def ended_at(self, frames: Pair | None = None) -> tuple[Floats, Floats, Floats, Floats]:
         """Where the ends are along their edges (P, 1), m, and (P, 3), and r and z (P, 1) about the other edges, m."""
         ended, other = self._frames(frames)
         length = self.lines.length[np.where(self.of_last, self.last.edge, self.edge)]
-        along = np.where(self.over_end % OF_LAST == 1, length, 0.0)
+        along = np.where(self.over_end % edge_events.OF_LAST == 1, length, 0.0)
         place = ended[:, 0] + along[:, None] * ended[:, 3]
         x, y, z = np.moveaxis(np.einsum("pai,pi->pa", other[:, 1:], place - other[:, 0]), 1, 0)
         return along[:, None], place, np.hypot(x, y)[:, None], z[:, None]
@@ -110,14 +85,16 @@ class EdgeEndVertex(GapPairVertex):
     def met(self, source: Pair, receiver: Pair, frames: Pair | None = None) -> tuple[Pair, Floats]:
         """Places on both edges, and lengths, of shortest paths between ends at r and z about them, (P, T) m each."""
         (along, _, r, z), of_last = self.ended_at(frames), self.of_last[:, None]
-        (r_f, z_f), (r_n, z_n) = _swapped(of_last, source, receiver)
-        route = path_over_edge(r, z, r_n, z_n)
+        (r_f, r_n), (z_f, z_n) = (  # beyond the ends, and beyond the other edges
+            (np.where(of_last, r, s), np.where(of_last, s, r)) for s, r in zip(source, receiver, strict=True)
+        )
+        route = diffraction.path_over_edge(r, z, r_n, z_n)
         end, held = np.broadcast_to(along, route.apex.shape), self.held
         over = np.where(np.isnan(held), route.apex, held)
         places = np.where(of_last, over, end), np.where(of_last, end, over)
         behind = np.where(np.isnan(held), route.length, np.hypot(r, over - z) + np.hypot(r_n, over - z_n))
         length, rows = np.hypot(r_f, along - z_f) + behind, np.flatnonzero(self.meeting)
-        ends = zip(places, (self.edge, self.last.edge), end_numbers(self.over_end), strict=True)
+        ends = zip(places, (self.edge, self.last.edge), edge_events.end_numbers(self.over_end), strict=True)
         for place, edge, number in ends if len(rows) else ():
             place[rows] = np.where(number == 1, self.lines.length[edge], 0.0)[rows, None]
         legs = (np.hypot(r, place - z) for (r, z), place in zip((source, receiver), places, strict=True))
@@ -127,14 +104,11 @@ class EdgeEndVertex(GapPairVertex):
         return self.met(source, receiver, (frames[0][:, 0], frames[1][:, 0]))[1]
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
-        """Field (P, T, F) beyond the edge and the end, without its phase, of endpoints at r, θ, z about both.
-
-        end: of moving legs `GapEvents.middle`, as of `GapPairVertex`.
-        """
+        """Field (P, T, F) beyond the edge and the end, without its phase, of endpoints at r, θ, z about both."""
         middle = end if end.ndim == 3 else None
-        field, count = np.zeros(wave.shape, dtype=np.complex128), max(1, wave.size // AT_ONCE)
+        field, count = np.zeros(wave.shape, dtype=np.complex128), max(1, wave.size // edge_pair.AT_ONCE)
         kinds = np.where(self.meeting, 4, 2 * (self.shared[:, 0] == ACROSS) + self.of_last)
-        kinds = np.where(self.over_end >= TWO_ENDS, 6 + self.of_last, kinds)
+        kinds = np.where(self.over_end >= edge_events.TWO_ENDS, 6 + self.of_last, kinds)
         for kind in range(8):
             rows = np.flatnonzero(kinds == kind)
             for some in np.array_split(rows, min(count, len(rows))) if len(rows) else ():
@@ -155,7 +129,8 @@ class EdgeEndVertex(GapPairVertex):
 
     def from_starts(self, ends: tuple[Triple, Triple]) -> tuple[Triple, Triple]:
         """Endpoints at z (P, T) from the starts of edges that both end, of those at z from the ends, m."""
-        places = held_places(self.over_end, self.lines.length[np.stack([self.edge, self.last.edge], axis=1)])
+        both = np.stack([self.edge, self.last.edge], axis=1)
+        places = edge_events.held_places(self.over_end, self.lines.length[both])
         (r_s, t_s, z_s), (r_r, t_r, z_r) = ends
         return (r_s, t_s, z_s + places[:, :1]), (r_r, t_r, z_r + places[:, 1:])
 
@@ -164,26 +139,17 @@ class EdgeEndVertex(GapPairVertex):
         first, last = self.met(source[::2], receiver[::2])[0]
         away = self.seen[:, None, 0] + last[..., None] * self.seen[:, None, 3] - self.frame[:, None, 0]
         away = away - first[..., None] * self.frame[:, None, 3]
-        return np.asarray(away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), ON_LINE))
+        return np.asarray(away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), diffraction.ON_LINE))
 
 
 ACROSS = 2  # of `shared`
 
 
-def _swapped(of_last: Any, source: Any, receiver: Any) -> tuple[Any, Any]:
-    """Columns (P, T) of the endpoints beyond the ends, and of those beyond the other edges."""
-    far = tuple(np.where(of_last, r, s) for s, r in zip(source, receiver, strict=True))
-    return far, tuple(np.where(of_last, s, r) for s, r in zip(source, receiver, strict=True))
-
-
 def _bend_at_rest(pair: EdgeEndVertex, near: Pair, ended: int) -> tuple[Floats, ...]:
-    """Place ends along their edges (P, 1), with lengths and angles of paths from them over the other edges.
-
-    Angles are those of `EdgeGap.angles`, slopes the cosines between the ways from ends and their edges.
-    """
+    """Place ends along their edges (P, 1), with lengths and angles of paths from them over the other edges."""
     (along, corner, r_c, z_c), (mine, theirs), (r_n, z_n) = pair.ended_at(), pair._frames(), near
-    route = path_over_edge(r_c, z_c, r_n, z_n)
-    between, behind = np.hypot(r_c, route.apex - z_c), np.maximum(np.hypot(r_n, route.apex - z_n), ON_LINE)
+    route = diffraction.path_over_edge(r_c, z_c, r_n, z_n)
+    between, behind = np.hypot(r_c, route.apex - z_c), np.maximum(np.hypot(r_n, route.apex - z_n), diffraction.ON_LINE)
     onto = theirs[:, None, 0] + route.apex[..., None] * theirs[:, None, 3] - corner[:, None]
     slope = np.einsum("pti,pi->pt", onto, mine[:, 3]) / between
     return along, between, behind, route.length, slope, *pair.gap.angles((1.0 - 2.0 * ended) * -onto)
@@ -192,7 +158,7 @@ def _bend_at_rest(pair: EdgeEndVertex, near: Pair, ended: int) -> tuple[Floats, 
 def _bend_in_motion(middle: Floats, near: Pair, ended: int) -> tuple[Floats, ...]:
     """`_bend_at_rest` from `GapEvents.middle` and near endpoints from places on the edges."""
     ahead, back, between, turn, *slopes = np.moveaxis(middle, 2, 0)
-    behind = np.maximum(np.hypot(*near), ON_LINE)
+    behind = np.maximum(np.hypot(*near), diffraction.ON_LINE)
     return np.zeros_like(turn), between, behind, between + behind, slopes[ended], ahead, back, turn
 
 
@@ -211,11 +177,11 @@ def _end_field(
     near = (r_n, z_n)
     bend = _bend_at_rest(pair, near, ended) if middle is None else _bend_in_motion(middle, near, ended)
     along, between, behind, length, slope, ahead, back, turn = bend
-    beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * length, ON_LINE), along + slope * length
-    rolled, leg = path_over_edge(r_f, z_f, *beyond), np.hypot(r_f, along - z_f)
+    beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * length, diffraction.ON_LINE), along + slope * length
+    rolled, leg = diffraction.path_over_edge(r_f, z_f, *beyond), np.hypot(r_f, along - z_f)
     whole = leg + length
-    inside = np.where(pair.over_end[:, None] % OF_LAST == 1, along - rolled.apex, rolled.apex)
-    detour = end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
+    inside = np.where(pair.over_end[:, None] % edge_events.OF_LAST == 1, along - rolled.apex, rolled.apex)
+    detour = diffraction.end_detour(rolled, (r_f, z_f), beyond, np.broadcast_to(along, rolled.apex.shape))
     own, scale = np.where(inside < 0.0, -1.0, 1.0), np.sqrt(wave)
     side: Any = np.where(np.isnan(pair.held), pair.end_side[:, None], own)
     root: Any = own * side * np.sqrt(detour)
@@ -223,7 +189,7 @@ def _end_field(
     def share(term: Floats) -> Any:
         """Share (P, T, F) of a term that ends, by its root (P, T)."""
         at_edge = term[..., None] * scale
-        return end_transition(root[..., None] * scale, at_edge) / transition(at_edge)
+        return diffraction.end_transition(root[..., None] * scale, at_edge) / diffraction.transition(at_edge)
 
     slopes: list[Any] = [(r_f + beyond[0]) / rolled.length, r_n / behind]
     breadths: list[Any] = [rolled.breadth, 2.0 * behind * (whole - behind) / whole * slopes[1] ** 2]
@@ -231,16 +197,16 @@ def _end_field(
     if ended:
         slopes, breadths = slopes[::-1], breadths[::-1]
     sides: Any = -1.0 * side[..., None]
-    if pair.over_end[0] >= TWO_ENDS:
+    if pair.over_end[0] >= edge_events.TWO_ENDS:
         sides = sides * _off_end(pair, near, root, wave)
     if across_air:
         angles = (t_s, ahead), (back, t_r)
-        given = zip((pair, pair.last), angles, slopes, breadths, (LEAVING, COMING), strict=True)
-        found = [terms_of(*columns, at, own=i == ended) for i, columns in enumerate(given)]
+        given = zip((pair, pair.last), angles, slopes, breadths, (edge_pair.LEAVING, edge_pair.COMING), strict=True)
+        found = [edge_pair.terms_of(*columns, at, own=i == ended) for i, columns in enumerate(given)]
         roots, _, _, factors = found[ended]
         for i, factor in enumerate(factors):
             factors[i] = share(roots[..., i]) * (1.0 if factor is None else factor)
-        field = product_of_terms(pair, (found[0], found[1]), turn * np.sqrt(legs), wave)
+        field = edge_pair.product_of_terms(pair, (found[0], found[1]), turn * np.sqrt(legs), wave)
         return field * sides / rolled.length[..., None]
     made = pair.face_terms((t_s, t_r), (breadths[0], breadths[1]), at, own=ended)
     roots, weights, _ = made[ended]
@@ -256,12 +222,12 @@ def _off_end(pair: EdgeEndVertex, near: Pair, root: Floats, wave: Floats) -> Any
     half the sum of the integrals ``C`` along both borders, `root` from the shortest path, of `end_transition`.
     """
     (_, _, r_c, z_c), held, side = pair.ended_at(), pair.held, pair.end_side[:, None]
-    route = path_over_edge(r_c, z_c, *near)
+    route = diffraction.path_over_edge(r_c, z_c, *near)
     inside = np.where(held == 0.0, route.apex, held - route.apex)
-    detour = end_detour(route, (r_c, z_c), near, np.broadcast_to(held, route.apex.shape))
+    detour = diffraction.end_detour(route, (r_c, z_c), near, np.broadcast_to(held, route.apex.shape))
     end: Any = np.where(inside < 0.0, -1.0, 1.0) * side * np.sqrt(detour)
     at_end, at_both = (x[..., None] * np.sqrt(wave) for x in (end, root))
-    return -1.0 * side[..., None] * end_transition(at_end, at_both) / transition(at_both)
+    return -1.0 * side[..., None] * diffraction.end_transition(at_end, at_both) / diffraction.transition(at_both)
 
 
 def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats, at: SceneResponse) -> Any:
@@ -276,12 +242,12 @@ def _corner_field(pair: EdgeEndVertex, ends: tuple[Triple, Triple], wave: Floats
     edge_paths, beyond = pair.rolled_out((r_s, z_s), (r_r, z_r))
     along = np.where(pair.over_end % 2 == 1, pair.lines.length[pair.edge], 0.0)[:, None]
     inside = np.where(pair.over_end[:, None] % 2 == 1, along - edge_paths[0].apex, edge_paths[0].apex)
-    detour = end_detour(edge_paths[0], (r_s, z_s), beyond, np.broadcast_to(along, inside.shape))
+    detour = diffraction.end_detour(edge_paths[0], (r_s, z_s), beyond, np.broadcast_to(along, inside.shape))
     root: Any = np.where(inside < 0.0, -1.0, 1.0) * pair.end_side[:, None] * np.sqrt(detour)
     scale = np.sqrt(wave)
 
     def share(first: Floats, last: Floats, tie: Floats, wave: Floats) -> Any:
-        return end_transition(root[..., None] * scale, (first + last)[..., None] * scale)
+        return diffraction.end_transition(root[..., None] * scale, (first + last)[..., None] * scale)
 
     made = pair.face_terms((t_s, t_r), (edge_paths[0].breadth, edge_paths[1].breadth), at)
     field = -1.0 * pair.end_side[:, None, None] * pair.over_face(made, root, wave, edge_paths[0].length, share)
@@ -314,7 +280,8 @@ def _by_corner(
     if len(beside):
         source, receiver = ((r[beside], t[beside], z[beside]) for r, t, z in ends)
         turned = np.exp(1j * wave[beside] * detour[beside, :, None])
-        field[beside] -= turned * EdgePairVertex._field(pair.part(beside), source, receiver, detour, wave[beside], at)
+        over, args = edge_pair.EdgePairVertex, (source, receiver, detour, wave[beside], at)
+        field[beside] -= turned * over._field(pair.part(beside), *args)
     return field
 
 
@@ -323,12 +290,13 @@ def _corner_legs(
 ) -> tuple[tuple[CornerLeg, CornerLeg], Floats, list[Any]]:
     """Legs of paths over corners, cosines (P, 1) between their edges, and factors of the last edges' faces."""
     angles = ends[0][1], ends[1][1]
-    made, numbers = pair.face_terms(angles, (np.ones(angles[0].shape),) * 2, at), end_numbers(pair.over_end)
+    made, numbers = pair.face_terms(angles, (np.ones(angles[0].shape),) * 2, at), edge_events.end_numbers(pair.over_end)
     face = pair.shared * np.pi * np.stack([pair.n, pair.last.n], axis=1)
     legs, inwards = [], []
     for i, (edge, (r, _, z)) in enumerate(zip((pair, pair.last), ends, strict=True)):
         came, went = (angles[0], face[:, :1]) if i == 0 else (face[:, 1:], angles[1])
-        weight, _ = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], came, went), edge.lit[:, None])
+        lit = diffraction.lit_angles(edge.n[:, None], came, went)
+        weight, _ = diffraction.wedge_terms(edge.n[:, None], lit, edge.lit[:, None])
         by_face = weight[..., 2:] if i == 0 else weight[..., :1:-1]
         kept = np.where(edge.lit[:, None, :2] != 0, weight[..., :2], by_face)
         kept = np.where(kept == 0.0, 1.0, kept)  # where a term vanishes

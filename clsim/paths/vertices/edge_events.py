@@ -47,21 +47,16 @@ class Chains(ByRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeEvents:
-    """How sound goes over edges on P paths at T times of reception.
-
-    Attributes
-    ----------
-    source, receiver : tuple of ndarray (P, T)
-        r, θ and z about the edge of the images of emission and reception, from the point on it, as the edge sees
-        them.
-    """
+    """How sound goes over edges on P paths at T times of reception."""
 
     along: Floats  # (P, T) where on the edge it is diffracted, m from its start
     time: Floats  # (P, T) when, s
     first: Events  # of the way from the source to that point, and of the one from it to the receiver
     last: Events  # likewise
+    # (P, T) r, θ and z about the edge of the images of emission and reception, from the point on it, as the
+    # edge sees them.
     source: tuple[Floats, Floats, Floats]
-    receiver: tuple[Floats, Floats, Floats]
+    receiver: tuple[Floats, Floats, Floats]  # likewise
     doppler: Floats  # (P, T) frequency at the edge, as it sees it, over that emitted
     carried: Floats  # (P, T) what the wind makes of that where all rests in the room
 
@@ -206,10 +201,7 @@ class EdgeSolver:
 def _from_moving(
     velocity: Floats, axes: tuple[Floats, Floats, Floats], direction: Floats, distance: Floats, sign: float
 ) -> Floats:
-    """Return coordinates (3, P, T) that edges see of what is ``sign * distance`` off in directions (P, T, 3).
-
-    It is as much later, over the speed of sound, and the velocity (P, T, 3) is over that too.
-    """
+    """Return coordinates (3, P, T) that edges see of what is ``sign * distance`` off in directions (P, T, 3)."""
     across, out, along = axes
     slip = velocity - dot(velocity, along)[..., None] * along
     gamma = 1.0 / np.sqrt(1.0 - dot(slip, slip))
@@ -231,24 +223,10 @@ class EdgePairs(Chains):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgePairEvents(EdgeEvents):
-    """How sound goes over two edges; `source` is about the first, `receiver` about the second, from their starts.
+    """How sound goes over two edges; `source` is about the first, `receiver` about the second, from their starts."""
 
-    Attributes
-    ----------
-    along : ndarray (P, 2, T)
-        Points of diffraction on the edges, m from their starts.
-    time : ndarray (P, T)
-        When at the first edge, s.
-    last : Events
-        Leg from the second edge; delay, its rate and distance include the leg from the first one.
-    slope : ndarray (P, 2, T)
-        By how much the way grows with each of the places.
-    bend : ndarray (P, 2, 2, T)
-        And twice, 1/m.
-    """
-
-    slope: Floats
-    bend: Floats
+    slope: Floats  # (P, 2, T) by how much the way grows with the places `along` (P, 2, T), m from the edges' starts
+    bend: Floats  # (P, 2, 2, T) and twice, 1/m; `last` is from the second edge, with what the first leg makes of it
 
     def part(self, rows: NDArray[np.int64]) -> EdgePairEvents:
         """Places, ends and slopes of some of the paths."""
@@ -368,23 +346,14 @@ class GapPairs(EdgePairs):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapEvents(EdgePairEvents):
-    """How sound goes over two edges with air between.
+    """How sound goes over two edges with air between."""
 
-    Attributes
-    ----------
-    between : Events
-        Leg from the first edge to the second, received when it leaves that, at `leaving`.
-    middle : ndarray (P, T, 6)
-        Angles of that way about both edges, rad, its length, m, the cosine between the directions of the angles, and
-        those between either edge and the way from it to the other one.
-    gap : ndarray (P, T, 2, 4, 3)
-        Frames of both edges as the first one sees them, see `EdgeGap`.
-    """
-
-    between: Events
+    between: Events  # leg from the first edge to the second, received when it leaves that, at `leaving`
     leaving: Floats
+    # (P, T, 6) angles of that way about both edges, rad, its length, m, the cosine between the directions of
+    # the angles, and those between either edge and the way from it to the other one.
     middle: Floats
-    gap: Floats
+    gap: Floats  # (P, T, 2, 4, 3) frames of both edges as the first one sees them, see `EdgeGap`
 
     def part(self, rows: NDArray[np.int64]) -> GapEvents:
         """Places, ends, slopes and frames of some of the paths."""
@@ -440,9 +409,8 @@ class GapPairSolver(EdgePairSolver):
         middle = np.stack([onto[1], came[1], distance, dot(*turned), *slopes], axis=-1)
         first, last = found.along[:, 0, :, None] * axes[0][2], found.along[:, 1, :, None] * axes[1][2]
         start = first - last + length.departure * length.distance[..., None]  # of the last edge from that of the first
-        frames = [
-            np.stack([place, *turn], axis=2) for place, turn in zip((np.zeros_like(start), start), axes, strict=True)
-        ]
+        starts = np.zeros_like(start), start
+        frames = [np.stack([place, *turn], axis=2) for place, turn in zip(starts, axes, strict=True)]
         own = {f.name: getattr(found, f.name) for f in fields(EdgePairEvents)}
         return GapEvents(**own, between=length, leaving=leaving, middle=middle, gap=np.stack(frames, axis=2))
 

@@ -12,19 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.acoustics.diffraction import (
-    AT_CORNER,
-    ON_LINE,
-    EdgePath,
-    adjacent_reflections,
-    end_detour,
-    end_transition,
-    exact_wedge_terms,
-    off_line,
-    path_over_edge,
-    transition,
-    wedge_terms,
-)
+from clsim.acoustics import diffraction
 from clsim.arrays import Complexes, Floats
 from clsim.paths.links import Links
 from clsim.paths.propagation import Folds, Medium, Passage, straight
@@ -82,10 +70,7 @@ class RolledOut:
 
     @staticmethod
     def between(frames: tuple[Floats, Floats], n: tuple[Floats, Floats], face: Any) -> tuple[RolledOut, RolledOut]:
-        """Make the views from both edges of pairs beyond each other.
-
-        Shapes: frames (P, 4, 3) of the first and of the second edges; n (P,); face (P, 2) which face of each is shared.
-        """
+        """Make the views from both edges of pairs beyond each other."""
         angles = np.pi * np.where(face == 1, np.stack(n, axis=1), 0.0)
         inward = [
             np.cos(angle)[:, None] * frame[:, 1] + np.sin(angle)[:, None] * frame[:, 2]
@@ -102,16 +87,11 @@ class RolledOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeLengths:
-    """P paths at T times, as each edge sees them.
-
-    Attributes
-    ----------
-    places : tuple of ndarray (P, T)
-        Points of each path on the first edge and the last, which may be the same, m from its start.
-    """
+    """P paths at T times, as each edge sees them."""
 
     source: Floats  # (3, P, T) coordinates of both images, that of the source at emission, m
     receiver: Floats  # likewise
+    # (P, T) points of each path on the first edge and the last, which may be the same, m from its start.
     places: tuple[Floats, Floats]
     emission_time: Floats  # (P, T) s
     delay: Floats  # (P, T) s, and m
@@ -134,14 +114,10 @@ def edge_lengths(
     """Return the ways of P paths between a source and a receiver.
 
     Shapes: end_place (P,) m; receiver (T, 3) m; times (T,) s.
-
     met: takes r and z (P, T) of both images about the first and the last edge; returns where the shortest paths meet
     these, and their lengths, each (P, T) m.
-
     end_place: of the ends that paths run over, m; NaN for paths over the edge itself, by the shortest way.
-
     retarded: whether the source is where it was when the sound was emitted, or where it is at reception.
-
     As the way over the edge itself is the shortest, the change of its apex does not change it: Newton's steps for the
     time of emission take the source's speed along the first part.
     """
@@ -183,7 +159,7 @@ def edge_lengths(
 def polar(seen: Floats) -> tuple[Floats, Floats]:
     """Distances from edges and places along them (P, T) of coordinates (3, P, T), m."""
     x, y, z = seen
-    return np.maximum(np.hypot(x, y), ON_LINE), z
+    return np.maximum(np.hypot(x, y), diffraction.ON_LINE), z
 
 
 def towards_edge(end: Floats, place: Floats) -> tuple[Floats, Floats]:
@@ -243,8 +219,8 @@ class LayeredLengths:
         for place in (emitted_at, receiver_at):
             away = place - frame[..., 0, :]
             x, y, z = (np.sum(away * frame[..., axis, :], axis=-1) for axis in (1, 2, 3))
-            coordinates += [np.maximum(np.hypot(x, y), ON_LINE), z]
-        along = np.where(np.isnan(end), path_over_edge(*coordinates).apex, end)
+            coordinates += [np.maximum(np.hypot(x, y), diffraction.ON_LINE), z]
+        along = np.where(np.isnan(end), diffraction.path_over_edge(*coordinates).apex, end)
         return frame[..., 0, :] + along[..., None] * frame[..., 3, :], emitted_at, receiver_at
 
 
@@ -253,67 +229,51 @@ BOTH = 2  # times a term's side: both paths round its boundary count as much bey
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndsOfEdges:
-    """Ends of edges that P paths run over, at T times.
+    """Ends of edges that P paths run over, at T times."""
 
-    Attributes
-    ----------
-    side : ndarray (P,) int8
-        1 where the shortest way is taken to meet the edge, -1 where it passes the end; 0 of paths over the edge
-        itself.
-    """
-
+    # (P,) 1 where the shortest way is taken to meet the edge, -1 where it passes the end; 0 of paths over the
+    # edge itself.
     side: NDArray[np.int8]
     root: Floats  # (P, T) root of the detour by the end, √m; negative where the shortest way is on the other side
     corner: Floats  # (P,) angle at which the way comes to the corner itself, see `end_transition`
 
     @staticmethod
     def of(
-        side: NDArray[np.int8], edge_path: EdgePath, ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
-        end: Floats, inside: Floats, corner: Floats,
+        side: NDArray[np.int8], edge_path: diffraction.EdgePath,
+        ends: tuple[tuple[Floats, Floats], tuple[Floats, Floats]], end: Floats, inside: Floats, corner: Floats,
     ) -> EndsOfEdges:  # fmt: skip
-        """Make it from r and z of source and receiver (P, T), m.
-
-        `end` (P, 1) are the places of the ends, `inside` (P, T) how far inside the edges the shortest ways meet them.
-        """
+        """Make it from r and z of source and receiver (P, T), m."""
         signed, root = np.where(inside < 0.0, -1.0, 1.0) * side[:, None], np.zeros(edge_path.length.shape)
         over = np.flatnonzero(side)
         if len(over):
-            some = EdgePath(edge_path.length[over], edge_path.apex[over], edge_path.breadth[over])
+            some = diffraction.EdgePath(edge_path.length[over], edge_path.apex[over], edge_path.breadth[over])
             (r_s, z_s), (r_r, z_r) = ((r[over], z[over]) for r, z in ends)
-            detour = end_detour(some, (r_s, z_s), (r_r, z_r), np.broadcast_to(end, (len(side), 1))[over])
+            detour = diffraction.end_detour(some, (r_s, z_s), (r_r, z_r), np.broadcast_to(end, (len(side), 1))[over])
             root[over] = signed[over] * np.sqrt(detour)
         return EndsOfEdges(side, root, corner)
 
     def transition(self, rows: NDArray[np.int64], lit: NDArray[np.int8], wave: Floats, root: Floats) -> Complexes:
-        """Compute the transition function of some rows' edges or ends (n, T, F), without the phase of the detour.
-
-        By the sides of one term of the edge (n,), wave numbers (n, T, F), and roots of the phases of the term
-        (n, T, F).
-        """
+        """Compute the transition function of some rows' edges or ends (n, T, F), without the phase of the detour."""
         over = self.side[rows] != 0
         if not over.any():
-            return transition(root)
+            return diffraction.transition(root)
         found, ends = np.empty(root.shape, dtype=np.complex128), rows[over]
-        found[~over] = transition(root[~over])
+        found[~over] = diffraction.transition(root[~over])
         end, both = self.root[ends, :, None] * np.sqrt(wave[over]), np.abs(lit[over]) == BOTH
-        at_end = end_transition(end, root[over], self.corner[ends, None, None])
+        at_end = diffraction.end_transition(end, root[over], self.corner[ends, None, None])
         if both.any():  # half of either way round the boundary
             twice = np.exp(1j * (end[both] ** 2 + root[over][both] ** 2))
-            at_end[both] -= np.where(end[both] < -AT_CORNER, twice, 0.0)
+            at_end[both] -= np.where(end[both] < -diffraction.AT_CORNER, twice, 0.0)
         found[over] = -1.0 * self.side[ends, None, None] * at_end
         return found
 
 
 def utd_field(
-    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], edge_path: EdgePath,
+    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], edge_path: diffraction.EdgePath,
     wave: Floats, factors: list[Any], ends: EndsOfEdges,
 ) -> Any:  # fmt: skip
-    """Compute the field (P, T, F) of edges (P,) and of their ends over that of the shortest ways, see `Edges`.
-
-    By the angles (P, T, 4) of the partners, the distances from the edges (P, T), wave numbers (P, T, F) and the faces'
-    factors.
-    """
-    weight, root = wedge_terms(n[:, None], angles, np.sign(lit)[:, None])
+    """Compute the field (P, T, F) of edges (P,) and of their ends over that of the shortest ways, see `Edges`."""
+    weight, root = diffraction.wedge_terms(n[:, None], angles, np.sign(lit)[:, None])
     scale, field = np.sqrt(wave * edge_path.breadth[..., None]), np.zeros(wave.shape, dtype=np.complex128)
     for term in range(lit.shape[1]):
         kept = np.flatnonzero(lit[:, term])
@@ -324,24 +284,21 @@ def utd_field(
 
 
 def exact_field(
-    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], edge_path: EdgePath,
+    n: Floats, lit: NDArray[np.int8], angles: Floats, distances: tuple[Floats, Floats], edge_path: diffraction.EdgePath,
     wave: Floats, factors: list[Any], ends: EndsOfEdges,
 ) -> Any:  # fmt: skip
-    """Compute the exact field (P, T, F) of edges over that of the shortest ways, from what `utd_field` takes.
-
-    Over an end each term is less by as much as it is in the uniform theory.
-    """
+    """Compute the exact field (P, T, F) of edges over that of the shortest ways, from what `utd_field` takes."""
     field = np.zeros(wave.shape, dtype=np.complex128)
     within = ((ends.side != 0)[:, None] & (ends.root >= 0.0))[..., None]
     sides = np.where(within, np.where(angles >= 0.0, 1, -1), np.where(lit < 0, -1, 1)[:, None])
-    _, root = wedge_terms(n[:, None], angles, sides)
-    terms = exact_wedge_terms(n[:, None], angles, sides, *distances, edge_path, wave)
+    _, root = diffraction.wedge_terms(n[:, None], angles, sides)
+    terms = diffraction.exact_wedge_terms(n[:, None], angles, sides, *distances, edge_path, wave)
     for term, each in enumerate(terms):
         kept = np.flatnonzero(lit[:, term])
         over = np.flatnonzero(lit[:, term] * ends.side)
         if len(over):
             phase = root[over, :, term, None] * np.sqrt(wave[over] * edge_path.breadth[over, :, None])
-            each[over] *= ends.transition(over, lit[over, term], wave[over], phase) / transition(phase)
+            each[over] *= ends.transition(over, lit[over, term], wave[over], phase) / diffraction.transition(phase)
         field[kept] += each[kept] if factors[term] is None else (each * factors[term])[kept]
     return field
 
@@ -349,15 +306,11 @@ def exact_field(
 def cylindrical(n: Floats, seen: Floats, beside: NDArray[np.int8]) -> tuple[Floats, Floats, Floats]:
     """Return r, θ and z of coordinates (3, P, T) about edges (P,), see `least_angle`."""
     x, y, z = seen
-    return *off_line(n[:, None], x, y, least_angle(n, beside)[:, None]), z
+    return *diffraction.off_line(n[:, None], x, y, least_angle(n, beside)[:, None]), z
 
 
 def least_angle(n: Floats, beside: NDArray[np.int8]) -> Floats:
-    """Origin of the angles about edges (P,).
-
-    In the middle of the wedge; of ends that go on beyond the 0-face, -1, or beyond the n-face, 1, a quarter of the air
-    before or after that: in the middle of a sheet they would jump at its very plane.
-    """
+    """Origin of the angles about edges (P,)."""
     return np.asarray(0.5 * np.pi * (n - 2.0) + 0.25 * np.pi * n * beside)
 
 
@@ -367,12 +320,11 @@ def adjacent_factors(
     """Multiply the reflection factors (P, T, F) of each term's partner; None for terms whose partners have none.
 
     Shapes: n (P,); faces (P, 2); slope (P, T).
-
     Our own derivation: on the boundary of a partner the angle from a face of one leg to the edge gives all angles of
     incidence, in steps of nπ; elsewhere both ends share what is left to the boundary. Behind a sheet that
     lets the share T of the pressure pass there is a path of T: the term past its edge stands for the rest, 1 - T.
     """
-    (came, went), counts = angles, adjacent_reflections(n)
+    (came, went), counts = angles, diffraction.adjacent_reflections(n)
     sheets = np.flatnonzero(at.panels[faces[:, 0]] & (faces[:, 0] == faces[:, 1]))
     found: list[Any] = []
     for term, half in enumerate((0.5 * (went + came),) * 2 + (0.5 * (came - went),) * 2):

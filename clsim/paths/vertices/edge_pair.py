@@ -9,36 +9,18 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.acoustics.diffraction import (
-    ON_LINE,
-    EdgePath,
-    adjacent_reflections,
-    double_tie,
-    double_transition,
-    gap_transition,
-    lit_angles,
-    path_over_edge,
-    wedge_terms,
-)
+from clsim.acoustics import diffraction
 from clsim.acoustics.edge_gap import EdgeGap
 from clsim.arrays import Floats
 from clsim.paths.arrivals import Kinematics
 from clsim.paths.family import Instant, Rows
+from clsim.paths.legs.legs import path_vertices
 from clsim.paths.legs.mirrors import dot
-from clsim.paths.legs.static import path_vertices
 from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
+from clsim.paths.vertices import edge_events
 from clsim.paths.vertices.edge import EdgeVertex, Triple
-from clsim.paths.vertices.edge_events import (
-    EdgeEvents,
-    EdgePairEvents,
-    EdgePairs,
-    EdgePairSolver,
-    GapEvents,
-    GapPairs,
-    GapPairSolver,
-)
 from clsim.paths.vertices.edge_field import EdgeView, RolledOut, adjacent_factors, face_factor
 from clsim.scene.scene import Scene
 
@@ -53,14 +35,10 @@ class EdgePairVertex(EdgeVertex):
     """Two edges that share a face; columns of `EdgeVertex` are those of the first one.
 
     Rolled out into the plane of the shared face, the path between both is straight.
-
-    Attributes
-    ----------
-    shared : ndarray (P, 2) int
-        Shared face of the first and of the second edge: 0 for the 0-face, 1 for the n-face.
     """
 
     last: EdgeVertex
+    # (P, 2) shared face of the first and of the second edge: 0 for the 0-face, 1 for the n-face.
     shared: NDArray[np.int64]
 
     kind: ClassVar[str] = "edge pair"
@@ -97,30 +75,34 @@ class EdgePairVertex(EdgeVertex):
     def met(self, source: Pair, receiver: Pair) -> tuple[Pair, Floats]:
         """Places on both edges, and lengths, of shortest paths between ends at r and z about them, (P, T) m each."""
         beyond = self.beyond()
-        edge_path = path_over_edge(*source, *beyond[0](*receiver))
-        return (edge_path.apex, path_over_edge(*receiver, *beyond[1](*source)).apex), edge_path.length
+        edge_path = diffraction.path_over_edge(*source, *beyond[0](*receiver))
+        return (edge_path.apex, diffraction.path_over_edge(*receiver, *beyond[1](*source)).apex), edge_path.length
 
     def beyond(self) -> tuple[RolledOut, RolledOut]:
         """Take the views from both edges beyond each other, across the shared face."""
         return RolledOut.between((self.frame, self.last.frame), self.wedges, self.shared)
 
-    def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> EdgePairEvents:
+    def on_moving_legs(
+        self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics
+    ) -> edge_events.EdgePairEvents:
         """Solve paths between moving legs."""
         before, after = links.legs
-        pairs = EdgePairs(before.surfaces, after.surfaces, self.edge, self.over_end, self.last.edge, self.shared)
-        solver = EdgePairSolver(before.mirrors, self.lines, links.motions, medium, kinematics.retarded)
-        found: EdgePairEvents = solver.find(pairs, times)
+        pairs = edge_events.EdgePairs(
+            before.surfaces, after.surfaces, self.edge, self.over_end, self.last.edge, self.shared
+        )
+        solver = edge_events.EdgePairSolver(before.mirrors, self.lines, links.motions, medium, kinematics.retarded)
+        found: edge_events.EdgePairEvents = solver.find(pairs, times)
         return found
 
-    def _seen_length(self, events: EdgeEvents) -> Floats:
+    def _seen_length(self, events: edge_events.EdgeEvents) -> Floats:
         (r_s, _, z_s), (r_r, _, z_r) = events.source, events.receiver
-        return path_over_edge(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length
+        return diffraction.path_over_edge(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length
 
     def moving_lengths(self, links: Links, places: Pair, times: Instant) -> Floats:
         """Lengths (P,) between endpoints (P, 3) on moving legs, with all where it is at times, m."""
         first, last = self._rested(links, places, (self.edge, self.last.edge), times)
         (r_s, z_s), (r_r, z_r) = ((r[:, None], z[:, None]) for r, z in (first, last))
-        return path_over_edge(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length[:, 0]
+        return diffraction.path_over_edge(r_s, z_s, *_ahead(*self.beyond()[0](r_r, z_r))).length[:, 0]
 
     def _apexes(self, links: Links, ends: Pair) -> Pair:
         places = zip((self.frame, self.last.frame), self._met_by(links, ends), strict=True)
@@ -137,7 +119,7 @@ class EdgePairVertex(EdgeVertex):
         (r_s, t_s, z_s), (r_r, t_r, z_r) = source, receiver
         edge_paths, received = self.rolled_out((r_s, z_s), (r_r, z_r))
         sent = _ahead(*self.beyond()[1](r_s, z_s))
-        tie = double_tie(
+        tie = diffraction.double_tie(
             edge_paths[0],
             r_s * edge_paths[0].length / (r_s + received[0]),
             r_r * edge_paths[1].length / (r_r + sent[0]),
@@ -145,11 +127,13 @@ class EdgePairVertex(EdgeVertex):
         found = self.face_terms((t_s, t_r), (edge_paths[0].breadth, edge_paths[1].breadth), at)
         return self.over_face(found, tie, wave, edge_paths[0].length)
 
-    def rolled_out(self, source: Pair, receiver: Pair) -> tuple[tuple[EdgePath, EdgePath], Pair]:
+    def rolled_out(
+        self, source: Pair, receiver: Pair
+    ) -> tuple[tuple[diffraction.EdgePath, diffraction.EdgePath], Pair]:
         """Paths over either edge to what is beyond the other one, and r and z of that for the first, (P, T) m."""
         beyond = self.beyond()
         received, sent = _ahead(*beyond[0](*receiver)), _ahead(*beyond[1](*source))
-        return (path_over_edge(*source, *received), path_over_edge(*receiver, *sent)), received
+        return (diffraction.path_over_edge(*source, *received), diffraction.path_over_edge(*receiver, *sent)), received
 
     def face_terms(self, angles: Pair, breadths: Pair, at: SceneResponse, own: int = -1) -> list[FaceTerms]:
         """Terms of both edges, from ends at angles (P, T); own: that of 0 and 1 whose sides its angles tell."""
@@ -162,7 +146,12 @@ class EdgePairVertex(EdgeVertex):
         return [self._terms(edge, breadth, by_face, at, i == own) for i, (edge, breadth, by_face) in enumerate(columns)]
 
     def over_face(
-        self, found: list[FaceTerms], tie: Floats, wave: Floats, length: Floats, law: Law = double_transition
+        self,
+        found: list[FaceTerms],
+        tie: Floats,
+        wave: Floats,
+        length: Floats,
+        law: Law = diffraction.double_transition,
     ) -> Any:
         """Field (P, T, F) of the products of terms, of paths of a length (P, T), m."""
         (first, before, _), (last, after, last_factors) = found
@@ -185,17 +174,13 @@ class EdgePairVertex(EdgeVertex):
     def _terms(
         edge: tuple[Any, ...], breadth: Floats, by_face: tuple[int, int], at: SceneResponse, own: bool
     ) -> FaceTerms:
-        """Return roots (P, T, 2), weights (P, T, F) of the two kinds of terms at an edge, and its faces' factors.
-
-        Along the shared face a term by a face has the root of one past the edge: `by_face` are those of 0 and 1.
-        """
+        """Return roots (P, T, 2), weights (P, T, F) of the two kinds of terms at an edge, and its faces' factors."""
         n, came, went, lit, faces = edge
-        angles = lit_angles(n[:, None], came, went)
+        angles = diffraction.lit_angles(n[:, None], came, went)
         sides: Any = np.where(angles < 0.0, -1, 1) * np.abs(lit)[:, None] if own else lit[:, None]
-        weight, root = wedge_terms(n[:, None], angles, sides)
-        factors = [
-            face_factor(walls, np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape), at) for walls in faces.T
-        ]
+        weight, root = diffraction.wedge_terms(n[:, None], angles, sides)
+        cosine = np.broadcast_to(np.cos(0.5 * (went - came)), breadth.shape)
+        factors = [face_factor(walls, cosine, at) for walls in faces.T]
         kept, past, inner = weight * np.abs(lit)[:, None], np.ones((len(n), 1, 1)), np.flatnonzero(n < 1.0)
         sheets = np.flatnonzero(at.panels[faces[:, 0]] & (faces[:, 0] == faces[:, 1]))
         if len(inner):  # these stand for reflections by both faces
@@ -216,7 +201,7 @@ def _ahead(r: Floats, z: Floats) -> tuple[Floats, Floats]:
     Behind the edge there is no path, but nodes just beyond its interval are evaluated: there the field keeps the
     value that it has at the edge.
     """
-    return np.maximum(r, ON_LINE), z
+    return np.maximum(r, diffraction.ON_LINE), z
 
 
 Terms = tuple[Floats, Floats, Floats, list[Any]]
@@ -228,25 +213,15 @@ LEAVING, COMING = np.array([1.0, -1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0, 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapPairVertex(EdgePairVertex):
-    """Two edges with open air between them, and walls by which the second one is seen.
+    """Two edges with open air between them, and walls by which the second one is seen."""
 
-    Attributes
-    ----------
-    seen : ndarray (P, 4, 3)
-        Frames of the second edges as the first ones see them by these walls.
-    between : ndarray (P, B) int
-        Walls between both edges from the first one's side, -1 behind the last.
-    budget : ndarray (P,) int
-        Reflections that terms of both edges may stand for together.
-    """
-
-    seen: Floats
-    between: NDArray[np.int32]
-    budget: NDArray[np.int64]
+    seen: Floats  # (P, 4, 3) frames of the second edges as the first ones see them by these walls
+    between: NDArray[np.int32]  # (P, B) walls between both edges from the first one's side, -1 behind the last
+    budget: NDArray[np.int64]  # (P,) reflections that terms of both edges may stand for together
 
     kind: ClassVar[str] = "edge gap"
     loudest: ClassVar[float] = 9.0
-    solver: ClassVar[type[GapPairSolver]] = GapPairSolver
+    solver: ClassVar[type[edge_events.GapPairSolver]] = edge_events.GapPairSolver
 
     def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""
@@ -281,14 +256,16 @@ class GapPairVertex(EdgePairVertex):
         """Bounds (P,) of the sums of the speeds of both edges, m/s."""
         return EdgePairVertex.speeds(self, moving) + self.last.speeds(moving)
 
-    def on_moving_legs(self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics) -> GapEvents:
+    def on_moving_legs(
+        self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics
+    ) -> edge_events.GapEvents:
         """Solve paths between moving legs."""
         before, after = links.legs
-        pairs = GapPairs(
+        pairs = edge_events.GapPairs(
             before.surfaces, after.surfaces, self.edge, self.over_end, self.last.edge, self.shared, self.between
         )
         solver = self.solver(before.mirrors, self.lines, links.motions, medium, kinematics.retarded)
-        found: GapEvents = solver.find(pairs, times)
+        found: edge_events.GapEvents = solver.find(pairs, times)
         return found
 
     def passed(self, events: Any, kinematics: Kinematics) -> Columns:
@@ -324,11 +301,7 @@ class GapPairVertex(EdgePairVertex):
         return EdgeGap(frames[0], frames[1], (self.n[:, None], self.last.n[:, None])).cross(source, receiver).length
 
     def _field(self, source: Triple, receiver: Triple, end: Floats, wave: Floats, at: SceneResponse) -> Any:
-        """Field (P, T, F) beyond both edges, without its phase, of endpoints at r, θ, z about the first and the last.
-
-        end: of moving legs what `GapEvents.middle` says of the way between, with which the ends are told from the
-        places on the edges.
-        """
+        """Field (P, T, F) beyond both edges, without its phase, of ends at r, θ, z about the first and the last."""
         if end.ndim == 3:
             ahead, back, between, turn = np.moveaxis(end[..., :4], 2, 0)
             legs = np.hypot(*source[::2]), between, np.hypot(*receiver[::2])
@@ -348,9 +321,7 @@ def gap_field(
     """Compute the field (P, T, F) beyond two edges with air between, from ends at r, θ, z about the first and the last.
 
     legs: lengths before, between and behind the edges, m.
-
     between: angles of the way between about both edges, and the cosine between their directions, see `EdgeGap.angles`.
-
     The product of the terms of either edge, each as if the other were an end of its way, with one transition for both.
     Products that stand for more reflections than are asked for are left out: so are their partners, over one edge.
     """
@@ -384,13 +355,15 @@ def gap_field(
 def product_of_terms(pair: GapPairVertex, found: tuple[Terms, Terms], tie: Floats, wave: Floats) -> Any:
     """Sum the products (P, T, F) of the terms of both edges that are kept."""
     (first, one, side, before), (last, other, last_side, after) = found
-    met = [adjacent_reflections(edge.n) for edge in (pair, pair.last)]
+    met = [diffraction.adjacent_reflections(edge.n) for edge in (pair, pair.last)]
     i, j = np.divmod(np.arange(16), 4)
     kept = (met[0][:, i] + met[1][:, j] <= pair.budget[:, None]) & (pair.lit[:, i] != 0) & (pair.last.lit[:, j] != 0)
     weight = 0.25 * one[..., i] * other[..., j] * kept[:, None]
     used = np.flatnonzero(np.any(weight != 0.0, axis=(0, 1)))
     i, j, weight = i[used], j[used], weight[..., used]
-    made = gap_transition(first[..., i], last[..., j], tie[..., None] * side[..., i] * last_side[..., j], wave)
+    made = diffraction.gap_transition(
+        first[..., i], last[..., j], tie[..., None] * side[..., i] * last_side[..., j], wave
+    )
     made *= weight[..., None]
     for term, (mine, theirs) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
         for factor in (before[mine], after[theirs]):
@@ -402,11 +375,8 @@ def product_of_terms(pair: GapPairVertex, found: tuple[Terms, Terms], tie: Float
 def terms_of(
     edge: EdgeVertex, angles: Pair, slope: Floats, breadth: Floats, turns: Floats, at: SceneResponse, own: bool = False
 ) -> Terms:
-    """Roots and weights (P, T, 4) of the terms at an edge, their sides and directions together, and faces' factors.
-
-    own: whether the angles, and not the edge, tell on which side each term is.
-    """
+    """Roots and weights (P, T, 4) of the terms at an edge, their sides and directions together, and faces' factors."""
     lit = None if own else edge.lit[:, None]
-    weight, root = wedge_terms(edge.n[:, None], lit_angles(edge.n[:, None], *angles), lit)
+    weight, root = diffraction.wedge_terms(edge.n[:, None], diffraction.lit_angles(edge.n[:, None], *angles), lit)
     factors = adjacent_factors(edge.n, edge.faces, angles, slope, at)
     return root * np.sqrt(breadth)[..., None], weight, np.where(weight > 0.0, -turns, turns), factors

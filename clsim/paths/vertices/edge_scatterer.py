@@ -18,17 +18,16 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.arrays import ByRow, Floats
-from clsim.errors import InputError
 from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import Instant, Rows, ends_at
-from clsim.paths.legs.static import StaticLeg, path_vertices
+from clsim.paths.legs.legs import StaticLeg, path_vertices
 from clsim.paths.links import Columns, Integers, Links, Pair
 from clsim.paths.propagation import straight
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices.edge import EdgeVertex
 from clsim.paths.vertices.edge_field import EdgeView, towards_edge
 from clsim.paths.vertices.scatterer import ScattererVertex
-from clsim.paths.vertices.scatterer_paths import PATIENCE, Body
+from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, unseen
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 
@@ -131,7 +130,8 @@ class EdgeScattererVertex(ScattererVertex):
             if beside is None:
                 found += np.linalg.norm(image - centre, axis=1)
             else:
-                beyond, seen = _from_edges(beside.edge).places(image[:, None]), beside.view.places(centre[:, None])
+                room = EdgeView.of(np.eye(3)[None], np.zeros((1, 3)), beside.edge.frame)
+                beyond, seen = room.places(image[:, None]), beside.view.places(centre[:, None])
                 found += _Over.of(beside.edge, beyond, seen).length[:, 0]
         return found
 
@@ -258,11 +258,6 @@ class _Over:
         return np.stack([np.zeros_like(along), np.zeros_like(along), along])
 
 
-def _from_edges(edge: EdgeVertex) -> EdgeView:
-    """Take the view of the room from edges (P,)."""
-    return EdgeView.of(np.eye(3)[None], np.zeros((1, 3)), edge.frame)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _SolvedPath:
     """Sound over an edge and by one scatterer (P, T)."""
@@ -346,12 +341,10 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _SolvedPath:
         mach, coming, leaving, receding = (
             np.sum(n * v, axis=-1) / speed
             for n, v in (
-                (coming_to, source.by_end),
-                (coming_to, velocity - source.by_scatterer),
-                (onwards, velocity - receiver.by_scatterer),
-                (onwards, receiver.by_end),
+                (coming_to, source.by_end), (coming_to, velocity - source.by_scatterer),
+                (onwards, velocity - receiver.by_scatterer), (onwards, receiver.by_end),
             )
-        )
+        )  # fmt: skip
         change = np.stack([first, second]) / speed - delays
         if retarded:
             weight = (1.0 - coming) / (1.0 - leaving)
@@ -364,8 +357,4 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _SolvedPath:
                 delays, (first, second), (source.over, receiver.over), (source.towards, receiver.towards), departure,
                 arrival, place, mach, coming, leaving, receding, *body.strength(shape),
             )  # fmt: skip
-    raise InputError(
-        "scatterers",
-        f"must be seen from the edges of its paths, but no path by {scatterer.name!r} was found from {times[0]:.6g} to "
-        f"{times[-1]:.6g} s",
-    )
+    raise unseen(f"the edges of its paths, but no path by {scatterer.name!r}", times)

@@ -19,32 +19,19 @@ from clsim.paths.family import SCATTERING, Instant, Rows, ends_at
 from clsim.paths.links import Columns, Links, Pair, in_chunks
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
-from clsim.paths.vertices.scatterer_paths import (
-    Capsules,
-    ScatteredEvents,
-    ScatteredPath,
-    find_scattered,
-    scattered_path,
-)
+from clsim.paths.vertices import scatterer_paths
 from clsim.scene.scatterer import CapsuleShape, Scatterer
 from clsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScattererVertex:
-    """Scatterers that P paths meet.
-
-    Attributes
-    ----------
-    fastest : ndarray (scatterers, 2)
-        Bounds of the speeds of centres and surfaces, m/s.
-    nearest : ndarray (P,)
-        Bound from below of the harmonic mean of the distances of both ends from the scatterer, over 2, m.
-    """
+    """Scatterers that P paths meet."""
 
     scatterer: NDArray[np.int32]  # (P,) index in the scene
+    # (P,) bound from below of the harmonic mean of the distances of both ends from the scatterer, over 2, m.
     nearest: Floats
-    fastest: Floats
+    fastest: Floats  # (scatterers, 2) bounds of the speeds of centres and surfaces, m/s
     scatterers: tuple[Scatterer, ...]  # of the scene
 
     kind: ClassVar[str] = "scatterer"
@@ -181,13 +168,14 @@ class ScattererVertex:
 
     def on_moving_legs(
         self, links: Links, medium: UniformAir, times: Floats, kinematics: Kinematics
-    ) -> ScatteredEvents:
+    ) -> scatterer_paths.ScatteredEvents:
         """Solve paths by one scatterer between moving legs."""
         before, after = links.legs
         legs = before.surfaces, after.surfaces
-        return find_scattered(before.mirrors, legs, self.one, links.motions, medium, times, kinematics.retarded)
+        path = before.mirrors, legs, self.one, links.motions
+        return scatterer_paths.find_scattered(*path, medium, times, kinematics.retarded)
 
-    def passed(self, events: ScatteredEvents, kinematics: Kinematics) -> Columns:
+    def passed(self, events: scatterer_paths.ScatteredEvents, kinematics: Kinematics) -> Columns:
         """Columns of arrivals on moving legs.
 
         On the second leg what is scattered is received as from a source that moves with the scatterer: the pressure is
@@ -252,10 +240,7 @@ class ScattererVertex:
         return response
 
     def _past(self, mine: NDArray[np.int64], times: Floats, aspects: Floats, wave: Floats) -> Any:
-        """Shares (P, T, F) of the direct sound that scatterers before one in the scene let pass, see `shade`.
-
-        By times (P, T) at which sound is at this one, and its aspects (P, T, n), which hold both ends in its frame.
-        """
+        """Shares (P, T, F) of the direct sound that scatterers before one in the scene let pass, see `shade`."""
         which = int(self.scatterer[mine[0]])
         outlines = aspects.reshape(-1, aspects.shape[-1])[:, -ASPECTS:]
         near = np.flatnonzero(forward_share(wave, outlines)[0].any(axis=1))  # elsewhere its own outline does not count
@@ -284,9 +269,8 @@ class ScattererVertex:
             scatterer = self.part(mine).one
             most = 1.0 if scatterer.fluctuation is None else scatterer.fluctuation.most
             bound[mine] = most * scatterer.shape.largest(wave, self.nearest[mine])
-            if scatterer.shape.outlined and any(
-                other.shape.outlined for other in self.scatterers[: self.scatterer[mine[0]]]
-            ):
+            others = self.scatterers[: self.scatterer[mine[0]]]
+            if scatterer.shape.outlined and any(other.shape.outlined for other in others):
                 bound[mine] *= LOUDEST_SHADE
         if links.legs[0].moving:
             mach = links.chain.speeds[rows] / c
@@ -299,10 +283,11 @@ class ScattererVertex:
         return self.scatterers[int(self.scatterer[0])]
 
     @property
-    def together(self) -> Scatterer | Capsules:
+    def together(self) -> Scatterer | scatterer_paths.Capsules:
         """The scatterer of vertices that are all of one, or all capsules of vertices."""
-        first = self.scatterer[:1]
-        return self.one if np.all(self.scatterer == first) else Capsules(self.scatterers, self.scatterer)
+        if np.all(self.scatterer == self.scatterer[:1]):
+            return self.one
+        return scatterer_paths.Capsules(self.scatterers, self.scatterer)
 
     def _padded(self, aspects: Floats) -> Floats:
         """Aspects (P, T, n) with as many numbers as the field of any scatterer takes."""
@@ -313,8 +298,8 @@ class ScattererVertex:
         return len(self.scatterer)
 
 
-def _path_of(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> ScatteredPath:
-    return scattered_path(links.medium, links.vertex.together, ends, times, retarded)
+def _path_of(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> scatterer_paths.ScatteredPath:
+    return scatterer_paths.scattered_path(links.medium, links.vertex.together, ends, times, retarded)
 
 
 class PairEnds:

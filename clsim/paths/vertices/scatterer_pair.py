@@ -24,7 +24,7 @@ from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.response import SceneResponse
 from clsim.paths.search.scatterers import Side, at_receivers, received_after
 from clsim.paths.vertices.scatterer import PairEnds, ScattererVertex
-from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, Leg, leg_between
+from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, Leg, leg_between, unseen
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
@@ -215,10 +215,7 @@ def _solved(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> _Sol
             fields = zip(*(body.strength(shape) for body in bodies), strict=True)
             return _SolvedPath(legs, delays, mach, coming, leaving, (first, second), *fields)
     names = " and ".join(repr(scatterer.name) for scatterer in scatterers)
-    during = f"from {times[0]:.6g} to {times[-1]:.6g} s"
-    raise InputError(
-        "scatterers", f"must be seen from each other and both ends, but no path by {names} was found {during}"
-    )
+    raise unseen(f"each other and both ends, but no path by {names}", times)
 
 
 _WIDE = 0.5  # of the least distance from scatterers: half the harmonic mean of two of them
@@ -227,10 +224,7 @@ _WIDE = 0.5  # of the least distance from scatterers: half the harmonic mean of 
 def scatterer_pair_paths(
     scene: Scene, sides: tuple[Side, Side], straight_on: Callable[[Scene], Side], limit: int
 ) -> Chain:
-    """Find every path by two scatterers, with the walls that sides have before the first and after the second.
-
-    What is in the way, and when, is asked of the centres. `straight_on` finds the paths by nothing of a scene.
-    """
+    """Find every path by two scatterers, with the walls that sides have before the first and after the second."""
     check_support("static scatterer pair", scene.air)
     found: list[dict[str, Any]] = []
     between = [straight_on(_others(scene, which)) for which in range(len(scene.scatterers))]
@@ -278,14 +272,8 @@ def _columns(
     start, end = (_known(scene, sides, (i, j, k), (source, first, second, receiver), name) for name in ("start", "end"))
     kept = np.flatnonzero(start < end)
     i, k, count = i[kept], k[kept], len(kept)
-    met = np.concatenate(
-        [
-            before.surfaces[i],
-            np.tile(np.array([-2 - first, -2 - second], dtype=np.int32), (count, 1)),
-            after.surfaces[k],
-        ],
-        axis=1,
-    )
+    both = np.tile(np.array([-2 - first, -2 - second], dtype=np.int32), (count, 1))
+    met = np.concatenate([before.surfaces[i], both, after.surfaces[k]], axis=1)
     met = np.take_along_axis(met, np.argsort(met == -1, axis=1, kind="stable"), axis=1)
     return {
         "source": np.full(count, source, dtype=np.int32), "receiver": np.full(count, receiver, dtype=np.int32),

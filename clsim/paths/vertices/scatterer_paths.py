@@ -68,30 +68,23 @@ class Leg:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScatteredPath:
-    """Sound by a scatterer, of any shape (...), as it is received at some time.
-
-    Attributes
-    ----------
-    mach, coming, leaving : ndarray (...)
-        Mach numbers of the source towards the scatterer, and of the scatterer off it and towards the receiver.
-    """
+    """Sound by a scatterer, of any shape (...), as it is received at some time."""
 
     delay: Floats  # (...) since it was emitted, s
     first: Leg  # to the scatterer, and on from there
     second: Leg  # likewise
+    # (...) mach numbers of the source towards the scatterer, and of the scatterer off it and towards the
+    # receiver.
     mach: Floats
-    coming: Floats
-    leaving: Floats
+    coming: Floats  # likewise
+    leaving: Floats  # likewise
     place: Floats  # (..., 3) where it was scattered, m
     strength: Floats  # (...) see `Shape`
     aspects: Floats  # likewise
 
 
 class Capsules:
-    """Capsules of P paths that are solved together, as one scatterer would be: twelve of a person cost as one.
-
-    Times are those of all paths (P, T), or the same (T,).
-    """
+    """Capsules of P paths that are solved together, as one scatterer would be: twelve of a person cost as one."""
 
     def __init__(self, scatterers: Sequence[Scatterer], which: NDArray[np.int32]) -> None:
         self._scatterers, self._which = scatterers, which
@@ -133,15 +126,7 @@ class Capsules:
 
 
 class Body:
-    """A scatterer as ends see it, and what was found of it when last looked at.
-
-    Parameters
-    ----------
-    scatterer : Scatterer
-        Which.
-    glint : Glint, optional
-        Its specular points, as far as known.
-    """
+    """A scatterer as ends see it, and what was found of it when last looked at."""
 
     def __init__(self, scatterer: Scatterer | Capsules, specular: SpecularPoint | None = None) -> None:
         self._shape, self._trajectory = scatterer.shape, scatterer.trajectory
@@ -198,17 +183,20 @@ def _axes(quaternions: Floats) -> Floats:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def unseen(what: str, times: Floats) -> InputError:
+    """Make the error of a way that is not found for the sound received at times, s."""
+    return InputError("scatterers", f"must be seen from {what} was found from {times[0]:.6g} to {times[-1]:.6g} s")
+
+
 def scattered_path(
     medium: Medium, scatterer: Scatterer | Capsules, ends: Ends, times: Floats, retarded: bool
 ) -> ScatteredPath:
     """Return the ways (P, T) of sound by a scatterer that is received at times (T,), s.
 
     retarded: whether all is where it was when the sound passed, or where it is at reception.
-
     With the place x that scatters, ``late = travel time from x(t - late) to the receiver`` and ``delay - late = travel
     time from the source at t - delay to x(t - late)``, both by Newton's method together with the specular point: as its
     way is the shortest, that it moves over the surface changes no time, and x moves as the thing does.
-
     Where times are many and near to each other, ways are looked for at every fourth of them first: quintic splines
     through these are where the others begin, and change no more than how many steps that takes.
     """
@@ -290,11 +278,7 @@ def _solved(
         if moved <= _CLOSE and body.change <= _CONVERGED and not again:
             break
     else:
-        raise InputError(
-            "scatterers",
-            f"must be seen from both ends, but no way by {scatterer.name!r} was found from {times[0]:.6g} to "
-            f"{times[-1]:.6g} s",
-        )
+        raise unseen(f"both ends, but no way by {scatterer.name!r}", times)
     solved = ScatteredPath(late + first_time, first, second, mach, coming, leaving, place, *body.strength(shape))
     return solved, _Known(late, first_time, body.specular, weight)
 
@@ -318,12 +302,7 @@ class ScatteredEvents:
 
 
 class _Point:
-    """A point of a scatterer as an end of either leg: it moves and turns as that does.
-
-    Shapes: offset (P, T, 3) m.
-
-    offset: of each path and time from the centre, in the scatterer's frame, m; the centre where left out.
-    """
+    """A point of a scatterer as an end of either leg: it moves and turns as that does."""
 
     def __init__(self, motion: Motion, offset: Floats | None) -> None:
         self._motion, self._offset = motion, offset
@@ -353,10 +332,8 @@ def find_scattered(
     """Return the events of ways by a scatterer, with mirrors on either leg.
 
     Shapes: times (T,) s.
-
     legs: mirrors on the way to the scatterer, and on that from it, in the order in which sound meets them, filled up
     with -1.
-
     With the point x of the surface that reflects, the second leg is that of a source at x, the first one that of a
     receiver at x at the time when it is scattered. Of all points of the surface, the sound that is received was emitted
     last by way of x. The images of both ends, as x sees them, have it where ``d1 + w d2`` is the shortest, with ``w =
@@ -386,10 +363,6 @@ def find_scattered(
         converged = done > 0 and body.change <= _CONVERGED  # by images that the surface sees, not the centre
         point = _Point(scatterer.trajectory, body.specular.place.T.reshape(*shape, 3))
     else:
-        raise InputError(
-            "scatterers",
-            f"must be seen from both ends, but no way by {scatterer.name!r} was found from {times[0]:.6g} to "
-            f"{times[-1]:.6g} s",
-        )
+        raise unseen(f"both ends, but no way by {scatterer.name!r}", times)
     strength, aspects = body.strength(shape)
     return ScatteredEvents(first, second, event, mach[0], strength, aspects)

@@ -35,13 +35,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, Mirrors, dot
 from clsim.paths.propagation import UniformAir
 from clsim.paths.visibility.rates import FAR, Pace, lasts, middle_of
 
-Bools = NDArray[np.bool_]
 PaceOf = Callable[[NDArray[np.int64], Floats], Pace]
 
 EARLIER = 1.25  # of a delay, by which what a path meets within a stretch of time was met before it, and more
@@ -99,11 +98,8 @@ def straightened(mirrors: Mirrors, walls: NDArray[Any], events: Events, now: Flo
     share = np.clip(share, -FAR, FAR)
     place, time = np.empty((count, order + 2, 3)), np.empty((count, order + 2))
     place[:, 0], place[:, -1], time[:, 0], time[:, -1] = (
-        events.place[:, 0, 0],
-        events.place[:, 0, -1],
-        start[:, 0, 0],
-        0.0,
-    )
+        events.place[:, 0, 0], events.place[:, 0, -1], start[:, 0, 0], 0.0,
+    )  # fmt: skip
     met = start[:, 1:] + np.clip(share, -1e3, 1e3)[..., None] * (stop[:, 1:] - start[:, 1:])
     time[:, 1:-1] = met[..., 0]
     place[:, 1:-1] = met[..., 1:] + met[..., :1] * wind
@@ -172,9 +168,8 @@ def drift(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium:
         known = np.minimum(found.dilation, crude[0]), np.minimum(found.place[:, 1:-1], crude[1])
         found = _drift(moves, line, pace, known, c, wind)
     stretch = c * (found.dilation[:, 0] - 1.0) / np.maximum(line.length, 1e-9)
-    slides = np.where(
-        line.tame, found.share + stretch[:, None], np.maximum(found.start / moves.start, found.stop / moves.stop)
-    )
+    quickest = np.maximum(found.start / moves.start, found.stop / moves.stop)
+    slides = np.where(line.tame, found.share + stretch[:, None], quickest)
     slides = np.maximum(slides, _MARGIN * (found.place[:, 1:-1] + _MOST_DILATION * moves.speed) / moves.spare)
     slides = np.where(turns, slides, 0.0).max(axis=1, initial=0.0)
     holds = np.where(ok, lasts(np.full(len(walls), _LESS * _MARGIN), slides), 0.0)
@@ -213,16 +208,9 @@ def _motions(
     moved = speed + turn * arm
     away = np.where(line.tame, 0.0, off + limit)
     return _Mirrored(
-        moved,
-        turn,
-        gain + lift * arm + 2.0 * turn * moved,
-        jolt + twist * arm,
-        (moved + wind) / c,
-        away * turn,
-        start,
-        stop,
-        spare,
-    )
+        moved, turn, gain + lift * arm + 2.0 * turn * moved, jolt + twist * arm, (moved + wind) / c, away * turn, start,
+        stop, spare,
+    )  # fmt: skip
 
 
 def _drift(moves: _Mirrored, line: Line, pace: Pace, crude: tuple[Floats, Floats], c: float, wind: float) -> Drift:
@@ -317,7 +305,6 @@ def averted(
     """Return for how long the one moving face of paths surely is so turned that no point of it reflects, (n,) s.
 
     The mask (n,) is of faces for which this is known but for some milliseconds about a glint.
-
     A point of a face that moves at v sees both ends along the unit vectors a and b, with the parts a' and b' in its
     plane. Where it reflects, ``a' (c - b v) + b' (c + a v) = 0`` by Fermat's principle, so that ``|a' + b'| <= 2 v /
     c``. In the body's axes that sum is the one of the face's middle but for the angles under which the ends see the

@@ -28,11 +28,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import ByRow, Floats
+from clsim.arrays import Bools, ByRow, Floats
 from clsim.paths.visibility.occlusion import INNER
 from clsim.scene.room.walls import INSIDE, Walls
 
-Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64] | NDArray[np.int32]
 
 
@@ -138,9 +137,7 @@ def path_status(
     """Mask of valid paths, and their clearances.
 
     Shapes: result (n,), (n,) m.
-
     at_edge: whether the last legs end on edges of the room: walls that hold these places hide nothing of them.
-
     clear: if it exceeds the most of `reach`, that stays so while neither end moves farther than `reach`; else while
     both move by less than its share ``clear / most`` of their reach, m.
     """
@@ -201,7 +198,8 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
         first = paths.tau[:, leg] + paths.slack[:, leg]
         last = paths.tau[:, leg + 1] - paths.slack[:, leg + 1]
         for wall in np.flatnonzero(walls.plane >= 0).tolist():  # of others panels let sound pass
-            rows = np.flatnonzero(~_same_plane(walls, sequence, leg, wall))
+            beside = [walls.plane[sequence[:, k]] == walls.plane[wall] for k in (leg - 1, leg) if 0 <= k < order]
+            rows = np.flatnonzero(~np.any([np.zeros(count, dtype=bool), *beside], axis=0))
             rows = rows[blocks(walls, wall, a[rows], b[rows])]
             if at_edge and leg == order:
                 rows = rows[np.abs(b[rows] @ walls.normal[wall] - walls.offset[wall]) > TOUCHING * INSIDE * walls.size]
@@ -227,15 +225,6 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
                 apart = np.minimum(apart, path.reach.most * moves_within(end, moves))
             clear[unsure] = np.maximum(clear[unsure], apart)
     return valid, clear
-
-
-def _same_plane(walls: Walls, sequence: Ints, leg: int, wall: int) -> Bools:
-    """Mask of walls in the plane of a wall at either end of a leg."""
-    same = np.zeros(len(sequence), dtype=bool)
-    for k in (leg - 1, leg):
-        if 0 <= k < sequence.shape[1]:
-            same |= walls.plane[sequence[:, k]] == walls.plane[wall]
-    return same
 
 
 def blocks(walls: Walls, wall: int, a: Floats, b: Floats) -> Bools:

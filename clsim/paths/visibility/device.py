@@ -7,38 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Floats, Ints
 from clsim.errors import DeviceError, InputError
-from clsim.opencl.device import (
-    FLOAT64,
-    MOST_INDEX,
-    DeviceInfo,
-    check_buffers,
-    check_group,
-    find_device,
-    operations_in_launch,
-)
+from clsim.opencl import device as devices
 from clsim.opencl.launch import compiler_of, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
+from clsim.paths.visibility import intervals
 from clsim.paths.visibility.clearance import EVER, PARALLEL, TOUCHING
-from clsim.paths.visibility.intervals import (
-    ALONG,
-    CERTAIN,
-    GRAZE,
-    GRAZE_TIME,
-    LEAST_SHARE,
-    MOST_EVALUATIONS,
-    PERTURBATIONS,
-    SMALLEST_MOVE,
-    Intervals,
-    VisibilityQuery,
-    merged,
-)
 from clsim.paths.visibility.occlusion import INNER, Beams, Ears
 from clsim.scene.room.walls import INSIDE, Walls
-
-Ints = NDArray[np.int64]
-
 
 _PATHS = 16_384  # searched at a time
 _EVALUATIONS = 2**19  # evaluations in one launch
@@ -48,7 +25,7 @@ SPAN = np.dtype([("begin", "f8"), ("end", "f8"), ("known", "i4"), ("valid", "i4"
 INTERVAL = np.dtype([("begin", "f8"), ("end", "f8"), ("path", "i4"), ("unused", "i4")])
 MOST = 8  # crossings of a segment that are told
 ELSEWHERE = 'choose another device (see `clsim devices`), or use engine="reference"'
-OPERATIONS_PER_BOX = 60.0 * FLOAT64  # of a segment and a box, or a beam and six planes
+OPERATIONS_PER_BOX = 60.0 * devices.FLOAT64  # of a segment and a box, or a beam and six planes
 GROUP = 16  # work-items of a group
 _FOUND = 2**18  # pairs of beam and wall that there is room for at first
 
@@ -62,11 +39,11 @@ def progress(depth: int) -> np.dtype[np.void]:
 class DeviceSearch:
     """Answers one query on a device (DeviceInfo, pyopencl.Device) with float64."""
 
-    def __init__(self, query: VisibilityQuery, device: tuple[DeviceInfo, Any] | None = None) -> None:
+    def __init__(self, query: intervals.VisibilityQuery, device: tuple[devices.DeviceInfo, Any] | None = None) -> None:
         import pyopencl as cl
 
         self._query = query
-        self._device = device or find_device(None)
+        self._device = device or devices.find_device(None)
         self._info, handle = self._device
         self._compiler = compiler_of(handle)
         self._queue = cl.CommandQueue(self._compiler.context)
@@ -74,22 +51,22 @@ class DeviceSearch:
         tables = ("places", "scales", "knots", "speeds", "mounts")
         self._arguments = room_arguments(self._queue.context, walls, self._info)
         sizes = {f"the {name} of trajectories": float(getattr(ends, name).nbytes) for name in tables}
-        check_buffers(
-            self._info, sizes, "source and receivers", f"look for the paths of fewer receivers at a time, {ELSEWHERE}"
-        )
+        remedy = f"look for the paths of fewer receivers at a time, {ELSEWHERE}"
+        devices.check_buffers(self._info, sizes, "source and receivers", remedy)
         self._arguments |= {name: self._upload(getattr(ends, name)) for name in tables}
         self._arguments |= {
-            "smallest_move": SMALLEST_MOVE * walls.size, "graze": GRAZE * walls.size, "resolution": query.resolution,
+            "smallest_move": intervals.SMALLEST_MOVE * walls.size, "graze": intervals.GRAZE * walls.size,
+            "resolution": query.resolution,
             "speed_of_sound": query.medium.speed_of_sound, "slowest": query.medium.slowest, "wind": None,
         }  # fmt: skip
         if query.medium.wind is not None:
             self._arguments["wind"] = self._upload(np.array(query.medium.wind))
 
-    def for_query(self, query: VisibilityQuery) -> DeviceSearch:
+    def for_query(self, query: intervals.VisibilityQuery) -> DeviceSearch:
         """Make the search of another query on the same device."""
         return DeviceSearch(query, self._device)
 
-    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> Intervals:
+    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> intervals.Intervals:
         """Return the intervals in which paths are valid; arguments as in `find_intervals`."""
         spans = self._query.first[receiver], self._query.last[receiver]
         columns = {"sequences": sequence, "receiver_of": receiver.astype(np.int32)}
@@ -98,7 +75,7 @@ class DeviceSearch:
     def settle(
         self, program: str, constants: dict[str, Any], columns: dict[str, NDArray[Any]], spans: tuple[Floats, Floats],
         others: dict[str, Any],
-    ) -> Intervals:  # fmt: skip
+    ) -> intervals.Intervals:  # fmt: skip
         """Return the intervals that a program finds."""
         import pyopencl as cl
 
@@ -109,20 +86,23 @@ class DeviceSearch:
             for first in range(0, len(spans[0]), paths):
                 here = slice(first, first + paths)
                 some = {name: column[here] for name, column in columns.items()}
-                states = _beginning(spans[0][here], spans[1][here])
+                begin, end = spans[0][here], spans[1][here]
+                states = np.zeros(len(end), dtype=progress(_DEPTH))
+                states["begin"], states["end"], states["depth"] = 1.0, -1.0, begin < end  # nothing yet; all is left
+                states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = begin, end
                 parts.append((first, *self._search(program, constants, some, states, others)))
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(f"the device failed while paths were validated: {error}") from error
         no = np.empty(0, dtype=INTERVAL)
         path = np.concatenate([no["path"], *(p["path"].astype(np.int64) + first for first, p, _ in parts)])
         begin, end = (np.concatenate([no[name], *(p[name] for _, p, _ in parts)]) for name in ("begin", "end"))
-        return merged(path.astype(np.int64), begin, end, sum(evaluations for _, _, evaluations in parts))
+        return intervals.merged(path.astype(np.int64), begin, end, sum(evaluations for _, _, evaluations in parts))
 
     def _evaluations(self, order: int) -> int:
         """Largest number of evaluations of paths of an order in a launch: legs are near all boxes, twice."""
         each = 2.0 * (order + 1) * OPERATIONS_PER_BOX * (1.0 + float(self._arguments["box_count"]))
         most = min(_EVALUATIONS, self._room_for(2 * INTERVAL.itemsize))
-        return max(1, int(min(most, operations_in_launch(self._info) / each)))
+        return max(1, int(min(most, devices.operations_in_launch(self._info) / each)))
 
     def _room_for(self, size: int) -> int:
         """Return the number of structures of a size kept in a buffer, which is an eighth of the memory at most."""
@@ -139,10 +119,10 @@ class DeviceSearch:
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
             "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(self._query.medium.wind is not None),
-            "GROUPED": int(self._query.walls.tree.has_groups), "GRAZE_TIME": GRAZE_TIME, "ALONG": ALONG,
-            "CERTAIN": CERTAIN, "LEAST_SHARE": LEAST_SHARE, "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
-            "TOUCHING": TOUCHING, "SOURCE_PERTURBATION": _triple(PERTURBATIONS[0]),
-            "RECEIVER_PERTURBATION": _triple(PERTURBATIONS[1]),
+            "GROUPED": int(self._query.walls.tree.has_groups), "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
+            **{name: getattr(intervals, name) for name in ("GRAZE_TIME", "ALONG", "CERTAIN", "LEAST_SHARE")},
+            "TOUCHING": TOUCHING, "SOURCE_PERTURBATION": _triple(intervals.PERTURBATIONS[0]),
+            "RECEIVER_PERTURBATION": _triple(intervals.PERTURBATIONS[1]),
         }  # fmt: skip
         kernel = self._compiler.kernel(program, constants | own)
         # No buffer is empty, also of paths without walls.
@@ -171,24 +151,13 @@ class DeviceSearch:
 
     def _refuse_endless(self, evaluations: NDArray[np.int32], sequence: NDArray[np.int32]) -> None:
         worst = int(np.argmax(evaluations))
-        if evaluations[worst] > MOST_EVALUATIONS:
-            raise InputError(
-                "resolution",
-                f"must let every path be settled within {MOST_EVALUATIONS} evaluations, but the path by the walls "
-                f"{sequence[worst].tolist()} needs more; it runs along an edge: move an end, or ask less finely",
-            )
+        if evaluations[worst] > intervals.MOST_EVALUATIONS:
+            path = f"the path by the walls {sequence[worst].tolist()} needs more; it runs along an edge"
+            bound = f"must let every path be settled within {intervals.MOST_EVALUATIONS} evaluations"
+            raise InputError("resolution", f"{bound}, but {path}: move an end, or ask less finely")
 
     def _upload(self, array: NDArray[Any]) -> Any:
         return upload(self._queue.context, array)
-
-
-def _beginning(first: Floats, last: Floats) -> NDArray[Any]:
-    """Return the initial interval of each path: the whole time."""
-    states = np.zeros(len(last), dtype=progress(_DEPTH))
-    states["begin"], states["end"] = 1.0, -1.0
-    states["depth"] = first < last
-    states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = first, last
-    return states
 
 
 def _triple(vector: Floats) -> str:
@@ -196,9 +165,9 @@ def _triple(vector: Floats) -> str:
     return f"{{{','.join(map(repr, vector.tolist()))}}}"
 
 
-def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, Any]:
+def room_arguments(context: Any, walls: Walls, info: devices.DeviceInfo) -> dict[str, Any]:
     """Return the arguments of kernels that are the walls of a room, in the memory of a device."""
-    check_group(info, GROUP)
+    devices.check_group(info, GROUP)
     owner = np.repeat(np.arange(len(walls)), np.diff(walls.first_edge))
     away = np.einsum("eci,ei->ec", walls.edge, walls.normal[owner]) - walls.offset[owner, None]
     boxes = walls.tree.in_depth()
@@ -214,18 +183,18 @@ def room_arguments(context: Any, walls: Walls, info: DeviceInfo) -> dict[str, An
     whole = {name: column.astype(np.int32) for name, column in columns.items() if column.dtype.kind == "i"}
     columns |= whole
     sizes = {f"the column {name} of walls": float(column.nbytes) for name, column in columns.items()}
-    check_buffers(info, sizes, f"{len(walls)} walls", f"use fewer walls, {ELSEWHERE}")
+    devices.check_buffers(info, sizes, f"{len(walls)} walls", f"use fewer walls, {ELSEWHERE}")
     return {name: upload(context, column) for name, column in columns.items()} | {
         "box_count": len(boxes.wall),
         "tolerance": INSIDE * walls.size,
-        "thickness": float(np.abs(away).max(initial=0.0)) + SMALLEST_MOVE * walls.size,
+        "thickness": float(np.abs(away).max(initial=0.0)) + intervals.SMALLEST_MOVE * walls.size,
     }
 
 
 class DeviceLookup:
     """What `WallLookup` does, on a device with float64, by ``meetings.cl`` and ``crossings.cl``."""
 
-    def __init__(self, walls: Walls, device: tuple[DeviceInfo, Any]) -> None:
+    def __init__(self, walls: Walls, device: tuple[devices.DeviceInfo, Any]) -> None:
         import pyopencl as cl
 
         self._walls, self._info = walls, device[0]
@@ -278,8 +247,8 @@ class DeviceLookup:
 
     def _at_a_time(self, operations: float, size: int) -> int:
         """Largest number of work-items in a launch, each of so many operations that finds up to so many bytes."""
-        longest = operations_in_launch(self._info) / operations
-        return max(1, int(min(longest, self._info.largest_buffer_bytes / size, 8 * MOST_INDEX / size)))
+        longest = devices.operations_in_launch(self._info) / operations
+        return max(1, int(min(longest, self._info.largest_buffer_bytes / size, 8 * devices.MOST_INDEX / size)))
 
     def _met(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
         """Return those pairs of some beams."""
@@ -290,7 +259,7 @@ class DeviceLookup:
         spheres = np.zeros((1, 4)) if ears is None else np.column_stack([ears.centre, ears.radius])
         seen = np.zeros((1, 4)) if ears is None else np.concatenate([ears.plane, np.zeros((1, 4))])
         first_seen = np.zeros(2, dtype=np.int32) if ears is None else ears.first_plane.astype(np.int32)
-        check_buffers(
+        devices.check_buffers(
             self._info, {"what receivers see in walls": float(seen.nbytes)}, f"{len(spheres)} receivers",
             f"look for the paths of fewer receivers at a time, {ELSEWHERE}",
         )  # fmt: skip

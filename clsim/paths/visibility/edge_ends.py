@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge, wedge_terms
 from clsim.acoustics.edge_gap import Crossing, EdgeGap
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.paths.vertices.edge_events import MEETING, OF_LAST, TWO_ENDS
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status, turned
 from clsim.paths.visibility.edges import FAR, Course, EdgeCandidates, EdgeStance, EdgeVisibility, End, beside_faces
@@ -115,9 +115,8 @@ class GapVisibility(EdgeVisibility):
         met = self.candidates.between[which]
         place = _before_last(walls, met, stance.apexes, OVERLAP[side - 2])
         part = met[:, ::-1] if side == 2 else met[:, :0]
-        clear_path, clear = path_status(
-            walls, part, place, stance.apexes[side - 2], Reach(moves, moves, none, none), True
-        )
+        ends, reach = (place, stance.apexes[side - 2]), Reach(moves, moves, none, none)
+        clear_path, clear = path_status(walls, part, *ends, reach, True)
         sure = moves_within(clear, moves)
         blocked = np.where(free, sure, np.maximum(beside, sure))
         ratio = np.where(clear_path, np.where(free, np.minimum(beside, sure), beside), blocked)
@@ -135,17 +134,11 @@ def _before_last(walls: Walls, between: NDArray[np.int32], ends: tuple[Floats, F
     return np.asarray(ends[1] + part * share[:, None] * (image - ends[1]))
 
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
-
 _LEAST = 1e-12  # m
 
 
 def off_edges(edges: Edges, candidates: EdgeCandidates, seen: Floats, which: Rows) -> tuple[Floats, Floats, Floats]:
-    """Where candidates' ends are along their edges, m, the ends (n, 3), and coordinates (3, n) about the other edges.
-
-    seen: frames (n, 4, 3) of last edges as the first ones see them.
-    """
+    """Where candidates' ends are along their edges, m, the ends (n, 3), and their places about the other edges."""
     end, (one, other) = candidates.end[which], candidates.edge[which].T
     end = np.where(end >= TWO_ENDS, end % MEETING, end)
     last, frames = (end >= OF_LAST)[:, None, None], (edges.frames[one], seen)
@@ -219,11 +212,7 @@ class EndVisibility(GapVisibility):
         return np.where(np.isnan(across), 0.0, np.where(across > 0.0, sliding, FAR * size))
 
     def sides(self, which: Rows, time: Floats, half: Floats) -> tuple[NDArray[np.int8], Bools, Floats, Floats]:
-        """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`.
-
-        Of the edge that ends the terms are 1; the side of the end is that of the path over both edges, and where both
-        end that of the path over one end.
-        """
+        """Tell on which sides of their boundaries candidates are, see `EdgeVisibility.sides`."""
         stance, (one, other) = self.stance(which, time, half), self.candidates.edge[which].T
         crossing, last, reach = stance.course.crossing, self.last[which], stance.reach
         assert crossing is not None
@@ -279,10 +268,7 @@ class EndVisibility(GapVisibility):
 
 
 def end_levels(seen: EdgeVisibility, which: Rows, time: Floats, wave: float, direct: bool) -> Floats:
-    """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m.
-
-    It is over that in free air: of the `direct` sound, or else as far away as the path is long.
-    """
+    """Estimate the pressure (n,) of paths over ends at times (n,), see `levels_over_ends`, at a wave number, 1/m."""
     still, longer = np.zeros(len(which)), np.full(len(which), np.nan)
     if isinstance(seen, EndVisibility):  # over ends of both edges a share of what is over one
         whole = seen.stance(which, time, still).course.edge_paths[0].length
@@ -311,14 +297,10 @@ def levels_over_ends(
     """Estimate the pressure (n,) of paths over ends at a wave number, 1/m, over that in free air.
 
     Magnitudes of all terms add up, and those of transitions are ``1 / sqrt(1 + π x²)``: within some decibels.
-
     ends: r and z of both endpoints from the places on the edges, m.
-
     middle: length of the way between both edges, m, and the cosine between the edge that ends and that way; None of
     corners at which both edges end.
-
     lengths: of the shortest paths over both edges of corners, and of paths over ends of both edges, m; NaN of others.
-
     apart: distance in free air, m; None: as far as the path is long.
     """
     legs, (between, slope), (shortest, longer) = [np.hypot(*end) for end in zip(*ends, strict=True)], middle, lengths

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, TERMS, adjacent_reflections
 from clsim.acoustics.edge_gap import FOUND, NEWTON, STEPS
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.errors import InputError
 from clsim.paths.vertices.edge_field import BOTH
 from clsim.paths.vertices.edge_pair import ACROSS_AIR
+from clsim.paths.visibility import intervals
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.edge_ends import IN_AIR, OVERLAP, SMALL, SPARE, EndVisibility, GapVisibility, seen_frames
 from clsim.paths.visibility.edges import (
@@ -28,23 +29,9 @@ from clsim.paths.visibility.edges import (
     EdgeVisibility,
     FaceLegs,
 )
-from clsim.paths.visibility.intervals import (
-    ALONG,
-    GRAZE,
-    GRAZE_TIME,
-    MOST_EVALUATIONS,
-    Intervals,
-    VisibilityQuery,
-    divided,
-    find_intervals,
-    joined,
-    merged,
-)
 from clsim.paths.visibility.occlusion import in_air
 from clsim.scene.room.edges import Edges
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 Sides = NDArray[np.int8]
 
 
@@ -66,12 +53,12 @@ MOST_TOGETHER = 10_000_000  # evaluations of all paths of a batch: their interva
 class EdgeSearch:
     """Answers one query for paths over the edges of a room: on a device with float64, or by its NumPy twin."""
 
-    query: VisibilityQuery  # room, ends and resolution
+    query: intervals.VisibilityQuery  # room, ends and resolution
     edges: Edges  # of the room
     device: DeviceSearch | None  # of the same query; NumPy when None
     air: NDArray[np.int64]  # (W,) on which side of each wall paths can be, see `air_sides`
 
-    def find(self, candidates: EdgeCandidates, side: int | None = None) -> Intervals:
+    def find(self, candidates: EdgeCandidates, side: int | None = None) -> intervals.Intervals:
         """Return the intervals in which candidates are there, or one side of them."""
         if side is None:
             found = self._there(candidates)
@@ -87,7 +74,7 @@ class EdgeSearch:
             for sequence, end in zip((candidates.before, candidates.after), stance.ends, strict=True)
         ]
         kept = np.flatnonzero(met[0] & met[1] if side is None else met[side])
-        return Intervals(row[kept], found.begin[kept], found.end[kept], found.evaluations)
+        return intervals.Intervals(row[kept], found.begin[kept], found.end[kept], found.evaluations)
 
     def visibility(self, candidates: EdgeCandidates) -> EdgeVisibility:
         """Make the test of whether candidates are there."""
@@ -97,19 +84,15 @@ class EdgeSearch:
             return GapVisibility.of(self.edges, candidates, self.query)
         return EdgeVisibility(self.edges, candidates, self.query)
 
-    def _there(self, candidates: EdgeCandidates) -> Intervals:
-        """Return the intervals in which candidates are there within the tolerances of outlines.
-
-        The side of the receiver is looked at while that of the source is there: most candidates are gone by then. The
-        way between two edges comes last, on the host: mostly nothing stands there.
-        """
+    def _there(self, candidates: EdgeCandidates) -> intervals.Intervals:
+        """Return the intervals in which candidates are there within the tolerances of outlines."""
         receiver, evaluations = candidates.receiver, 0
         always = np.arange(len(candidates.edge)), self.query.first[receiver], self.query.last[receiver]
         row, begin, end = candidates.spans or always
         if candidates.over_meeting_edges:
             ahead, wanted = self.visibility(candidates).ahead, row.astype(np.int32)[:, None]
-            found = find_intervals(self.query, wanted, receiver[row], ahead, (begin, end), _PARTS)
-            return merged(row[found.path], found.begin, found.end, found.evaluations)
+            found = intervals.find_intervals(self.query, wanted, receiver[row], ahead, (begin, end), _PARTS)
+            return intervals.merged(row[found.path], found.begin, found.end, found.evaluations)
         across_air = bool(np.any(candidates.face == ACROSS_AIR))
         first = 2 if candidates.over_ends_of_pairs else 0  # their legs to endpoints are found before
         for side in range(first, 4 if across_air else 2):
@@ -119,22 +102,23 @@ class EdgeSearch:
         legs = FaceLegs(self.visibility(candidates))
         hindered = np.zeros(len(row), dtype=bool) if across_air else legs.hindered(row)
         if not hindered.any():
-            return merged(row, begin, end, evaluations)
+            return intervals.merged(row, begin, end, evaluations)
         requested, spans = row[hindered], (begin[hindered], end[hindered])
-        found = find_intervals(
-            self.query, requested.astype(np.int32)[:, None], receiver[requested], legs.evaluate, spans
-        )
+        walls = requested.astype(np.int32)[:, None]
+        found = intervals.find_intervals(self.query, walls, receiver[requested], legs.evaluate, spans)
         parts = (row, requested[found.path]), (begin, found.begin), (end, found.end)
         row, begin, end = (np.concatenate([free[~hindered], rest]) for free, rest in parts)
-        return merged(row, begin, end, evaluations + found.evaluations)
+        return intervals.merged(row, begin, end, evaluations + found.evaluations)
 
-    def _find(self, candidates: EdgeCandidates, side: int, row: Rows, spans: tuple[Floats, Floats]) -> Intervals:
+    def _find(
+        self, candidates: EdgeCandidates, side: int, row: Rows, spans: tuple[Floats, Floats]
+    ) -> intervals.Intervals:
         """Return when one side of some candidates is there within spans of time."""
         if self.device is None or candidates.over_ends_of_pairs:
             evaluate = partial(self.visibility(candidates).evaluate, side)
             sequence = row.astype(np.int32)[:, None]
             parts = _PARTS if candidates.over_ends_of_pairs else 1
-            return find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans, parts)
+            return intervals.find_intervals(self.query, sequence, candidates.receiver[row], evaluate, spans, parts)
         edges, across_air = self.edges, bool(np.any(candidates.face == ACROSS_AIR))
         before, after, between = (x[row] for x in (candidates.before, candidates.after, candidates.between))
         mine = (before, after, between[:, ::-1], between[:, :0])[side]
@@ -169,14 +153,9 @@ class Pieces:
 
 
 def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, notify: Callable[[], None]) -> Pieces:
-    """Find the intervals in which candidates are active, and cut them at the boundaries of their terms.
-
-    Certified subdivision, as of `find_intervals`. While a path runs along a boundary, as where source, receiver and
-    edge are in a plane of symmetry, no clearance is enough: an interval of `GRAZE_TIME` is one piece there if its sides
-    are the same at both ends and in the middle, and it comes off the boundary by little of what the ends move.
-    """
+    """Find the intervals in which candidates are active, and cut them at the boundaries of their terms."""
     there, visibility = finder.find(candidates), finder.visibility(candidates)
-    near = GRAZE * finder.query.walls.size
+    near = intervals.GRAZE * finder.query.walls.size
     met = sum(np.sum(x >= 0, axis=1) for x in (candidates.before, candidates.after, candidates.between))[:, None]
     ignored = np.zeros((len(candidates.edge), SIDES), dtype=bool)  # terms whose partners have too many reflections
     one, last = (adjacent_reflections(finder.edges.n[edge]) for edge in candidates.edge.T)
@@ -195,12 +174,12 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
         sides, sure, off, reach = visibility.sides(row, begin + half, half)
         sides[ignored[row]] = 0
         done = sure | (2.0 * half <= finder.query.resolution)
-        unsure = np.flatnonzero(~done & (off < near) & (half <= 0.5 * GRAZE_TIME))
+        unsure = np.flatnonzero(~done & (off < near) & (half <= 0.5 * intervals.GRAZE_TIME))
         if len(unsure):
             both, instants = np.tile(row[unsure], 2), np.append(begin[unsure], end[unsure])
             beside, _, off, _ = visibility.sides(both, instants, np.zeros(len(both)))
             beside[ignored[both]] = 0
-            along = off < np.tile(np.minimum(near, ALONG * reach[unsure]), 2)
+            along = off < np.tile(np.minimum(near, intervals.ALONG * reach[unsure]), 2)
             along &= np.all(beside == np.tile(sides[unsure], (2, 1)), axis=1)
             unsure = unsure[along.reshape(2, -1).all(axis=0)]
         done[unsure] = True
@@ -210,7 +189,7 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
         found.append((row[done], begin[done], end[done], sides[done]))
         row, begin, end = row[~done], begin[~done], end[~done]
         if len(row):
-            stack.append(divided(row, begin, end, 2, _PARTS if candidates.over_ends_of_pairs else 2))
+            stack.append(intervals.divided(row, begin, end, 2, _PARTS if candidates.over_ends_of_pairs else 2))
     over = (candidates.end >= 0) & (not candidates.over_ends_of_pairs)
     return Pieces(*_joined_pieces(over, *(np.concatenate(column) for column in zip(*found, strict=True))))
 
@@ -218,22 +197,19 @@ def find_pieces(finder: EdgeSearch, candidates: EdgeCandidates, order: int, noti
 def _refuse_endless(evaluations: NDArray[np.int64], name: Callable[[int], str]) -> None:
     worst = int(np.argmax(evaluations)) if len(evaluations) else 0
     together = evaluations.sum()
-    if together > MOST_TOGETHER or (together and evaluations[worst] > MOST_EVALUATIONS):
+    if together > MOST_TOGETHER or (together and evaluations[worst] > intervals.MOST_EVALUATIONS):
         raise InputError(
             "diffraction",
-            f"must let paths over edges be settled within {MOST_EVALUATIONS} evaluations of each and {MOST_TOGETHER} "
-            f"of a batch, but one over {name(worst)!r} has had {evaluations[worst]}: "
+            f"must let paths over edges be settled within {intervals.MOST_EVALUATIONS} evaluations of each and "
+            f"{MOST_TOGETHER} of a batch, but one over {name(worst)!r} has had {evaluations[worst]}: "
             "it runs along a boundary of shadow or reflection; move an end a millimetre, shorten the run, lower "
             "max_order, or give a larger resolution",
         )
 
 
 def _joined_pieces(over: Bools, row: Rows, begin: Floats, end: Floats, sides: Sides) -> tuple[Any, Any, Any, Any]:
-    """Sort intervals by path and time, and join those that touch and have the same sides.
-
-    Those of candidates that run over the end of one edge, masked by `over`, are joined by `joined_over_ends`.
-    """
-    first, last = joined([row], begin, end, sides)
+    """Sort intervals by path and time, and join those that touch and have the same sides."""
+    first, last = intervals.joined([row], begin, end, sides)
     row, begin, end, sides = row[first], begin[first], end[last], sides[first]
     some, others = np.flatnonzero(over[row]), np.flatnonzero(~over[row])
     of_ends = sides[some, :TERMS], sides[some, TERMS], sides[some][:, ENDS_BESIDE]
@@ -252,9 +228,7 @@ def joined_over_ends(
     """Join the pieces of paths over ends of edges between two changes of side of the end.
 
     Shapes: path (n,); begin, end (n,) s; lit (n, 4); side (n,); beside (n, 2); result (m,), (m,) s, (m, 4).
-
     path: which path each piece belongs to; pieces are in the order of paths and times.
-
     lit: sides of the terms as the end changes sides: beyond that the field depends on them, elsewhere not. Times `BOTH`
     where the term passes its own boundary at the same time: the line of sight passes the corner itself, and the paths
     over both edges there cancel in what each would add by going round its boundary on one side.
@@ -278,17 +252,11 @@ def joined_over_ends(
             found += [(one, begin[one], middle, at_start), (one, middle, end[other], at_end)]
     kept, starts, ends, sides = ([row[i] for row in found] for i in range(4))
     return (
-        np.array(kept, np.int64),
-        np.array(starts),
-        np.array(ends),
-        np.array(sides, np.int8).reshape(-1, lit.shape[1]),
-    )
+        np.array(kept, np.int64), np.array(starts), np.array(ends), np.array(sides, np.int8).reshape(-1, lit.shape[1]),
+    )  # fmt: skip
 
 
 def indistinct(moved: Floats, resolution: float, size: float) -> Floats:
-    """Compute by how much times (n,) of the same event may differ, s, where ends go (n,) m within `STEP`.
-
-    Different tests find them, each to the resolution, s, and with tolerances of outlines in a room of a size, m.
-    """
+    """Compute by how much times (n,) of the same event may differ, s, where ends go (n,) m within `STEP`."""
     slowest = NEAR * size / LONGEST * STEP
     return np.asarray(APART * resolution + NEAR * size * STEP / np.maximum(moved, slowest))

@@ -29,15 +29,13 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import TERMS, EdgePath, lit_angles, path_over_edge
 from clsim.acoustics.edge_gap import Crossing
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.paths.vertices.edge_events import at_meeting
 from clsim.paths.visibility.clearance import EVER, Reach, mirrored, moves_within, path_status
 from clsim.paths.visibility.intervals import PERTURBATIONS, VisibilityQuery
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 End = tuple[Floats, Floats]
 
 
@@ -100,18 +98,13 @@ class Course:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeStance:
-    """Where paths over edges run at an instant, n of them.
-
-    Attributes
-    ----------
-    course : Course
-        The shortest over the lines of the edges; emission is by the way over the end of those that run over one.
-    """
+    """Where paths over edges run at an instant, n of them."""
 
     ends: tuple[Floats, Floats]  # the source at emission, and the receiver, m
     angles: tuple[Floats, Floats]  # of their images, each about its edge
     distances: tuple[Floats, Floats]  # from its line, m
     heights: tuple[Floats, Floats]  # along it, m from its start
+    # The shortest over the lines of the edges; emission is by the way over the end of those that run over one.
     course: Course
     places: tuple[Floats, Floats]  # where each path meets each edge, m from its start
     apexes: tuple[Floats, Floats]  # the same in the room
@@ -169,15 +162,11 @@ class EdgeVisibility:
             return Course((leg, leg), (receiver[0], source[0]), None)
         received = edges.beyond(one, face, other, other_face, *receiver)
         sent = edges.beyond(other, other_face, one, face, *source)
-        return Course(
-            (path_over_edge(*source, *received), path_over_edge(*receiver, *sent)), (received[0], sent[0]), None
-        )
+        routes = path_over_edge(*source, *received), path_over_edge(*receiver, *sent)
+        return Course(routes, (received[0], sent[0]), None)
 
     def between(self, stance: EdgeStance, which: Rows, turns: End) -> tuple[End, End]:
-        """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns.
-
-        Shapes: turns (n,) by how much the angles of both ends change at most, rad.
-        """
+        """Angles (n,) at which the first edges see what is behind them, and the last ones what is before, and turns."""
         (one, other), (face, other_face) = self.candidates.edge[which].T, self.candidates.face[which].T
         still, double = np.zeros(len(which)), face >= 0
         ahead = np.where(double, face * np.pi * self.edges.n[one], stance.angles[1])
@@ -187,10 +176,7 @@ class EdgeVisibility:
     def evaluate(
         self, side: int, sequence: NDArray[np.int32], receiver: Rows, time: Floats, half: Floats
     ) -> tuple[Bools, Floats, Floats]:
-        """Return validity, clearance and how far the ends can move, of one side of candidates, each (n,).
-
-        The side is 0 from the source to the edge, 1 from the receiver; rows of candidates are all of `sequence`.
-        """
+        """Return validity, clearance and how far the ends can move, of one side of candidates, each (n,)."""
         which = sequence[:, 0].astype(np.int64)
         requested, stance = self.candidates, self.stance(which, time, half)
         both = [self.slides(stance, edge, requested.end[which], self.query.walls.size) for edge in (0, 1)]
@@ -223,7 +209,6 @@ class EdgeVisibility:
 
         It is sure where it holds within `half` of the times, s. Then how far they are off the nearest boundary, and how
         far ends move within `half`, (n,) m.
-
         The sides are those of the four partners, 1 where one is seen and -1 where not; of the end of the edge, 1 while
         the shortest way meets the edge, 0 for candidates that run over no end; of the partners at the second edge, 0
         for paths over one; and those of both ends, -1 near the 0-face and 1 near the n-face of a sheet, or of a wedge
@@ -247,9 +232,8 @@ class EdgeVisibility:
         over_end = self.slides(stance, 0, np.full(len(end), -1), self.query.walls.size)
         sure &= (end < 0) | (np.abs(inside) > over_end)
         margins = [np.abs(angles).min(axis=1), passed.min(axis=0), np.where(double, np.abs(others).min(axis=1), np.inf)]
-        off = np.minimum(
-            np.min(margins, axis=0) * np.minimum(*stance.distances), np.where(end < 0, np.inf, np.abs(inside))
-        )
+        near = np.min(margins, axis=0) * np.minimum(*stance.distances)
+        off = np.minimum(near, np.where(end < 0, np.inf, np.abs(inside)))
         last = np.where(end < 0, 0, np.where(inside >= 0.0, 1, -1))
         second = np.where(double[:, None], np.where(others >= 0.0, 1, -1), 0)
         return (

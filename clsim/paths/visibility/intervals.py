@@ -97,12 +97,8 @@ class TrajectoryTables:
             if np.linalg.norm(hull - better, axis=1).max() >= distance[i]:
                 break
             centre = better
-        return centre, float(np.linalg.norm(hull - centre, axis=1).max()) + self._lift(row, hull)
-
-    def _lift(self, row: int, hull: Floats) -> float:
-        """Largest distance by which an endpoint may be lifted off its wall, m."""
-        normal, offset = self.mounts[row, :3], self.mounts[row, 3]
-        return float(np.abs(offset - hull @ normal).max())
+        lift = float(np.abs(self.mounts[row, 3] - hull @ self.mounts[row, :3]).max())  # of an end off its wall
+        return centre, float(np.linalg.norm(hull - centre, axis=1).max()) + lift
 
     def receiver_spheres(self, begin: float = 0.0, end: float = math.inf) -> BoundingSpheres:
         """Return spheres that hold the receivers, one for each."""
@@ -168,11 +164,9 @@ def _knots(field: str, motion: Motion) -> tuple[Floats, float, float]:
         if error <= _TOLERANCE or count == _MOST_KNOTS:
             break
     if error > _WORST and count == _MOST_KNOTS:
-        raise InputError(
-            field,
-            f"must be known within {_WORST:g} m from {_MOST_KNOTS} places for paths in a mesh, but {length:g} s of it "
-            f"are known within {error:.2g} m; make it shorter or smoother",
-        )
+        bound = f"must be known within {_WORST:g} m from {_MOST_KNOTS} places for paths in a mesh"
+        known = f"{length:g} s of it are known within {error:.2g} m"
+        raise InputError(field, f"{bound}, but {known}; make it shorter or smoother")
     return cubics, 0.0, count / length
 
 
@@ -258,10 +252,8 @@ class VisibilityQuery:
         late = self.time_dilation[receiver]
         reach = Reach(
             half * late * ends.speed_over(source, emission_time - late * half, emission_time + late * half),
-            half * ends.speed_over(row, time - half, time + half),
-            ends.mounts[source, :3],
-            ends.mounts[row, :3],
-        )
+            half * ends.speed_over(row, time - half, time + half), ends.mounts[source, :3], ends.mounts[row, :3],
+        )  # fmt: skip
         origin = ends.lifted(source, ends.position(source, emission_time) + PERTURBATIONS[0])
         return origin, ends.lifted(row, at + PERTURBATIONS[1]), reach
 
@@ -283,12 +275,9 @@ def find_intervals(
     """Return the intervals in which paths are valid.
 
     Shapes: sequence (n, N); receiver (n,).
-
     evaluation: what says whether other paths than those by walls are valid, and how far their ends may move; as
     `evaluate` of the query.
-
     spans: times from and up to which each path is looked at, s; those of its receiver when left out.
-
     parts: into how many what is left of an interval is cut at most, see `divided`.
     """
     evaluate_at = evaluation or partial(evaluate, query)
@@ -356,10 +345,7 @@ def merged(path: NDArray[np.int64], begin: Floats, end: Floats, evaluations: int
 
 
 def joined(keys: Sequence[Any], begin: Any, end: Any, state: Any = None) -> tuple[Any, Any]:
-    """Find the first and the last rows (m,) of intervals (n,) that touch, sorted by keys (n,) and beginnings.
-
-    They have the same keys and, row by row, the same state (n,) or (n, k).
-    """
+    """Find the first and the last rows (m,) of intervals (n,) that touch, sorted by keys (n,) and beginnings."""
     rows = np.lexsort([begin, *keys[::-1]])
     cut = begin[rows[1:]] > end[rows[:-1]]
     for column in keys if state is None else (*keys, *np.atleast_2d(state.T)):

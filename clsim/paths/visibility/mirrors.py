@@ -9,20 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.events import Events, find_events
+from clsim.paths.legs.legs import path_vertices
 from clsim.paths.legs.mirrors import ROOM
-from clsim.paths.legs.static import path_vertices
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, averted, behind, drift, straightened
 from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_by
 from clsim.paths.visibility.rates import FAR, GRAZE_TIME, EndRates, Pace, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS, Status
 from clsim.scene.motion.motion import Motion
-
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 _NODES = 8  # times at which corners of paths are asked for, between which they are smooth
 
@@ -188,11 +185,7 @@ class PastBodies:
     medium: UniformAir  # what sound travels in
 
     def polylines(self, rows: Rows, times: Floats) -> tuple[Floats, Floats]:
-        """Return the corners (P, T, V, 3) of paths, m, and when sound is there (P, T, V), s.
-
-        It is received at times (P, T), which may differ from path to path where walls alone reflect these. Behind the
-        receiver of paths of fewer corners stands NaN.
-        """
+        """Return the corners (P, T, V, 3) of paths, m, and when sound is there (P, T, V), s."""
         family, (count, every) = self.family, times.shape
         sender = family.scene.sources[family.source[rows][0]]
         source, receiver = sender.trajectory, family.scene.receivers[family.receiver[rows][0]].trajectory

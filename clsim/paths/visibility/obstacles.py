@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import ByRow, Floats
+from clsim.arrays import Bools, ByRow, Floats, Rows
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, Mirrors
 from clsim.paths.visibility.clearance import edges_apart
@@ -16,9 +16,6 @@ from clsim.paths.visibility.occlusion import INNER
 from clsim.paths.visibility.rates import FAR, Pace, lasts, middle_of
 from clsim.scene.body import Body
 from clsim.scene.room.walls import Walls
-
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 _ON_PLANE = 1e-6  # m, by which an event may lie off the mirror that it is at
 _STEPS = 2  # of the secant's towards where a leg meets a face that turns
@@ -48,10 +45,7 @@ class LegDrift(ByRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalDrift(ByRow):
-    """Upper bounds of the rates of n legs in a body's frame, m/s: at their ends, and between them beyond those.
-
-    They are off the straight line from one end to the other by `curved`, m, and that matters for `half`, s.
-    """
+    """Upper bounds of the rates of n legs in a body's frame, m/s: at their ends, and between them beyond those."""
 
     start: Floats
     stop: Floats
@@ -144,11 +138,8 @@ def hidden_by(
     """Mask of legs that a body blocks, and the time for which that is certain, (n,) s.
 
     Shapes: first, last (n,).
-
     first, last: faces of the body that they begin and end at, which are in the way of none, -1 for none.
-
     drift: number of the body, and how fast legs change; without it nothing is certain.
-
     As the body sees it a leg is straight while the body goes evenly, and curved by ``w d² / (4 c)`` while it turns: on
     which side of a face its ends are is known, and where it passes that is found by the secant's method. What only the
     curve touches, and not the ends, is not seen.
@@ -214,7 +205,6 @@ def _faced(
     """Mask of legs (n,), in their own coordinates, that faces block, and the time for which that is certain, s.
 
     Those that are `skipped` (n, faces) are in the way of none.
-
     What blocks does so while both ends keep their sides and the place where the way meets the face does not cross its
     border. What is free stays so while both ends keep to one side; or while a way that goes beside the face does not
     touch its border, in the plane or in space.
@@ -243,12 +233,10 @@ def _faced(
     border = lasts(
         border,
         _slides(
-            [h[crossed_leg, face] for h in heights],
-            (start[crossed_leg], stop[crossed_leg]),
-            share,
+            [h[crossed_leg, face] for h in heights], (start[crossed_leg], stop[crossed_leg]), share,
             drift.part(crossed_leg),
         ),
-    )
+    )  # fmt: skip
     sure[crossed_leg, face] = np.where(
         hit[crossed_leg, face],
         np.minimum(border, sides[crossed_leg, face]),

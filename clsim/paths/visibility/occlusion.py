@@ -12,11 +12,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import ByRow, Floats, spread
+from clsim.arrays import Bools, ByRow, Floats, Ints, spread
 from clsim.scene.room.walls import INSIDE, Walls
 
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Crossings = Callable[[Floats, Floats], tuple[Ints, Ints, Ints]]
 
 BEHIND = 1e-9  # of the room's size, how far the space behind an aperture reaches before it
@@ -30,11 +28,8 @@ def beam_planes(
     """Return half-spaces whose intersection holds all that a ball's rays reach behind an aperture.
 
     Shapes: centre (n, 3) m; ring (n, m, 3); corners (n,); normal (n, 3).
-
     ring: corners of convex apertures, counterclockwise about `normal`; those beyond `corners` repeat the last one.
-
     size: of the room, m; edges too short against it to have a direction give no plane.
-
     A ray from the ball through the aperture stays, behind it, on the inner side of the plane that holds an edge and
     touches the ball from the inner side. A ball that reaches through the aperture's plane has rays to both sides, and
     one that reaches an edge's line has rays in all directions through it: these give no plane.
@@ -177,10 +172,7 @@ class WallLookup:
         return beam[leads], wall[leads]
 
     def _leads(self, beams: Beams, beam: Ints, wall: Ints, ears: Ears) -> NDArray[np.bool_]:
-        """Mask of beams that may reach a receiver by a wall.
-
-        They touch the receiver's sphere mirrored by the wall, and what the receiver sees in it touches their ball.
-        """
+        """Mask of beams that may reach a receiver by a wall."""
         walls, found, seen = self.walls, np.zeros(len(beam), dtype=bool), ears.seen
         some = np.flatnonzero(np.any(seen[:, wall], axis=0))
         step = max(1, _PAIRS // max(len(ears.radius), 1))
@@ -225,7 +217,6 @@ def air_sides(walls: Walls, place: Floats) -> Ints:
     """Return on which side of each wall a path from a place can be: 1 that of its normal, -1 the other, 0 both.
 
     Shapes: place (3,) m.
-
     A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
     there cross the shell an even number of times, or an odd one.
     """
@@ -268,23 +259,16 @@ class Views:
     def part(self, rows: Ints, ring: Floats, corners: Ints) -> Views:
         """Return some of them with other apertures."""
         return Views(
-            self.centre[rows],
-            self.radius,
-            self.window[rows],
-            self.last[rows],
-            ring[rows],
-            corners[rows],
+            self.centre[rows], self.radius, self.window[rows], self.last[rows], ring[rows], corners[rows],
             self.wall[rows],
-        )
+        )  # fmt: skip
 
 
 def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats, Ints]:
     """Return the apertures without what walls surely hide of them.
 
     Shapes: result (n, k', 3), (n,).
-
     crossings: tells walls that segments cross: `crossed_pieces` of the room, or what is told in its place.
-
     What is taken away cannot be reached from anywhere in the ball, through the window, but through a wall, in neither
     of their planes, by clearly more than validity tolerates. Walls that are crossed on the way to the middle of an
     aperture are looked at. Of what lies beyond such a wall, the ball being before it, a convex piece of it hides what
@@ -317,7 +301,11 @@ def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats
 def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Floats, Ints]:
     """Occlusion of apertures by walls: view, the outer half-space of a plane that cuts, and number of cuts, (n,)."""
     middle = views.ring.mean(axis=1)
-    row, other, piece = crossings(_seen_from(walls, views, middle), middle)
+    last, window = walls.normal[views.last], views.window[:, 0]
+    high, low = (np.einsum("ni,ni->n", x - window, last) for x in (views.centre, middle))
+    passes = (views.last >= 0) & (high * low < 0.0)
+    share = np.where(passes, high / np.where(passes, high - low, 1.0), 0.0)  # at which the window is passed
+    row, other, piece = crossings(np.asarray(views.centre + share[:, None] * (middle - views.centre)), middle)
     clearly = CLEARLY * walls.size
     normal, offset = walls.normal[other], walls.offset[other]
     side = np.where(np.einsum("ni,ni->n", middle[row], normal) < offset, -1.0, 1.0)
@@ -346,12 +334,3 @@ def _shadows(walls: Walls, views: Views, crossings: Crossings) -> tuple[Ints, Fl
     outer = np.zeros((len(piece), 4))
     outer[of[visible]] = -plane[visible]
     return row, outer, cuts
-
-
-def _seen_from(walls: Walls, views: Views, middle: Floats) -> Floats:
-    """Points (n, 3) where the lines from the balls' centres to the apertures' middles pass the windows."""
-    normal = walls.normal[views.last]
-    high, low = (np.einsum("ni,ni->n", x - views.window[:, 0], normal) for x in (views.centre, middle))
-    passes = (views.last >= 0) & (high * low < 0.0)
-    share = np.where(passes, high / np.where(passes, high - low, 1.0), 0.0)
-    return np.asarray(views.centre + share[:, None] * (middle - views.centre))

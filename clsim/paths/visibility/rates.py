@@ -40,11 +40,7 @@ def lasts(distance: Floats, speed: Floats) -> Floats:
 
 
 def taken_for(sure: Floats, fastest: Floats) -> Floats:
-    """Return for how long what looks on both sides agree in is taken to be so, (n,) s.
-
-    What is certain for times (n,) only, s, while what decides moves at up to (n,) m/s, is so near to changing that a
-    path may run along it.
-    """
+    """Return for how long what looks on both sides agree in is taken to be so, (n,) s."""
     return np.where(sure * fastest < _GRAZE, GRAZE_TIME, 0.0)
 
 

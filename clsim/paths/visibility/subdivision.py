@@ -15,12 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Bools, Floats, Rows
 from clsim.scene.body import Body
 from clsim.scene.motion.motion import Motion, even_lengths
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 Evaluation = Callable[[Rows, Floats, Floats], tuple[Bools, Floats, Floats]]
 Status = Callable[[Rows, Floats], Bools]
 Gaps = tuple[Any, ...]
@@ -59,17 +57,12 @@ def certified(
     found: list[tuple[Any, Any, Any]] = [(which[:0], begin[:0], end[:0])]
     for part in parts:
         share = float(np.sum(end[part] - begin[part])) / whole
-        notify = partial(_report, progress, done, share)
+        notify = partial(lambda first, all_of, left: progress(first + all_of * (1.0 - left)), done, share)
         found.append(_of_part(evaluate, status, (which[part], begin[part], end[part]), resolution, notify))
         done += share
     progress(1.0)
     path, first, last = (np.concatenate([each[i] for each in found]) for i in range(3))
     return path, first, last
-
-
-def _report(progress: Callable[[float], None], first: float, share: float, left: float) -> None:
-    """Tell the share of the work that is done, where of one share of it, behind a first one, some is left."""
-    progress(first + share * (1.0 - left))
 
 
 def _of_part(
@@ -176,9 +169,7 @@ def sampled(
     """Return when paths are there: places among `rows` (n,) in order, begins and ends (n,), s.
 
     Shapes: rows (P,); times (T,) s.
-
     status: takes rows (P,) and times (P, T), s; returns whether each path is there at each of its times.
-
     nearby: takes rows (P,) and some of the times; returns what takes places among these rows (n,) and times (n, T)
     within these for about `status`. Where that finds a change, two looks say whether it is one; else it is found by
     looks.
@@ -259,10 +250,8 @@ def coded(
     """Return rows (n,), when each begins and ends to be as a code says (n,), s, and the codes (n,), 0 or more.
 
     Shapes: looks (rows, times) s.
-
     codes: takes rows (P,) and times (P, T), s; returns how each path is at each of its times, below 0 where it is not
     there.
-
     looks: rows (P,) with the times (T,) at which to look at them, s; each row once. What comes and goes between two of
     the times is missed unless something else changes there, too.
     """

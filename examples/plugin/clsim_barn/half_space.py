@@ -4,7 +4,7 @@ import numpy as np
 
 import clsim
 from clsim.paths.chain import Chain
-from clsim.paths.legs.static import image_columns
+from clsim.paths.legs.legs import image_columns
 from clsim.paths.options import PathOptions
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.faces import Contact, Faces
