@@ -202,8 +202,9 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
         last = paths.tau[:, leg + 1] - paths.slack[:, leg + 1]
         for wall in np.flatnonzero(walls.plane >= 0).tolist():  # of others panels let sound pass
             rows = np.flatnonzero(~_same_plane(walls, sequence, leg, wall))
-            rows = rows[blocks(walls, wall, a[rows], b[rows])]
-            if at_edge and leg == order:
+            ends = at_edge and leg == order
+            rows = rows[blocks(walls, wall, a[rows], b[rows], 0.0 if ends else INSIDE)]
+            if ends:
                 rows = rows[np.abs(b[rows] @ walls.normal[wall] - walls.offset[wall]) > TOUCHING * INSIDE * walls.size]
             if not len(rows):
                 continue
@@ -238,15 +239,15 @@ def _same_plane(walls: Walls, sequence: Ints, leg: int, wall: int) -> Bools:
     return same
 
 
-def blocks(walls: Walls, wall: int, a: Floats, b: Floats) -> Bools:
-    """Mask of segments that a wall crosses strictly between their endpoints."""
+def blocks(walls: Walls, wall: int, a: Floats, b: Floats, beyond: float = INSIDE) -> Bools:
+    """Mask of segments that a wall, or what is within a share of the size beyond it, crosses between their endpoints."""
     first, last = (x @ walls.normal[wall] - walls.offset[wall] for x in (a, b))
     crosses = first * last < 0.0
     share = first / np.where(crosses, first - last, 1.0)
     inner = crosses & (share > INNER) & (share < 1.0 - INNER)
     blocked = np.zeros(len(a), dtype=bool)
     rows = np.flatnonzero(inner)
-    blocked[rows] = walls.holds(wall, a[rows] + share[rows, None] * (b[rows] - a[rows]))
+    blocked[rows] = walls.holds(wall, a[rows] + share[rows, None] * (b[rows] - a[rows]), beyond)
     return blocked
 
 
