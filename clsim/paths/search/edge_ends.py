@@ -299,7 +299,7 @@ class _Sight:
 
 
 def _perturbed(tables: TrajectoryTables, row: int) -> TrajectoryTables:
-    """Shift knots so that searches, which perturb a source and a receiver, perturb end `row` as its own, and no places."""
+    """Shift knots so that searches, which perturb both ends, perturb end `row` by its own way, and no places."""
     shift = np.full((len(tables.knots), 3), PERTURBATIONS[min(row, 1)] - PERTURBATIONS[0])
     shift[tables.places[1:, 0]] = -PERTURBATIONS[1]
     return replace(tables, knots=np.concatenate([tables.knots[:, :3] + shift, tables.knots[:, 3:]], axis=1))

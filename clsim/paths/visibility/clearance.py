@@ -240,7 +240,7 @@ def _same_plane(walls: Walls, sequence: Ints, leg: int, wall: int) -> Bools:
 
 
 def blocks(walls: Walls, wall: int, a: Floats, b: Floats, beyond: float = INSIDE) -> Bools:
-    """Mask of segments that a wall, or what is within a share of the size beyond it, crosses between their endpoints."""
+    """Mask of segments that a wall, or what is a share of the size beyond it, crosses between their endpoints."""
     first, last = (x @ walls.normal[wall] - walls.offset[wall] for x in (a, b))
     crosses = first * last < 0.0
     share = first / np.where(crosses, first - last, 1.0)
