@@ -32,7 +32,7 @@ __kernel void crossings(double tolerance, double thickness, __global const doubl
         const double first = height(plane[wall], a), last = height(plane[wall], b);
         const double share = first / (first - last);
         if (!(first * last < 0.0 && share > INNER && share < 1.0 - INNER)) continue;
-        int piece = piece_at(&walls, wall, sum(a, times(share, difference(b, a))));
+        int piece = piece_at(&walls, wall, sum(a, times(share, difference(b, a))), walls.tolerance);
         double size = sphere[wall].w / share;
         for (int i = 0; i < MOST && piece >= 0; i++) {  // puts it where it belongs, and goes on with what was there
             if (size <= looks[i]) continue;

@@ -1,6 +1,6 @@
 // Whether a path is valid at an instant, and its clearance: how far source and receiver may both move before that can
 // change. The twin of visibility.py. With AT_EDGE the last leg ends on an edge of the room: walls that hold this place end
-// there, and hide nothing of it.
+// there, and hide nothing of it, and no wall hides what passes along its outline, as a leg on the plane of a face does.
 
 // The reflections: on their walls, and in order. Returns whether all are; `clear` is that of the surest that is not.
 static int reflects(const room* walls, __global const int* sequence, double reach, unfolded* path, double* clear)
@@ -49,8 +49,8 @@ static int same_plane(const room* walls, __global const int* sequence, int leg, 
            (leg < ORDER && walls->same[sequence[leg]] == walls->same[wall]);
 }
 
-// Whether a wall crosses the segment from a to b strictly between its ends.
-static int blocks(const room* walls, int wall, triple a, triple b)
+// Whether a wall, or what is less than `beyond` away from it, m, crosses the segment from a to b strictly between its ends.
+static int blocks(const room* walls, int wall, triple a, triple b, double beyond)
 {
     const double4 sphere = walls->sphere[wall];
     const triple centre = {sphere.x, sphere.y, sphere.z};
@@ -58,7 +58,7 @@ static int blocks(const room* walls, int wall, triple a, triple b)
     const double first = height(walls->plane[wall], a), last = height(walls->plane[wall], b);
     if (!(first * last < 0.0)) return 0;
     const double share = first / (first - last);
-    return share > INNER && share < 1.0 - INNER && holds(walls, wall, sum(a, times(share, difference(b, a))));
+    return share > INNER && share < 1.0 - INNER && piece_at(walls, wall, sum(a, times(share, difference(b, a))), beyond) >= 0;
 }
 
 // How far the ends of a path may move while a leg from a to b still reaches through a plane that it crosses.
@@ -82,7 +82,7 @@ static int passes(const room* walls, __global const int* sequence, double reach,
         const int ends = AT_EDGE && leg == ORDER;
         for (int box = 0; box < walls->tree.count;) {
             const int wall = next_wall(&walls->tree, &box, a, b, walls->tolerance);
-            if (wall < 0 || same_plane(walls, sequence, leg, wall) || !blocks(walls, wall, a, b)) continue;
+            if (wall < 0 || same_plane(walls, sequence, leg, wall) || !blocks(walls, wall, a, b, ends ? 0.0 : walls->tolerance)) continue;
             if (walls->same[wall] < 0) continue;  // a panel that lets sound pass
             if (ends && fabs(height(walls->plane[wall], b)) <= TOUCHING * walls->tolerance) continue;
             valid = 0;

@@ -28,19 +28,19 @@ static triple mirrored(double4 plane, triple x)
 }
 static double unit_range(double x) { return x < 0.0 ? 0.0 : x < 1.0 ? x : 1.0; }
 
-// The convex piece of a wall that a point of the wall's plane lies on, or -1.
-static int piece_at(const room* walls, int wall, triple x)
+// The convex piece of a wall that a point of the wall's plane lies on, or is less than `beyond` away from, m; or -1.
+static int piece_at(const room* walls, int wall, triple x, double beyond)
 {
     for (int piece = walls->first_piece[wall]; piece < walls->first_piece[wall + 1]; piece++) {
         int inside = 1;
         for (int i = walls->first_line[piece]; i < walls->first_line[piece + 1] && inside; i++) {
-            inside = height(walls->line[i], x) >= -walls->tolerance;
+            inside = height(walls->line[i], x) >= -beyond;
         }
         if (inside) return piece;
     }
     return -1;
 }
-static int holds(const room* walls, int wall, triple x) { return piece_at(walls, wall, x) >= 0; }
+static int holds(const room* walls, int wall, triple x) { return piece_at(walls, wall, x, walls->tolerance) >= 0; }
 
 // Square of the distance between the segments a + s u and b + t v, s and t from 0 to 1.
 static double segments_apart(triple a, triple u, triple b, triple v)

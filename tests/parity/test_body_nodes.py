@@ -8,6 +8,7 @@ import pytest
 from exhaustive import few
 from made_responses import POROUS, OffCentre
 from mutants import KeptEngines, Mutants
+from scipy.spatial.transform import Rotation
 
 import clsim
 from clsim.paths.path_set import PathSet
@@ -106,6 +107,29 @@ def test_the_scene_has_all_that_such_paths_do() -> None:
 )
 def test_device_and_host_make_the_same(way: int, layout: Layout) -> None:
     assert difference_db(way, layout) < TOLERANCE_DB
+
+
+def test_grazing_reflections_by_faces_that_turn_are_found() -> None:
+    """Twenty plain rounds do not find them: the device took delays of 0 s, and refused to render."""
+    times = np.linspace(0.0, 0.3, 9)
+    turned = Rotation.from_rotvec(-3.64 * times[:, None] * np.array([-0.226, 0.884, 0.41]))
+    pose = turned * Rotation.from_matrix([[0.974, -0.222, -0.035], [0.222, 0.929, 0.296], [-0.033, -0.296, 0.955]])
+    way = clsim.Trajectory.waypoints(times, np.tile((3.064, 2.644, 1.577), (9, 1)), pose.as_quat())
+    box = clsim.Body.box("b", (0.704, 0.495, 0.4), SOFT, way)
+    tone = clsim.Signal.tone(40e3, 0.06, RATE)
+    beside = clsim.Trajectory.fixed((0.816, -0.373, 0.244))  # turns with the box, 4 cm over the plane of its face
+    ear = clsim.Trajectory.fixed((1.586, 2.917, 1.613))
+    scene = clsim.Scene(
+        clsim.Shoebox((6.0, 5.0, 3.0), SOFT), clsim.Air(), [clsim.Source("s", tone, beside, mounted_on="b")],
+        [clsim.Receiver("r", ear)], bodies=[box],
+    )  # fmt: skip
+    found = clsim.find_paths(scene, 1).families[-1]
+    row = np.flatnonzero(found.start > 0.0)
+    assert len(row) == 1
+    grazing = PathSet(scene, (found.part(row),))
+    ways = {engine: clsim.render(grazing, RATE, duration=0.06, engine=engine) for engine in ("opencl", "reference")}
+    got, wanted = ways["opencl"].samples, ways["reference"].samples
+    assert np.linalg.norm(got - wanted) < 1e-5 * np.linalg.norm(wanted)
 
 
 MUTANTS = {

@@ -28,7 +28,7 @@ from clsim.paths.visibility.clearance import in_planes
 from clsim.paths.visibility.edge_ends import end_levels, off_edges, seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidates, imaged
-from clsim.paths.visibility.intervals import PERTURBATIONS, with_points
+from clsim.paths.visibility.intervals import PERTURBATIONS, TrajectoryTables, with_points
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene
@@ -239,7 +239,7 @@ class _Sight:
         query, last = finder.query, float(finder.query.last.max(initial=0.0))
         span = (-reach.longest, last) if row == 0 else (float(query.first[row - 1]), float(query.last[row - 1]))
         requested = replace(
-            query, trajectory_tables=with_points(query.trajectory_tables, row, place),
+            query, trajectory_tables=_perturbed(with_points(query.trajectory_tables, row, place), row),
             medium=query.medium if row == 0 else _AT_ONCE, first=np.full(len(some), span[0]), last=span[1] + late,
         )  # fmt: skip
         device = None if finder.device is None else finder.device.for_query(requested)
@@ -281,6 +281,13 @@ class _Sight:
         request = request[kept]
         first = np.searchsorted(request, np.arange(len(parts)))
         return _Seen(first, sequence[kept], begins - late[request], ends - late[request])
+
+
+def _perturbed(tables: TrajectoryTables, row: int) -> TrajectoryTables:
+    """Shift knots so that searches, which perturb both ends, perturb end `row` by its own way, and no places."""
+    shift = np.full((len(tables.knots), 3), PERTURBATIONS[min(row, 1)] - PERTURBATIONS[0])
+    shift[tables.places[1:, 0]] = -PERTURBATIONS[1]
+    return replace(tables, knots=np.concatenate([tables.knots[:, :3] + shift, tables.knots[:, 3:]], axis=1))
 
 
 def _joined(

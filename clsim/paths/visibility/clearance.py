@@ -200,8 +200,9 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
         for wall in np.flatnonzero(walls.plane >= 0).tolist():  # of others panels let sound pass
             beside = [walls.plane[sequence[:, k]] == walls.plane[wall] for k in (leg - 1, leg) if 0 <= k < order]
             rows = np.flatnonzero(~np.any([np.zeros(count, dtype=bool), *beside], axis=0))
-            rows = rows[blocks(walls, wall, a[rows], b[rows])]
-            if at_edge and leg == order:
+            ends = at_edge and leg == order
+            rows = rows[blocks(walls, wall, a[rows], b[rows], 0.0 if ends else INSIDE)]
+            if ends:
                 rows = rows[np.abs(b[rows] @ walls.normal[wall] - walls.offset[wall]) > TOUCHING * INSIDE * walls.size]
             if not len(rows):
                 continue
@@ -227,15 +228,15 @@ def _passes(walls: Walls, sequence: Ints, paths: Unfolded, at_edge: bool) -> tup
     return valid, clear
 
 
-def blocks(walls: Walls, wall: int, a: Floats, b: Floats) -> Bools:
-    """Mask of segments that a wall crosses strictly between their endpoints."""
+def blocks(walls: Walls, wall: int, a: Floats, b: Floats, beyond: float = INSIDE) -> Bools:
+    """Mask of segments that a wall, or what is a share of the size beyond it, crosses between their endpoints."""
     first, last = (x @ walls.normal[wall] - walls.offset[wall] for x in (a, b))
     crosses = first * last < 0.0
     share = first / np.where(crosses, first - last, 1.0)
     inner = crosses & (share > INNER) & (share < 1.0 - INNER)
     blocked = np.zeros(len(a), dtype=bool)
     rows = np.flatnonzero(inner)
-    blocked[rows] = walls.holds(wall, a[rows] + share[rows, None] * (b[rows] - a[rows]))
+    blocked[rows] = walls.holds(wall, a[rows] + share[rows, None] * (b[rows] - a[rows]), beyond)
     return blocked
 
 

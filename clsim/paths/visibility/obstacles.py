@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,10 @@ from clsim.paths.visibility.clearance import edges_apart
 from clsim.paths.visibility.occlusion import INNER
 from clsim.paths.visibility.rates import FAR, Pace, lasts, middle_of
 from clsim.scene.body import Body
-from clsim.scene.room.walls import Walls
+from clsim.scene.room.walls import INSIDE, Walls
 
-_ON_PLANE = 1e-6  # m, by which an event may lie off the mirror that it is at
+_ON_PLANE = 1e-6  # m, by which an event may lie off the mirror that it is at, and a leg that runs along a face off this
+_IN_PLANE = 1e-10  # m, within which the end of a leg is in the plane of a face
 _STEPS = 2  # of the secant's towards where a leg meets a face that turns
 _SPARE = 1.01  # of a body's radius, for legs that are curved as it sees them
 
@@ -216,9 +218,10 @@ def _faced(
     places = start[crossed_leg] + share[:, None] * (stop[crossed_leg] - start[crossed_leg])
     if turning is not None and len(crossed_leg):
         places = _met_turning(walls, turning, crossed_leg, face, share, [h[crossed_leg, face] for h in heights])
-    for each in np.unique(face).tolist():
-        these = np.flatnonzero(face == each)
-        hit[crossed_leg[these], each] = walls.holds(each, places[these])
+    along = np.any(np.maximum(*np.abs(heights)) < _ON_PLANE, axis=1)  # a face: no other hides what passes its border
+    for each, grazes in product(np.unique(face).tolist(), (False, True)):
+        these = np.flatnonzero((face == each) & (along[crossed_leg] == grazes))
+        hit[crossed_leg[these], each] = walls.holds(each, places[these], 0.0 if grazes else INSIDE)
     found = np.any(hit, axis=1)
     if drift is None:
         return found, np.zeros(len(found))
@@ -293,8 +296,11 @@ def _nearest(points: Floats, start: Floats, stop: Floats) -> Floats:
 
 
 def _crossed(first: Floats, last: Floats) -> Bools:
-    """Mask of legs that cross planes strictly between their endpoints, at these heights over them."""
-    crosses = first * last < 0.0
+    """Mask of legs that cross planes strictly between their endpoints, at these heights over them.
+
+    A leg to an edge ends in the planes of its faces but for rounding, and along one of them it is as near all the way.
+    """
+    crosses = (first * last < 0.0) & (np.minimum(np.abs(first), np.abs(last)) > _IN_PLANE)
     share = first / np.where(crosses, first - last, 1.0)
     return np.asarray(crosses & (share > INNER) & (share < 1.0 - INNER))
 

@@ -170,11 +170,11 @@ class Walls:
         """Return the segments of a wall, (n, 2, 3) m."""
         return self.edge[self.first_edge[wall] : self.first_edge[wall + 1]]
 
-    def holds(self, wall: int, points: Floats) -> NDArray[np.bool_]:
+    def holds(self, wall: int, points: Floats, beyond: float = INSIDE) -> NDArray[np.bool_]:
         # Points (n, 3) of the wall's plane; the mask is (n,).
         first, last = self.first_piece[wall], self.first_piece[wall + 1]
         lines = self.line[self.first_line[first] : self.first_line[last]]
-        inside = points @ lines[:, :3].T - lines[:, 3] >= -INSIDE * self.size
+        inside = points @ lines[:, :3].T - lines[:, 3] >= -beyond * self.size
         starts = self.first_line[first:last] - self.first_line[first]
         return np.asarray(np.any(np.logical_and.reduceat(inside, starts, axis=1), axis=1))
 

@@ -1,13 +1,17 @@
 // Events on paths by bodies: rounds until they are found.
 
 #if LEG == MOVING
-// One round from guesses, which it betters where they are `open` and wrong, which is returned. What a node comes to does not
-// depend on those beside it: from a guess that stays the same it comes to the same again.
+static void choose_events(choices chosen, const events* from, events* to)
+{
+    for (int i = 0; i < EVENT_NUMBERS; i++) ((reals*)to)[i] = chosen ? ((const reals*)from)[i] : ((const reals*)to)[i];
+}
+
+// One round from guesses to the next ones; returns where guesses that are `open` are wrong.
 static choices event_round(const trajectory* path, const pose_table* poses, __global const view* seen, int count, const listener* ear,
-                           reals time, choices open, arrivals* a, mirror_state* b)
+                           reals time, choices open, arrivals* a, mirror_state* b, events* next)
 {
     const double slowness = path->slowness;
-    events* about = &b->about;
+    const events* about = &b->about;
     mirror met[MIRRORS];
     for (int k = 0; k < count; k++) met[k] = mirror_at(path, poses, seen->mirror + k, time, about->time[k], about->place[k]);
     locate(path, RETARDED ? time - about->delay : time, a);
@@ -40,8 +44,8 @@ static choices event_round(const trajectory* path, const pose_table* poses, __gl
     a->delay = about->delay + step;
     b->direction[count] = onwards;
     directions(path, met, count, ear, velocity, beyond, a, b);
-    events next;
-    next.delay = a->delay;
+    *next = *about;
+    next->delay = a->delay;
     reals changed = step * step, met_at = 0.0;
     triples place = ear->position;
     for (int k = count - 1; k >= 0; k--) {
@@ -50,36 +54,59 @@ static choices event_round(const trajectory* path, const pose_table* poses, __gl
         const reals low = -BEYOND_LEG, high = 1.0 + BEYOND_LEG, part = share < low ? low : share > high ? high : share;
         met_at += part * (at[k + 1] - met_at);
         place = plus_scaled(place, part, plus_scaled(image[k + 1], -1.0, place));
-        next.time[k] = met_at, next.place[k] = place;
+        next->time[k] = met_at, next->place[k] = place;
 #if WIND
-        next.place[k] = plus_scaled(place, met_at, wind);
+        next->place[k] = plus_scaled(place, met_at, wind);
 #endif
         const reals later = met_at - about->time[k];
-        const triples off = plus_scaled(next.place[k], -1.0, about->place[k]);
+        const triples off = plus_scaled(next->place[k], -1.0, about->place[k]);
         changed += later * later + slowness * slowness * DOT(off, off);
     }
-    open &= (changed >= EVENT_ERROR) | (changed != changed);
-    about->delay = open ? next.delay : about->delay;
-    for (int k = 0; k < count; k++) {
-        about->time[k] = open ? next.time[k] : about->time[k];
-        choose(open, next.place[k], about->place + k);
-    }
-    return open;
+    return open & ((changed >= EVENT_ERROR) | (changed != changed));
 }
 
-// Rounds from guesses on. What is not found stays as it was expected, and at rest.
+// Anderson's method of the first order, as in paths/legs/events.py: guesses go on to where the line through the last two rounds ends.
+// `last`, the round before, is written: what it was from its guesses, and where it led.
+static void mix_events(const events* about, events* next, events* last, int first, double slowness)
+{
+    const reals* before = (const reals*)about;
+    reals* after = (reals*)next;
+    reals *residual = (reals*)last, *led = (reals*)(last + 1), along = 0.0, squared = 1e-300;
+    for (int i = 0; i < EVENT_NUMBERS; i++) {
+        const double weight = i <= MIRRORS ? 1.0 : slowness;
+        const reals off = (after[i] - before[i]) * weight, change = off - residual[i];
+        along += off * change, squared += change * change;
+        residual[i] = off;
+    }
+    const reals share = along / squared, most = MOST_SHARE;
+    const reals part = first ? (reals)0.0 : share > most ? most : share < -most ? -most : share;
+    for (int i = 0; i < EVENT_NUMBERS; i++) {
+        const reals found = after[i];
+        after[i] = found - (first ? (reals)0.0 : part * (found - led[i]));
+        led[i] = found;
+    }
+}
+
+// Rounds from guesses on, then mixed ones from the start. What is not found even then, no path is there: the last round counts. What a
+// node comes to does not depend on those beside it: guesses that are found stay the same.
 static void solve_events(const trajectory* path, const pose_table* poses, __global const view* seen, const listener* ear,
                          reals time, arrivals* a, mirror_state* b)
 {
     const int count = mirrors_of(seen);
     const reals expected = b->about.delay = a->delay;
+    const events start = b->about;
+    events next, last[2] = {start, start};
     choices open = expected == expected;
-    for (int round = 0; round < MOST_ROUNDS; round++) {
-        open = event_round(path, poses, seen, count, ear, time, open, a, b);
+    for (int round = 0; round < MOST_ROUNDS + MOST_MIXED; round++) {
+        if (round == MOST_ROUNDS) choose_events(open, &start, &b->about);
+        open = event_round(path, poses, seen, count, ear, time, open, a, b, &next);
         if (!ANY(open)) return;
+        if (round > MOST_ROUNDS) mix_events(&b->about, &next, last, round == MOST_ROUNDS + 1, path->slowness);
+        choose_events(open, &next, &b->about);
     }
-    a->delay = open ? expected : a->delay;
-    a->rate = open ? (reals)0.0 : a->rate;
+    const choices lost = a->delay != a->delay;
+    a->delay = lost ? expected : a->delay;
+    a->rate = lost ? (reals)0.0 : a->rate;
 }
 #define SOLVE_DELAY(path, poses, seen, receiver, time, small, a, b) solve_events(path, poses, seen, receiver, time, a, b)
 #define SOLVE_ANEW SOLVE_DELAY

@@ -5,6 +5,9 @@
 #if LEG == MOVING
 #define EVENT_ERROR 1e-17  // s^2, of where and when mirrors were met from what was taken for it: delays are wrong by its square
 #define MOST_ROUNDS 20
+#define MOST_MIXED 40   // rounds after these
+#define MOST_SHARE 10.0  // how far one of them goes on from the last two, in their distance
+#define EVENT_NUMBERS (1 + 4 * MIRRORS)
 
 // A mirror about the event in which sound meets it: normal x = offset + speed t, with t from reception on.
 typedef struct {

@@ -19,7 +19,7 @@ from clsim.paths.visibility.mirrors import PastBodies
 from clsim.paths.visibility.obstacles import Legs, hidden_by
 
 C, RATE = 343.0, 192e3
-WOOD = clsim.Material.from_reflection(0.9)
+WOOD, SILENT = clsim.Material.from_reflection(0.9), clsim.Material.from_reflection(0.0)
 FIXED, LINE, SWING = clsim.Trajectory.fixed, clsim.Trajectory.line, clsim.Trajectory.swing
 
 
@@ -335,3 +335,28 @@ def test_stretches_with_too_many_beams_are_halved() -> None:
     assert spans[0] == (0.0, 0.001)
     assert spans[-1][1] == 0.5
     assert all(one[1] == other[0] and one[1] - one[0] <= 0.1 for one, other in pairwise(spans))
+
+
+@pytest.mark.filterwarnings("ignore::clsim.ClsimWarning")
+@pytest.mark.parametrize(
+    ("place", "swapped"), [((1.2, 2.4, 1.43), False), ((1.3, 2.2, 1.7), True), ((2.65, 1.4, 1.43), False)]
+)
+def test_an_end_in_the_plane_of_a_face_has_the_paths_of_a_room(place: tuple[float, ...], swapped: bool) -> None:
+    """At rest, and beside the face: paths along it came and went by rounding and tolerances, as loud as the sound."""
+    hall, box = (
+        clsim.Shoebox((8.0, 8.0, 6.0), SILENT),
+        clsim.Body.box("box", (0.3, 0.2, 0.4), WOOD, FIXED((2.5, 2.5, 1.5))),
+    )
+    built_in = clsim.MeshRoom(box.placed(box.mesh.vertices, np.array(0.0)), box.mesh.triangles, WOOD)
+    way = (
+        LINE((3.4, 1.6, 1.3), (3.3, 3.5, 1.75), 1.0) if place[0] < 2.0 else LINE((1.5, 3.4, 1.25), (3.3, 3.5, 1.8), 1.0)
+    )
+    ends = (way, FIXED(place)) if swapped else (FIXED(place), way)
+    times, pressures = np.linspace(0.03, 0.97, 101), []
+    for bodies, room in (([box], hall), ([], clsim.MeshRoom.joined([hall, built_in]))):
+        paths = clsim.find_paths(scene_of(bodies, *ends, 0.99, room), 0, diffraction=2, engine="reference")
+        table = paths.table(times)
+        waves = np.nan_to_num(table.gain * np.exp(-2j * np.pi * 40e3 * np.nan_to_num(table.delay)))
+        pressures.append(waves.sum(axis=0))
+    off = np.abs(pressures[0] - pressures[1]).max()
+    assert off < 1e-3 * np.abs(pressures[1]).max()
