@@ -58,7 +58,7 @@ class Support:
 
 _BODIES = ("bodies", "must be left out where the air depends on the height or fluctuates")
 _SCATTERERS = ("scatterers", "must be left out where the air depends on the height or fluctuates")
-_TWO_EDGES = ("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
+_TWO_EDGES = ("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2 or 3")
 _TWO_SCATTERERS = ("scatterers_in_row", "must be 1 where the air moves, depends on the height or fluctuates, but is 2")
 _EDGE_AND_SCATTERER = ("edge_scattering", "must be false where the air moves, depends on the height or fluctuates")
 _BEHIND_BODIES = HOST, HOST, REFUSED, REFUSED

@@ -248,7 +248,7 @@ def _walls(grid: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
     return walls
 
 
-_KINDS = 0, 1, 5  # of paths over edges, by `diffraction`
+_KINDS = 0, 1, 4, 5  # of paths over edges, by `diffraction`
 OVER_EDGES = EdgePaths.over_one, EdgePaths.over_pairs, gap_edge_paths, end_edge_paths, third_edge_paths
 OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths, moving_end_paths
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}

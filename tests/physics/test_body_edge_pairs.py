@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edge_fields import field as whole_field
+from edge_fields import field
 from exhaustive import exhaustive, few
 from pillar_bem import SOURCE, C, field_behind
 from scipy.special import hankel2
@@ -25,11 +25,6 @@ TONE = 40e3
 KINDS = "edge pair", "edge and end"
 LONG = clsim.Signal.tone(TONE, 0.2, 192e3, fade=0.001)
 ENDS = FIXED(at(-1.0, 0.013, 0.02)), FIXED(at(0.9, 0.03, -0.05))
-
-
-def field(paths: PathSet, *given: Any) -> np.ndarray:
-    """Return the sum of all paths but those over three edges, which bodies have not."""
-    return whole_field(PathSet(paths.scene, tuple(f for f in paths.families if f.kind != "static three edges")), *given)
 
 
 def decibels(ratio: Any) -> float:

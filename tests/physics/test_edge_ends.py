@@ -220,7 +220,6 @@ def test_ends_of_both_edges_take_over(monkeypatch: pytest.MonkeyPatch, measured:
     sheet = quad((-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0), (-0.1, 0.1, 0))
     way = clsim.Trajectory.line((0.3, -0.02, -0.3), (0.25, 0.4, -0.1), 1.0)
     paths = paths_of(sheet, (-0.3, 0.05, 0.25), way)
-    paths = PathSet(paths.scene, tuple(f for f in paths.families if f.kind != "static three edges"))
     [ends] = [f for f in paths.families if f.kind == KIND]
     vertex: Any = ends.vertex
     both = vertex.over_end >= TWO_ENDS

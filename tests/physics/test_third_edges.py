@@ -22,7 +22,7 @@ def paths_of(room: clsim.MeshRoom, source: Any, ears: list[Any], frequency: floa
     signal = clsim.Signal.tone(frequency, 0.01, 192e3)
     receivers = [clsim.Receiver(f"r{i}", way) for i, way in enumerate(ways[1:])]
     scene = clsim.Scene(room, AIR, [clsim.Source("s", signal, ways[0])], receivers)
-    return clsim.find_paths(scene, order, diffraction=2)
+    return clsim.find_paths(scene, order, diffraction=3)
 
 
 def without(paths: PathSet) -> PathSet:
