@@ -29,7 +29,7 @@ def without(paths: PathSet) -> PathSet:
     return PathSet(paths.scene, tuple(f for f in paths.families if f.kind != KIND))
 
 
-@pytest.mark.parametrize(("frequency", "worst", "plain"), few([(40e3, -45.0, -36.0), (10e3, -38.5, -31.0)], (0,)))
+@pytest.mark.parametrize(("frequency", "worst", "plain"), few([(40e3, -45.0, -36.0), (10e3, -38.5, -31.0)], (1,)))
 def test_beyond_the_far_face_of_a_pillar(
     frequency: float, worst: float, plain: float, measured: Callable[..., float]
 ) -> None:
@@ -76,12 +76,15 @@ def walk(name: str) -> tuple[clsim.MeshRoom, Any, clsim.Trajectory]:
 
 @pytest.mark.parametrize(
     ("name", "frequency", "worst"),
-    few([("a box", 40e3, -29.0), ("a table", 40e3, -40.0), ("a table", 2e3, -26.0)], (0, 2)),
+    few([("a box", 40e3, -29.0), ("a table", 40e3, -40.0), ("a table", 2e3, -26.0)], (0, 1)),
 )
 def test_walks_beyond_planes_of_faces(
     name: str, frequency: float, worst: float, measured: Callable[..., float]
 ) -> None:
-    """Walks across planes in which paths over two edges end jump by less, re the strongest path."""
+    """Walks across planes in which paths over two edges end jump by less, re the strongest path.
+
+    Bounds are 1 to 6 dB above what was measured; there is no other field to compare with.
+    """
     room, source, way = walk(name)
     paths = paths_of(room, source, [way], frequency)
     around, jumps = around_events(paths), []
@@ -103,3 +106,17 @@ def test_both_ways(measured: Callable[..., float]) -> None:
     assert found[0][0] == found[1][0] > 3
     error = decibels(found[1][1] / found[0][1] - 1.0)
     assert measured("three edges, both ways", "the same", error, -100.0) < -100.0
+
+
+def test_all_other_paths_are_those_of_two_edges() -> None:
+    """`diffraction=3` adds paths over three edges of the room, also beside a body, and changes no other."""
+    room, source, way = walk("a table")
+    still = [clsim.Trajectory.fixed(tuple(x)) for x in (source, way.position(np.array([0.8]))[0], (0.3, -0.7, -0.2))]
+    ends = [clsim.Source("s", clsim.Signal.tone(40e3, 0.01, 192e3), still[0])], [clsim.Receiver("r", still[1])]
+    scene = clsim.Scene(room, AIR, *ends, bodies=[clsim.Body.box("crate", (0.2, 0.2, 0.2), HARD, still[2])])
+    two, three = (clsim.find_paths(scene, 0, diffraction=n).families for n in (2, 3))
+    assert [f.kind for f in three if f.kind not in {g.kind for g in two}] == [KIND]
+    assert len(next(f for f in three if f.kind == KIND)) > 3
+    for before, after in zip(two, (f for f in three if f.kind != KIND), strict=True):
+        assert np.array_equal(before.objects, after.objects)
+        assert np.array_equal(before.start, after.start)
